@@ -401,7 +401,7 @@ def find_layers(
     >>> bool(abs(layers["distance_m"].item() - 0.195) < 0.005)  # as the bench says
     True
     """
-    from app.results.layers.dataset import layers_dataset, ratio_at
+    from app.results.layers import layers_dataset, ratio_at
     from reconstruction.layers.layer_search import find_layers as search
 
     ratios = tuple(ratio_at(distance_m, "lenslets", reconstructor.bench) for distance_m in distances_m)
@@ -455,8 +455,8 @@ def find_corrector(
     True
     """
     from app.errors import InputError
-    from app.results.layers.correction import compare_correctors, correction_dataset
-    from app.results.layers.dataset import ratio_at
+    from app.results.corrector import compare_correctors, correction_dataset
+    from app.results.layers import ratio_at
     from reconstruction.layers.corrector import Corrector
 
     bench = _bench(bench)
@@ -511,7 +511,7 @@ def field_coefficients(
     >>> field["coefficient"].sel(mode=4)["name"].item()  # Noll's count
     'Z4 defocus'
     """
-    from app.results.field.dataset import field_dataset
+    from app.results.field_coefficients import field_dataset
     from reconstruction.field_coefficients import ModalFit
     from reconstruction.field_coefficients import field_coefficients as coefficients
 
@@ -637,7 +637,8 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     from pathlib import Path
 
     from app.files import check_suffix
-    from app.results.dataset import result_dataset, write_results
+    from app.results.dataset import result_dataset
+    from app.results.result_file import write_results
 
     check_suffix(Path(path), ".nc")
     write_results(Path(path), result_dataset(_wavefront(wavefront)), bench=_bench(bench), inputs={})
@@ -675,7 +676,7 @@ def open_result(path: str | Path) -> xr.Dataset:
     from pathlib import Path
 
     from app.batch.store_folder import open_store
-    from app.results.dataset import open_results
+    from app.results.result_file import open_results
 
     return open_store(Path(path)) if Path(path).is_dir() else open_results(path)
 
@@ -771,7 +772,7 @@ def _phase_at(source: Wavefront | str | Path, bench: Bench) -> PhaseAt:
     """Return the wavefront at any field position, of a wavefront, a file of results or a recording."""
     from pathlib import Path
 
-    from app.results.field_wavefront import mean_wavefront
+    from app.results.sources import mean_wavefront
 
     if isinstance(source, str | Path):
         return mean_wavefront(Path(source), _bench(bench), None, lambda *_: None)

@@ -6,7 +6,7 @@ from importlib.metadata import version
 from app.bench.config import parse_bench
 from app.measurement.calibration import Calibration
 from app.recording.reprocess import Change
-from app.results.replay.run import change_of
+from app.results.replay import change_of
 
 
 def _software() -> str:

@@ -28,7 +28,7 @@ from app.batch.store_folder import FORMAT
 from app.errors import InputError
 from app.files import atomic_write, in_words
 from app.recording.reprocess import BLOCK_FRAMES
-from app.results.view_quality import about
+from app.results.dataset import about
 
 STATE = "state"
 WAVEFRONT, NO_WAVEFRONT, DAMAGED = 1, 2, 3  # values of `state`; 0: not done

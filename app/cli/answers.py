@@ -44,7 +44,7 @@ def layers(
     Example: svwfs layers run1 --layers 2 --from mask --out layers.nc
     """
     from app.cli.tables import print_version_notice, progress_bar
-    from app.results.layers.run import Plan, find, summary
+    from app.results.layers_run import Plan, find, summary
 
     plan = Plan(
         source=source,
@@ -94,8 +94,8 @@ def corrector(
     Example: svwfs corrector result.nc --distance 0.195 --out c.nc --command slm.png --pixels 1024
     """
     from app.cli.tables import print_version_notice, progress_bar
-    from app.results.layers.correction import in_words
-    from app.results.layers.correction_run import Plan, correct
+    from app.results.corrector import in_words
+    from app.results.corrector_run import Plan, correct
     from reconstruction.layers.corrector import Corrector
 
     try:
@@ -157,7 +157,7 @@ def field(
     Example: svwfs field result.nc --mode 5 --mode 6 --out field.nc --plot astigmatism.png
     """
     from app.cli.tables import print_version_notice, progress_bar
-    from app.results.field.run import Plan, map_field, summary
+    from app.results.field_run import Plan, map_field, summary
 
     plan = Plan(
         source=source,

@@ -43,13 +43,13 @@ def calibrate(
     check_outputs((out, plot), inputs=(reference, dark, bench_file(bench), *loaded.files), overwrite=overwrite)
     check_suffix(out, ".toml")
     if plot is not None:
-        from app.results.plot import check_plot_path
+        from app.results.figures import check_plot_path
 
         check_plot_path(plot)
     with progress_bar() as progress:
         calibrated = run(reference, dark=dark, bench=loaded, progress=progress)
     if plot is not None:
-        from app.results.lattice_plot import plot_lattice
+        from app.results.figures import plot_lattice
 
         plot_lattice(calibrated.reference, calibrated.survey, plot)
     if out is not None:
@@ -112,9 +112,10 @@ def reconstruct(
     """
     from app.cli.tables import print_quality, print_refinement, print_views, progress_bar
     from app.commands.reconstruct import reconstruct_files
-    from app.results.dataset import result_dataset, write_results
-    from app.results.plot import check_plot_path, plot_views
-    from app.results.quality import QualityTally
+    from app.results.dataset import result_dataset
+    from app.results.figures import check_plot_path, plot_views
+    from app.results.frame_tallies import QualityTally
+    from app.results.result_file import write_results
 
     loaded = load(bench, setting)
     _check_images(frame, reference, dark)

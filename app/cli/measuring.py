@@ -61,7 +61,7 @@ def live(
         loaded = load(bench or _LIVE_BENCH, setting)
         confirm_libraries(loaded, trust=trust_library)
         raise typer.Exit(unattended_window(loaded, seconds=seconds, out=out, overwrite=overwrite))
-    from app.results.replay.player import Player
+    from app.results.player import Player
 
     player = Player(replay, bench=bench, settings=tuple(setting or ()), frames=frames)
     if is_attended:

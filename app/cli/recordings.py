@@ -56,7 +56,7 @@ def replay(
     Example: svwfs replay run1 --set reconstruction.method=zonal
     """
     from app.cli.tables import print_replay, print_version_notice, progress_bar
-    from app.results.replay.run import replay as run
+    from app.results.replay import replay as run
 
     with progress_bar() as progress:
         made = run(
@@ -151,7 +151,7 @@ def export(
     Example: svwfs export run1 --to double-zernike --out run1.nc
     """
     from app.cli.tables import print_version_notice, progress_bar
-    from app.results.export.run import export as run
+    from app.results.export import export as run
 
     with progress_bar() as progress:
         count = run(recording, to, out, frames=frames, overwrite=overwrite, progress=progress)

@@ -19,13 +19,11 @@ from app.evaluation.selftest import Check
 from app.measurement.assumptions import sample_sentence
 from app.progress import LINE_START, LINES, counted
 from app.recording.recover import Recovered
-from app.results.quality import QualityTally
-from app.results.recording_results import Measured
-from app.results.replay.run import Replay
-from app.results.report.residual import Residual
-from app.results.rotation import ROTATES, rotation_of, rotation_sentence
-from app.results.source_bench import version_notice
-from app.results.uncertainty import rms_noise, rms_text
+from app.results.dataset import rotation_of
+from app.results.frame_tallies import ROTATES, Measured, QualityTally, rms_noise, rms_text, rotation_sentence
+from app.results.replay import Replay
+from app.results.report.summary import Residual
+from app.results.sources import version_notice
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Field

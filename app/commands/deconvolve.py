@@ -15,8 +15,7 @@ from app.files import atomic_write, check_outputs, check_readable, check_suffix,
 from app.images import read_image
 from app.progress import Progress, between
 from app.recording.folder import parts_of
-from app.results.field_wavefront import mean_wavefront
-from app.results.source_bench import read_bench_of
+from app.results.sources import mean_wavefront, read_bench_of
 from reconstruction.arrays import Counts
 from reconstruction.deconvolution.corrected_image import CorrectedImage, PhaseAt, RestorationMethod, corrected_image
 

@@ -17,8 +17,9 @@ from app.commands.prompt import LIGHT_BY_HAND, remind
 from app.errors import InputError, RunError
 from app.files import check_outputs, make_folder
 from app.recording.folder import FRAME_LINES
-from app.results.dataset import result_dataset, write_results
-from app.results.replay.player import Player
+from app.results.dataset import result_dataset
+from app.results.player import Player
+from app.results.result_file import write_results
 from app.run_facts import now, software_facts, timing_facts, write_record
 
 if TYPE_CHECKING:

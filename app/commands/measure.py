@@ -20,7 +20,7 @@ from app.progress import Progress, counted
 from app.recording.folder import RUN, check_free, remove_empty
 from app.recording.reader import Recording
 from app.recording.recorder import Limit
-from app.results.recording_results import Measured, files_of, write_measured
+from app.results.frame_tallies import Measured, files_of, write_measured
 from drivers.interface import DeviceError
 
 _POLL_S = 0.05

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from app.acquisition.devices import simulated_bench
 from app.bench.config import Bench
 from app.images import write_image
-from app.results.dataset import truth_dataset, write_results
+from app.results.dataset import truth_dataset
+from app.results.result_file import write_results
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock

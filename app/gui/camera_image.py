@@ -15,8 +15,7 @@ from PyQt6.QtGui import QImage, QMouseEvent, QPainter
 from app.gui import theme
 from app.gui.colours import colour_table
 from app.gui.plot import Canvas
-from app.results.frame_statistics import FrameStatistics
-from app.results.shades import Pixels, shaded
+from app.results.pictures import FrameStatistics, Pixels, shaded
 from drivers.interface import Frame
 
 _SHADES = 256

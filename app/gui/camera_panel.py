@@ -15,7 +15,7 @@ from app.gui.presentation import percent
 from app.gui.segments import Segments
 from app.gui.situation import Liveness
 from app.gui.widgets import Choice, ElidedLabel, colour_text, column, label, row_of, toggle, unfocused
-from app.results.frame_statistics import FrameStatistics
+from app.results.pictures import FrameStatistics
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor

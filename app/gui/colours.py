@@ -8,7 +8,7 @@ import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
 
-from app.results.shades import Pixels
+from app.results.pictures import Pixels
 from reconstruction.arrays import Floats
 
 _HALVES, _FIFTHS = (0.0, 0.25, 0.5, 0.75, 1.0), (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)

@@ -18,7 +18,7 @@ from app.gui.presentation import percent
 from app.gui.step_button import StepButton
 from app.gui.widgets import Button, Choice, Item, Slot, button, column, label, mark_wanted, row, toggle
 from app.measurement.routines.averages import AVERAGED_FRAMES
-from app.results.frame_statistics import FrameStatistics
+from app.results.pictures import FrameStatistics
 from drivers.interface import Range
 from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis, RegistrationSettings
 

@@ -11,7 +11,7 @@ from app.gui.presentation import number
 from app.gui.surface import SurfaceView
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import ElidedLabel, column, row, toggle
-from app.results.relief import contour_step, contours
+from app.results.pictures import contour_step, contours
 from reconstruction.arrays import Floats
 
 _STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}

@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QFileDialog
 from app.errors import InputError, RunError
 from app.files import check_outputs
 from app.gui.picture_file import write_picture
-from app.results.export.shown_view import write_shown
+from app.results.dataset import write_shown
 
 if TYPE_CHECKING:
     from app.gui.main_window import MainWindow

@@ -10,7 +10,7 @@ from app.gui import theme
 from app.gui.plot import Plot
 from app.gui.presentation import percent
 from app.gui.widgets import column
-from app.results.frame_statistics import NEARLY_FULL, FrameStatistics
+from app.results.pictures import NEARLY_FULL, FrameStatistics
 
 
 class HistogramPanel(QWidget):

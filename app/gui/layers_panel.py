@@ -16,8 +16,7 @@ from app.gui.presentation import number, signed
 from app.gui.view_grid import Caption, Maps, ViewGrid
 from app.gui.widgets import Choice, ElidedLabel, column, row
 from app.measurement.measurement import Measurement
-from app.results.layers.answers import FoundLayers, LayersRequest
-from app.results.layers.dataset import (
+from app.results.layers import (
     Origin,
     axis_label,
     distance_in_words,
@@ -27,6 +26,7 @@ from app.results.layers.dataset import (
     ratio_at,
     shown_range_m,
 )
+from app.results.shown_layers import FoundLayers, LayersRequest
 from app.results.shown_wavefront import Unit
 from drivers.interface import Range
 from reconstruction.layers.layer_search import LayerSearch

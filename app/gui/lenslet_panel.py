@@ -10,7 +10,7 @@ from app.gui.presentation import number, percent, with_error
 from app.gui.situation import Liveness
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import ElidedLabel, button, column, label, row
-from app.results.lenslet_inspection import LensletInspection
+from app.results.view_analysis import LensletInspection
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 

@@ -41,8 +41,8 @@ from app.gui.window_layout import lay_out
 from app.gui.window_menus import window_menus
 from app.gui.window_state import fit_to_screen, restore_state, save_state
 from app.gui.wording import advice, is_replay, light_when_closing, way_out
-from app.results.frame_statistics import frame_statistics
-from app.results.replay.player import Player
+from app.results.pictures import frame_statistics
+from app.results.player import Player
 
 _REFRESH_INTERVAL_MS = 40
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read

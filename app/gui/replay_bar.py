@@ -11,7 +11,7 @@ from app.gui import theme
 from app.gui.controls_panel import ControlsPanel
 from app.gui.widgets import Choice, button, label, row
 from app.recording.recover import frames_in_words
-from app.results.replay.player import Player
+from app.results.player import Player
 
 _SPEEDS = {"\N{VULGAR FRACTION ONE QUARTER}": 0.25, "\N{VULGAR FRACTION ONE HALF}": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
 _TIMES = "\N{MULTIPLICATION SIGN} "

@@ -8,7 +8,7 @@ from PyQt6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPolyg
 from PyQt6.QtWidgets import QWidget
 
 from app.gui.view_grid import Maps
-from app.results.relief import project_surface
+from app.results.pictures import project_surface
 from reconstruction.arrays import Floats
 
 _TURN_RAD = 0.01  # for each pixel of a drag

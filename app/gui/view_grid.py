@@ -15,7 +15,7 @@ from app.gui import theme
 from app.gui.colours import ColourScale
 from app.gui.copy_menu import add_copy_menu, as_table
 from app.gui.view_places import Places, arrange_views
-from app.results.shades import Pixels, enlarged
+from app.results.pictures import Pixels, enlarged
 from reconstruction.arrays import Floats
 
 _GAP, _NARROW_GAP = 10, 3  # px between views with captions, and without

@@ -19,8 +19,8 @@ from app.gui.presentation import PRESENTATIONS, Presentation, number, place
 from app.gui.situation import Liveness
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import Choice, ElidedLabel, button, colour_text, column, label, row_of, toggle
+from app.results.frame_tallies import rms_noise
 from app.results.shown_wavefront import StoredWavefront, Unit, WavefrontDisplay
-from app.results.uncertainty import rms_noise
 from app.results.view_analysis import Analysis, Quantity
 from drivers.interface import Range
 from reconstruction.arrays import Floats

@@ -13,7 +13,8 @@ from app.measurement.sensor_region import SensorArea, lenslets_outside
 from app.progress import counted
 from app.recording.recorded_devices import RecordedLight
 from app.recording.recorder import RecordingState
-from app.results.rotation import ROTATES, rotation_of
+from app.results.dataset import rotation_of
+from app.results.frame_tallies import ROTATES
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.lattice.search import Survey
 from reconstruction.quality.verdict import Quality

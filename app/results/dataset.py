@@ -1,65 +1,112 @@
-"""Results as NetCDF-4: wavefronts with coordinates, units and origin, for xarray, MATLAB or Panoply."""
+"""Results as a dataset: wavefronts with coordinates and units, image quality, what was assumed."""
 
 from __future__ import annotations
 
 import math
-import warnings
-import zlib
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from importlib.metadata import version
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import h5netcdf
-import h5py
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from app.bench.config import Bench, write_bench
-from app.errors import SETTINGS_CHANGED, InputError, RunError
-from app.files import atomic_write, in_words
-from app.results.assumed_layers import propagation, sample_variables
-from app.results.hdf_file import HdfFile
-from app.results.quality import quality_variable
-from app.results.rotation import rotation_variables
-from app.results.view_quality import Variable, about, point_spread, structure, transfer
+from app.bench.config import Bench
+from app.errors import SETTINGS_CHANGED, InputError
+from app.recording.reprocess import Reprocessed
+from app.results.result_file import FRAME, LENSLET, PIECE, require_alike, write_results
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
-from reconstruction.quality.image_quality import psf
-from reconstruction.quality.verdict import Quality
+from reconstruction.layers.layered_wavefront import AssumedSample
+from reconstruction.quality.image_quality import diffraction_rad, mtf, psf, psf_angles_rad
+from reconstruction.quality.isoplanatism import isoplanatism
+from reconstruction.quality.verdict import Fault, Quality
+from reconstruction.registration.circulation import Circulation, measure_circulation
 from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
-if TYPE_CHECKING:  # opening a file needs no reconstruction
-    from app.recording.reprocess import Reprocessed
+Variable = tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]  # dimensions, values, attributes
 
-_PIECE = 32  # frames in memory at once
-_FRAME = "frame"
-_CHECKSUMS = "crc32"  # group with an attribute for each variable, which xarray does not copy to changed files
-_LARGEST_PX = 1e6  # of a displacement
 _VIEW = ("view_row", "view_column")
-_LENSLET = ("lenslet_row", "lenslet_column")
+_PSF_REACH = 16  # half width of the map in diffraction widths (wavelength / pupil width), equal for all frames
 _RANGE = "displacement of the field's edge over what the cell allows; above 1 it has left the cell"
 _CHI_SQUARE = "reduced chi-square of the registered subimage; NaN where the camera's noise is not known"
+_MOST_LAYERS = 2  # layers of a sample; the same for all frames, so that they can be stacked
+
+
+def about(units: str, long_name: str) -> dict[str, str]:
+    """Attributes of a variable."""
+    return {"units": units, "long_name": long_name}
+
+
+def transfer(wavefront: Wavefront) -> tuple[dict[str, Variable], dict[str, Variable]]:
+    """Modulation transfer of every view: variables and coordinates."""
+    found = mtf(wavefront.views, wavefront.sensor)
+    variables: dict[str, Variable] = {}
+    for axis, values, limit in (("x", found.along_x, found.limit_x), ("y", found.along_y, found.limit_y)):
+        dimensions, name = (*_VIEW, f"frequency_{axis}"), f"modulation transfer along {axis}"
+        variables[f"mtf_{axis}"] = dimensions, values, about("1", name)
+        variables[f"mtf_limit_{axis}"] = dimensions, limit, about("1", f"{name} without aberration")
+    frequency = about("1/rad", "cycles per radian of field angle")
+    return variables, {
+        "frequency_x": (("frequency_x",), found.frequency_x_per_rad, frequency),
+        "frequency_y": (("frequency_y",), found.frequency_y_per_rad, frequency),
+    }
+
+
+def structure(wavefront: Wavefront) -> tuple[dict[str, Variable], dict[str, Variable]]:
+    """Differences of wavefronts over the field: variables and coordinates."""
+    found = isoplanatism(wavefront)
+    error, without_tilt = np.array(found.error_rad), np.array(found.error_without_tilt_rad)
+    at_views = about("rad", "RMS error of that one wavefront at each view")
+    variables: dict[str, Variable] = {
+        "global_error": ((), error, about("rad", "RMS error of one wavefront for the whole field")),
+        "global_error_without_tilt": ((), without_tilt, about("rad", "the same, but for tip and tilt")),
+        "global_error_view": (_VIEW, found.view_error_rad, at_views),
+    }
+    for suffix, curve in (("", found.curve), ("_without_tilt", found.curve_without_tilt)):
+        note = ", without tip and tilt" * bool(suffix)
+        patch = f"separation where the difference reaches 1 rad{note}; inf: it does not"
+        for name, values, long_name in (
+            ("rms", curve.rms_rad, "RMS difference of two wavefronts"),
+            ("least", curve.least_rad, "least of all pairs"),
+            ("most", curve.most_rad, "most of all pairs"),
+        ):
+            variables[f"structure_{name}{suffix}"] = ("separation",), values, about("rad", long_name + note)
+        variables[f"isoplanatic_patch{suffix}"] = (), np.array(curve.patch_m), about("m", patch)
+    separation = (("separation",), found.curve.separation_m, about("m", "of two positions in the field"))
+    return variables, {"separation": separation}
+
+
+def point_spread(wavefront: Wavefront) -> tuple[dict[str, Variable], dict[str, Variable]]:
+    """Point-spread function of every view on a fixed grid of angles: variables and coordinates."""
+    sensor = wavefront.sensor
+    angle_rad = psf_angles_rad(sensor, _PSF_REACH * diffraction_rad(sensor))
+    values = psf(wavefront.views, sensor, angle_rad=angle_rad).astype(np.float32)
+    ideal = about("1", "point-spread function over its peak when unaberrated")
+    return {"psf": ((*_VIEW, "angle_y", "angle_x"), values, ideal)}, {
+        "angle_x": (("angle_x",), angle_rad, about("rad", "field angle along x")),
+        "angle_y": (("angle_y",), angle_rad, about("rad", "field angle along y")),
+    }
 
 
 def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with_psf: bool = False) -> xr.Dataset:
     """Return all results of a wavefront, named as in docs/results.md; point-spread functions make them much larger."""
     displacement, solution = wavefront.displacement, wavefront.solution
-    vectors, modes = (*_LENSLET, "field_mode", "xy"), ("pupil_mode", "field_mode")
+    vectors, modes = (*LENSLET, "field_mode", "xy"), ("pupil_mode", "field_mode")
     misfit = "RMS misfit of the registered subimage over the contrast of the brightest one"
     variables: dict[str, Variable] = {
         **_wavefront_variables(wavefront.views, wavefront.sensor),
-        "wavefront_sigma": ((*_VIEW, *_LENSLET), wavefront.sigma(), about("rad", "standard deviation of wavefront")),
+        "wavefront_sigma": ((*_VIEW, *LENSLET), wavefront.sigma(), about("rad", "standard deviation of wavefront")),
         "displacement": (vectors, displacement.coefficients, about("px", "coefficients of the field modes")),
         "displacement_sigma": (vectors, np.sqrt(displacement.variance), about("px", "standard deviation")),
-        "valid": (_LENSLET, displacement.valid, about("1", "whether the lenslet yields a slope")),
-        "outcome": (_LENSLET, displacement.outcome, about("1", "0 converged, else why the lenslet was lost")),
-        "residual_rms": (_LENSLET, displacement.residual_rms, about("1", misfit)),
-        "range_used": (_LENSLET, displacement.range_used, about("1", _RANGE)),
-        "chi_square": (_LENSLET, displacement.chi_square, about("1", _CHI_SQUARE)),
+        "valid": (LENSLET, displacement.valid, about("1", "whether the lenslet yields a slope")),
+        "outcome": (LENSLET, displacement.outcome, about("1", "0 converged, else why the lenslet was lost")),
+        "residual_rms": (LENSLET, displacement.residual_rms, about("1", misfit)),
+        "range_used": (LENSLET, displacement.range_used, about("1", _RANGE)),
+        "chi_square": (LENSLET, displacement.chi_square, about("1", _CHI_SQUARE)),
     }
     if isinstance(solution, ModalSolution):
         sigma, chi_square = solution.coefficients_sigma, np.array(solution.chi_square)
@@ -94,7 +141,7 @@ def truth_dataset(views: Floats, light: Floats, bench: Bench) -> xr.Dataset:
     """
     variables = {
         **_wavefront_variables(views, bench.sensor),
-        "light": ((*_VIEW, *_LENSLET), light, about("1", "intensity at the lenslet centres over that without sample")),
+        "light": ((*_VIEW, *LENSLET), light, about("1", "intensity at the lenslet centres over that without sample")),
     }
     return xr.Dataset(variables, coords=_coordinates(bench.sensor, bench.field), attrs=propagation(bench.field))
 
@@ -113,7 +160,7 @@ def results_in_pieces(
         if frame.wavefront is not None
         for results in [results_of(frame.wavefront, frame.quality)]
     )
-    while piece := list(islice(made, _PIECE)):
+    while piece := list(islice(made, PIECE)):
         datasets, lines, ages_s = zip(*piece, strict=True)
         stacked = stack_frames(
             datasets,
@@ -122,7 +169,7 @@ def results_in_pieces(
             [math.nan if age_s is None else age_s for age_s in ages_s],
         )
         index = about("1", "the frame's index in the recording")
-        yield stacked.assign_coords(recording_index=(_FRAME, [line.index for line in lines], index))
+        yield stacked.assign_coords(recording_index=(FRAME, [line.index for line in lines], index))
 
 
 def stack_frames(
@@ -131,164 +178,25 @@ def stack_frames(
     """Stack results of several frames along a new first dimension `frame`; `InputError` if their settings differ."""
     first = datasets[0]
     for dataset in datasets:
-        _require_alike(first.sizes, dataset.sizes)
+        require_alike(first.sizes, dataset.sizes)
         is_alike = set(first.data_vars) == set(dataset.data_vars)
         if not is_alike or any(not index.equals(dataset.indexes[name]) for name, index in first.indexes.items()):
             raise InputError(SETTINGS_CHANGED)
     stacked = {  # xarray.concat took a third of the time of a result, because it aligns every variable
-        name: ((_FRAME, *variable.dims), np.stack([each.variables[name].values for each in datasets]), variable.attrs)
+        name: ((FRAME, *variable.dims), np.stack([each.variables[name].values for each in datasets]), variable.attrs)
         for name, variable in first.data_vars.items()
     }
     return xr.Dataset(stacked, coords=first.coords, attrs=first.attrs).assign_coords(
-        frame_index=(_FRAME, list(frame_index), about("1", "the camera's count since start")),
-        time=(_FRAME, list(time_s), about("s", "end of the exposure on the camera's clock")),
-        bias_age=(_FRAME, list(bias_age_s), about("s", "age of the bias that refined the frame; NaN: not refined")),
+        frame_index=(FRAME, list(frame_index), about("1", "the camera's count since start")),
+        time=(FRAME, list(time_s), about("s", "end of the exposure on the camera's clock")),
+        bias_age=(FRAME, list(bias_age_s), about("s", "age of the bias that refined the frame; NaN: not refined")),
     )
-
-
-def open_results(path: Path | str) -> xr.Dataset:
-    """Open a file of results; arrays are read when they are used. `InputError` if it holds none, or is damaged."""
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        _check_sums(path)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about files that are odd, which the next lines find
-            dataset = xr.open_dataset(path, engine="h5netcdf")
-    except InputError:
-        raise
-    except Exception as error:  # damaged files make HDF5 raise anything
-        raise InputError(f"{path}: cannot be opened as results: it is not a NetCDF-4 file, or is damaged") from error
-    if "wavefront" not in dataset:
-        dataset.close()
-        raise InputError(f"{path}: holds no results: there is no variable wavefront in it")
-    return dataset
-
-
-@contextmanager
-def reading_results(path: Path) -> Iterator[xr.Dataset]:
-    """Open results with plausible displacements; every error of a damaged file is an `InputError`."""
-    with open_results(path) as results:
-        try:
-            _require_sound(path, results)
-            yield results
-        except (InputError, RunError):
-            raise
-        except Exception as error:
-            raise InputError(f"{path}: is damaged: {type(error).__name__}: {in_words(error)}") from error
-
-
-def _require_sound(path: Path, results: xr.Dataset) -> None:
-    """Raise `InputError` if a frame has no valid lenslet, or a valid one a displacement that none can have."""
-    if "valid" in results and "displacement" in results:
-        valid = results["valid"].astype(bool)
-        if not valid.any(_LENSLET).all():
-            raise InputError(f"{path}: is damaged: it has a frame without a valid lenslet")
-        if not (~valid | (abs(results["displacement"]) < _LARGEST_PX)).all():
-            raise InputError(f"{path}: is damaged: a valid lenslet has a displacement that none can have")
-
-
-def _check_sums(path: Path | str) -> None:
-    """Raise `InputError` if a variable differs from what was written; files before 0.3 have no checksums."""
-    with h5py.File(path, "r") as file:
-        file.attrs.get("_nc3_strict")  # if that fails, h5netcdf fails with a traceback from its destructor, too
-        for name, written in file[_CHECKSUMS].attrs.items() if _CHECKSUMS in file else ():
-            variable, found = file[name], 0
-            for first in range(0, variable.shape[0], _PIECE) if variable.ndim else (None,):
-                found = _checksum(variable[... if first is None else slice(first, first + _PIECE)], found)
-            if found != written:
-                raise InputError(f"{path}: is damaged: {name} is not what was written; reconstruct the frames again")
-
-
-def _checksum(values: Any, before: int = 0) -> int:
-    """Return the CRC-32 of values that follow others with the checksum `before`."""
-    values = np.asarray(values)
-    if values.dtype.kind in "biuf":
-        return zlib.crc32(values.tobytes(), before)
-    texts = (each.encode() if isinstance(each, str) else each for each in values.flat)  # they are read as bytes
-    return zlib.crc32(b"".join(text + b"\0" for text in texts), before)
-
-
-def write_results(path: Path, dataset: xr.Dataset, *, bench: Bench, inputs: Mapping[str, str]) -> None:
-    """Write a dataset with bench, software version and names of the inputs as attributes (atomic)."""
-    write_pieces(path, [dataset], bench=bench, inputs=inputs)
-
-
-def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inputs: Mapping[str, str]) -> None:
-    """Write results of many frames as `write_results` does, one piece in memory at a time.
-
-    `InputError` if a piece has another shape than the first, because the settings changed between them.
-    """
-    count, sums = 0, dict[Hashable, int]()
-    with atomic_write(path) as temporary:
-        for piece in pieces:
-            if count:
-                _append(temporary, piece)
-            else:
-                temporary.write_bytes(_netcdf(piece, bench, inputs))
-            count += piece.sizes.get(_FRAME, 1)
-            _verify(temporary, path, count)
-            _add_sums(temporary, piece, sums)
-        if not count:
-            raise RunError(f"{path}: there is nothing to write: no frame has a wavefront")
-        _verify(temporary, path, count)
-
-
-def _add_sums(path: Path, piece: xr.Dataset, sums: dict[Hashable, int]) -> None:
-    """Update the checksums of the variables, as they are stored, by those of a piece."""
-    with HdfFile(path) as writable, h5netcdf.File(writable, "r+") as file:
-        group = file.groups[_CHECKSUMS] if sums else file.create_group(_CHECKSUMS)
-        for name, variable in piece.variables.items():
-            if name not in sums or _FRAME in variable.dims:
-                stored = file.variables[name]
-                values = variable.values if variable.dtype.kind in "UO" else variable.values.astype(stored.dtype)
-                sums[name] = _checksum(values, sums.get(name, 0))
-                group.attrs[str(name)] = np.uint32(sums[name])
-
-
-def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str]) -> memoryview:
-    """Return the contents of a file. HDF5 crashes on a full disk, so it writes into memory."""
-    origin = {"software": f"svwfs {version('svwfs')}", "bench": write_bench(bench), **inputs}
-    origin = {
-        name: text.encode(errors="replace").decode() for name, text in origin.items()
-    }  # file names may be no text
-    return piece.assign_attrs(**{"title": "Space-variant wavefront"} | piece.attrs | origin).to_netcdf(
-        engine="h5netcdf", unlimited_dims=[_FRAME] if _FRAME in piece.dims else []
-    )
-
-
-def _verify(written: Path, path: Path, frames: int) -> None:
-    """Raise `RunError` unless the file can be read and has all frames."""
-    try:
-        with h5netcdf.File(written, "r") as file:
-            found = file.dimensions[_FRAME].size if _FRAME in file.dimensions else 1
-    except OSError as error:
-        raise RunError(f"{path}: cannot be read again: {in_words(error)}") from error
-    if found != frames:
-        raise RunError(f"{path}: only {found} of {frames} frames were written")
-
-
-def _append(path: Path, piece: xr.Dataset) -> None:
-    with HdfFile(path) as writable, h5netcdf.File(writable, "r+") as file:
-        first = file.dimensions[_FRAME].size
-        sizes = {name: dimension.size for name, dimension in file.dimensions.items() if name != _FRAME}
-        _require_alike(sizes, {name: size for name, size in piece.sizes.items() if name != _FRAME})
-        file.resize_dimension(_FRAME, first + piece.sizes[_FRAME])
-        for name, variable in piece.variables.items():
-            if _FRAME in variable.dims:
-                stored = file.variables[name]
-                stored[first:] = variable.values.astype(stored.dtype)
-
-
-def _require_alike(sizes: Mapping[Hashable, int], others: Mapping[Hashable, int]) -> None:
-    if dict(sizes) != dict(others):
-        raise InputError(SETTINGS_CHANGED)
 
 
 def _wavefront_variables(views: Floats, sensor: Sensor) -> dict[str, Variable]:
     strehl = psf(views, sensor, angle_rad=np.zeros(1))[..., 0, 0]
     return {
-        "wavefront": ((*_VIEW, *_LENSLET), views, about("rad", "phase at the lenslet centres, piston removed")),
+        "wavefront": ((*_VIEW, *LENSLET), views, about("rad", "phase at the lenslet centres, piston removed")),
         "rms": (_VIEW, rms(views), about("rad", "RMS of each view's wavefront")),
         "strehl": (_VIEW, strehl, about("1", "Strehl ratio of each view's wavefront, tilt included")),
         "pv": (_VIEW, peak_to_valley(views), about("rad", "peak to valley of each view's wavefront")),
@@ -301,6 +209,65 @@ def _coordinates(sensor: Sensor, field: Field) -> dict[str, Variable]:
     return {
         "view_x": (("view_column",), field.view_x_m, about("m", "field position along the lattice's rows")),
         "view_y": (("view_row",), field.view_y_m, about("m", "field position along the lattice's columns")),
-        "pupil_x": (_LENSLET[1:] if is_square else _LENSLET, pupil_x_m, about("m", "lenslet centre")),
+        "pupil_x": (LENSLET[1:] if is_square else LENSLET, pupil_x_m, about("m", "lenslet centre")),
         "pupil_y": (("lenslet_row",), sensor.pupil_y_m, about("m", "lenslet centre")),
     }
+
+
+def quality_variable(quality: Quality) -> Variable:
+    """Faults of a frame as CF flags, one bit each."""
+    meanings = " ".join(fault.name.lower() for fault in Fault if fault.name)
+    name = "faults that make the wavefront doubtful; 0 if none was found"
+    masks = np.array([int(fault) for fault in Fault], np.int32)
+    return (
+        (),
+        np.array(int(quality.faults), np.int32),
+        {**about("1", name), "flag_masks": masks, "flag_meanings": meanings},
+    )
+
+
+def sample_variables(sample: AssumedSample, of: Field) -> dict[str, Variable]:
+    """Return number and distances of the assumed layers; distances are NaN beyond their number."""
+    distance_m, sigma_m = np.full((2, _MOST_LAYERS), np.nan)
+    count = len(sample.ratios)
+    distance_m[:count] = -np.array(sample.ratios) * of.collimator_focal_length_m
+    sigma_m[:count] = sample.sigma * of.collimator_focal_length_m
+    assumed = "layers that were assumed to make up the sample; 0: any wavefront was allowed"
+    towards = "distance of each assumed layer from the lenslets, positive towards the source"
+    return {
+        "assumed_layers": ((), np.array(count, np.int8), about("1", assumed)),
+        "layer_distance": (("layer",), distance_m, about("m", towards)),
+        "layer_distance_sigma": (("layer",), sigma_m, about("m", "standard deviation of layer_distance")),
+    }
+
+
+def propagation(field: Field) -> dict[str, str]:
+    """Return the attribute that says how light goes from sample to lenslets."""
+    return {"propagation_of_light": "neglected" if field.neglect_propagation else "from sample to lenslets"}
+
+
+def rotation_of(wavefront: Wavefront) -> Circulation | None:
+    """Measure the rotation of the subimages; None with `registration.rotation = false`."""
+    return measure_circulation(wavefront.displacement, wavefront.field.half_width_px(wavefront.sensor))
+
+
+def rotation_variables(wavefront: Wavefront) -> dict[str, Variable]:
+    """Return the rotation of the subimages as variables; none with `registration.rotation = false`."""
+    found = rotation_of(wavefront)
+    if found is None:
+        return {}
+    rotation = "rotation of the subimage, from +x to +y; NaN if lost or not shown by the source"
+    chi_square = "reduced chi-square of the circulation of a typical lenslet; 0 if not shown by the source"
+    return {
+        "rotation": (LENSLET, found.rotation_rad, about("rad", rotation)),
+        "rotation_sigma": (LENSLET, found.rotation_sigma_rad, about("rad", "standard deviation, noise only")),
+        "rotation_significance": ((), np.array(found.significance), about("1", "mean rotation over its error")),
+        "circulation_chi_square": ((), np.array(found.chi_square), about("1", chi_square)),
+        "contradicts_layers": ((), np.array(found.contradicts_layers), about("1", "whether subimages rotate")),
+    }
+
+
+def write_shown(path: Path, shown: Wavefront, bench: Bench, *, options: str) -> None:
+    """Write a wavefront with the display `options` applied, which the attribute `display` names, as NetCDF."""
+    bench = replace(bench, field=shown.field)  # the display may have chosen other views
+    write_results(path, result_dataset(shown), bench=bench, inputs={"display": options or "as measured"})

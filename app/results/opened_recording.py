@@ -17,7 +17,8 @@ from app.measurement.calibration import Calibration
 from app.progress import counted
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
-from app.results.dataset import reading_results, results_in_pieces
+from app.results.dataset import results_in_pieces
+from app.results.result_file import reading_results
 from reconstruction.arrays import Image
 from reconstruction.picture import html, picture_of_frame
 

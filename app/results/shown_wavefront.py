@@ -11,7 +11,7 @@ import numpy as np
 
 from app.bench.config import parse_bench
 from app.errors import InputError
-from app.results.dataset import reading_results
+from app.results.result_file import reading_results
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import FieldModes, LegendreModes, ZernikeModes

@@ -1,22 +1,140 @@
-"""Analysis of a wavefront for display: maps of a chosen quantity, MTF, isoplanatism, coefficients, one lenslet."""
+"""Analysis of a wavefront for display: maps, MTF, isoplanatism, coefficients, and everything known of one lenslet."""
 
 import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
+from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
-from app.results.lenslet_inspection import LensletInspection, inspect_lenslet
+from app.memory import kept_for_bench
 from app.results.mode_coefficients import ModeChoice, ModeCoefficients, mode_coefficients
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, Image
+from reconstruction.displacement import Displacement, Outcome
+from reconstruction.errors import ReconstructionError
+from reconstruction.frame.bad_pixels import find_bad_pixels
+from reconstruction.frame.spline import sample
 from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, psf_reach_rad
 from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
 from reconstruction.quality.slope_fit import slope_fit
+from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import PupilBasis, ReconstructionSettings
 from reconstruction.wavefront import Wavefront
+
+_BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LensletInspection:
+    """One lenslet of one frame; images are counts above the dark, (row, column), along the lattice."""
+
+    row: int
+    column: int
+    outcome: Outcome
+    reference: Floats
+    frame: Floats
+    fitted: Floats | None  # the frame warped back onto the reference, with its gain and offset; None if lost
+    residual: Floats | None  # reference minus fitted; NaN outside the image of the field
+    displacement_px: Floats  # mean over the field, (xy,); NaN if lost
+    sigma_px: Floats  # its standard deviation, (xy,)
+    residual_rms: float  # over the contrast of the reference's best subimage
+    chi_square: float
+    range_used: float
+
+
+def inspect_lenslet(measurement: Measurement, row: int, column: int) -> LensletInspection | None:
+    """Inspect a lenslet; None without a reconstruction, or if the lenslet is not on the lattice."""
+    calibration, wavefront = measurement.calibration, measurement.wavefront
+    if calibration is None or wavefront is None:
+        return None
+    displacement = measurement.registered or wavefront.displacement
+    rows, columns = displacement.outcome.shape
+    if not (row < rows and column < columns):
+        return None
+    try:
+        subimages = _subimages(calibration)
+    except ReconstructionError:
+        return None
+    light = _light(calibration, measurement.frame.pixels)
+    saturated = measurement.frame.pixels >= calibration.full_scale
+    coefficients = subimages.spline(light, saturated=saturated)
+    index, square = row * columns + column, (subimages.width, subimages.width)
+    reference = subimages.light[index].astype(np.float64)
+    frame, _ = sample(coefficients, subimages.position_px[index])
+    fitted = residual = None
+    if displacement.valid[row, column]:
+        is_fitted = (np.abs(subimages.offset_px) <= subimages.half_width_px + subimages.blur_px).all(axis=1)
+        warped, stretch = _warped(subimages, coefficients, displacement, calibration, index)
+        terms = np.stack([warped * stretch, stretch], axis=1)
+        gain_and_offset = np.linalg.lstsq(terms[is_fitted], reference[is_fitted])[0]
+        fitted = (terms @ gain_and_offset).reshape(square)
+        residual = np.where(is_fitted, reference - fitted.ravel(), np.nan).reshape(square)
+    return LensletInspection(
+        row,
+        column,
+        Outcome(int(displacement.outcome[row, column])),
+        reference.reshape(square),
+        np.asarray(frame, np.float64).reshape(square),
+        fitted,
+        residual,
+        displacement.mean[row, column],
+        _sigma_of_mean(displacement, row, column),
+        *(
+            float(one[row, column])
+            for one in (displacement.residual_rms, displacement.chi_square, displacement.range_used)
+        ),
+    )
+
+
+@kept_for_bench(maxsize=1)
+def _subimages(calibration: Calibration) -> ReferenceSubimages:
+    dark, reference = calibration.dark, calibration.reference.mean
+    return ReferenceSubimages(
+        _light(calibration, reference),
+        sensor=calibration.bench.sensor,
+        lattice=calibration.lattice,
+        field=calibration.bench.field,
+        bad=find_bad_pixels(reference, None if dark is None else dark.mean),
+    )
+
+
+def _light(calibration: Calibration, pixels: NDArray[Any]) -> Image:
+    """Counts above the dark, or above the background."""
+    light = pixels.astype(np.float32)
+    dark = calibration.dark
+    light -= np.float32(np.percentile(light, _BACKGROUND_PERCENT)) if dark is None else dark.mean.astype(np.float32)
+    return light
+
+
+def _warped(
+    subimages: ReferenceSubimages, coefficients: Image, displacement: Displacement, calibration: Calibration, index: int
+) -> tuple[Floats, Floats]:
+    """Light of the frame where the fitted warp takes each window position, and the stretch of area there, (N,)."""
+    modes, offset_px = displacement.modes, subimages.offset_px
+    x, y = offset_px.T / subimages.half_width_px
+    by_mode = displacement.coefficients.reshape(-1, modes.count, 2)[index]
+    moved_px = offset_px + modes.values(x, y).T @ by_mode
+    position_px = subimages.center_px[index] + moved_px @ subimages.turn
+    edge = np.array(coefficients.shape[::-1]) - 1
+    values, _ = sample(coefficients, np.clip(position_px, 0, edge))
+    gradients = getattr(modes, "gradients", None)  # interpolation between stars has none
+    if gradients is None or not calibration.bench.field.neglect_propagation:
+        return np.asarray(values, np.float64), np.ones(len(values))
+    jacobian = np.eye(2) + np.einsum("qnk,qd->ndk", gradients(x, y), by_mode) / subimages.half_width_px
+    return np.asarray(values, np.float64), np.linalg.det(jacobian)
+
+
+def _sigma_of_mean(displacement: Displacement, row: int, column: int) -> Floats:
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    values = displacement.modes.values(nodes, nodes[:, None])
+    share = np.einsum("qyx,y,x->q", values, weights, weights) / 4
+    return np.asarray(np.sqrt(np.einsum("q,qdrd,r->d", share, displacement.covariance[row, column], share)))
 
 
 class Quantity(StrEnum):

@@ -15,7 +15,7 @@ from app.batch.job import Job
 from app.batch.run import Batch, run_batch
 from app.recording import reprocess
 from app.recording.reader import Recording
-from app.results.replay.run import replay
+from app.results.replay import replay
 from app.tasks import Evaluate, one_by_one
 
 QUICK = ("registration.warp=affine", "reconstruction.response=false")  # a reconstructor is prepared at once

@@ -29,7 +29,7 @@ from app.gui.layers_panel import LayersPanel
 from app.gui.main_window import MainWindow
 from app.gui.theme import apply_theme
 from app.gui.tour import Tour
-from app.results.replay.player import Player
+from app.results.player import Player
 from app.results.view_analysis import Quantity
 from support.paths import DOCS, ROOT
 from support.screenshot_states import show_benches, show_calibration, show_export, show_other_windows, show_panel_states

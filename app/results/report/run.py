@@ -10,13 +10,18 @@ from app.files import atomic_write, check_outputs
 from app.progress import Progress, between, part
 from app.recording.folder import parts_of
 from app.recording.reader import Recording
-from app.results.replay.run import change_of
-from app.results.report.certainty import draw_certainty
-from app.results.report.layout import Page, all_pages, one_page
-from app.results.report.over_field import draw_over_field, over_field
-from app.results.report.overview import draw_overview
-from app.results.report.residual import Residual, draw_comparison, residual_of
-from app.results.report.summary import Summary, summarise
+from app.results.replay import change_of
+from app.results.report.pages import (
+    Page,
+    all_pages,
+    draw_certainty,
+    draw_comparison,
+    draw_over_field,
+    draw_overview,
+    one_page,
+    over_field,
+)
+from app.results.report.summary import Residual, Summary, residual_of, summarise
 
 _PNG_DPI = 110
 _RECONSTRUCTED = 0.8  # share of the work that comes before the pages

@@ -1,4 +1,4 @@
-"""Statistics of a recording, from its lines and from frames that are reconstructed again."""
+"""Statistics of a recording, from its lines and from frames reconstructed again; its difference from another."""
 
 import os
 from collections import Counter
@@ -14,12 +14,13 @@ from app.progress import Progress, counted
 from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, Reprocessed, reprocess
-from app.results.quality import QualityTally
-from app.results.replay.comparison import are_alike
+from app.results.frame_tallies import QualityTally
+from app.results.replay import are_alike
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
+from reconstruction.geometry import Field
 from reconstruction.refinement import mean_rms
-from reconstruction.wavefront import Wavefront
+from reconstruction.wavefront import Wavefront, rms, without_piston
 
 _SAMPLED_FRAMES = 200  # evenly spaced frames that are reconstructed again
 
@@ -148,3 +149,48 @@ class _Sums:
                 refined=self._refined,
                 quality=self._quality,
             )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residual:
+    """Mean wavefronts of two recordings and their difference, rad.
+
+    All are (view_row, view_column, lenslet_row, lenslet_column).
+    """
+
+    name: str
+    other_name: str
+    field: Field
+    mean: Floats
+    other_mean: Floats
+    views: Floats  # difference without piston, where both are known
+
+    @property
+    def rms_rad(self) -> Floats:
+        """RMS of the difference at each view, (view_row, view_column)."""
+        return rms(self.views)
+
+    @property
+    def sentence(self) -> str:
+        """The three numbers of the paper's Table 2."""
+        values = self.rms_rad
+        return (
+            f"RMS of the difference at the views: least {np.nanmin(values):.3f}, most {np.nanmax(values):.3f},"
+            f" mean {np.nanmean(values):.3f} rad"
+        )
+
+
+def residual_of(summary: Summary, other: Summary) -> Residual:
+    """Subtract the mean wavefronts of `other`; `InputError` if they cannot be subtracted."""
+    one, two = summary.statistics, other.statistics
+    for each in (summary, other):
+        if each.statistics is None:
+            raise InputError(f"{each.recording.folder}: no frame has a wavefront: there is nothing to compare")
+    assert one is not None and two is not None  # noqa: S101, PT018 - checked above
+    folder, other_folder = summary.recording.folder, other.recording.folder
+    if not are_alike(one.wavefront, two.wavefront):
+        raise InputError(f"{other_folder}: has other views or lenslets than {folder}: nothing to compare")
+    views = without_piston(one.mean - two.mean)
+    if not np.isfinite(views).any():
+        raise InputError(f"{other_folder}: has no lenslet in common with {folder}")
+    return Residual(summary.name, other.name, one.wavefront.field, one.mean, two.mean, views)

@@ -9,7 +9,7 @@ import pytest
 
 from app.bench.config import load_bench
 from app.cli.tables import print_measurement
-from app.results.recording_results import Measured
+from app.results.frame_tallies import Measured
 
 
 @pytest.mark.parametrize("frames", [1, 2])

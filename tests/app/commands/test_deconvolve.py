@@ -16,9 +16,9 @@ from app.bench.config import load_bench
 from app.errors import InputError, Interrupted
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
-from app.results.dataset import open_results, result_dataset, results_in_pieces, write_results
-from app.results.field_wavefront import mean_wavefront
-from app.results.source_bench import read_bench_of
+from app.results.dataset import result_dataset, results_in_pieces
+from app.results.result_file import open_results, write_results
+from app.results.sources import mean_wavefront, read_bench_of
 
 SCALE = ("--scale", "10e-6")
 

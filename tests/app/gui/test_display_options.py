@@ -18,7 +18,8 @@ from app.gui.enlarged_view import EnlargedView
 from app.gui.main_window import MainWindow
 from app.gui.plot import Plot
 from app.gui.presentation import number, signed
-from app.results.dataset import result_dataset, write_results
+from app.results.dataset import result_dataset
+from app.results.result_file import write_results
 from app.results.view_analysis import Quantity
 from reconstruction.arrays import Floats
 from reconstruction.layers.layered_wavefront import FREE

@@ -20,7 +20,7 @@ from app.gui.main_window import MainWindow
 from app.measurement.measurement import Measurement
 from app.recording.folder import describe
 from app.recording.reader import Recording
-from app.results.replay.player import Player
+from app.results.player import Player
 
 FRAMES = 8
 VERSION_0_1 = Path(__file__).parents[2] / "support" / "version_0_1" / "recording"

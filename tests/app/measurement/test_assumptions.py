@@ -9,7 +9,7 @@ import pytest
 from support.optics import FIELD, SmallBench
 
 from app.measurement.assumptions import mask_sentence, sample_sentence
-from app.results.assumed_layers import SampleTally
+from app.results.frame_tallies import SampleTally
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 

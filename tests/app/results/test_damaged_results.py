@@ -16,11 +16,10 @@ from support.paths import FOREIGN_FRAMES
 
 from app.bench.config import load_bench
 from app.errors import InputError
-from app.results.dataset import open_results, result_dataset, stack_frames, write_pieces, write_results
-from app.results.field_wavefront import mean_wavefront
+from app.results.dataset import result_dataset, stack_frames
+from app.results.result_file import open_results, write_pieces, write_results
 from app.results.shown_wavefront import StoredWavefront
-from app.results.single_frame import stored_frame
-from app.results.source_bench import read_bench_of
+from app.results.sources import mean_wavefront, read_bench_of, stored_frame
 
 BENCH = load_bench(
     FOREIGN_FRAMES / "bench.toml",

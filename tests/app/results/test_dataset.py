@@ -12,7 +12,8 @@ from support.paths import DOCS, FOREIGN_FRAMES
 
 from app.bench.config import load_bench, parse_bench
 from app.errors import InputError, RunError
-from app.results.dataset import result_dataset, stack_frames, write_pieces, write_results
+from app.results.dataset import result_dataset, stack_frames
+from app.results.result_file import write_pieces, write_results
 
 BENCH = load_bench(
     FOREIGN_FRAMES / "bench.toml",
@@ -149,10 +150,10 @@ def test_file_is_read_again_before_it_gets_its_name(
     dataset: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     piece = stack_frames([dataset] * 2, [0, 1], [0.0, 0.1], [0.0, 0.0])
-    monkeypatch.setattr("app.results.dataset._append", lambda *_: None)
+    monkeypatch.setattr("app.results.result_file._append", lambda *_: None)
     with pytest.raises(RunError, match="only 2 of 4 frames were written"):
         write_pieces(tmp_path / "r.nc", [piece, piece], bench=BENCH, inputs={})
-    monkeypatch.setattr("app.results.dataset._netcdf", lambda *_: b"")
+    monkeypatch.setattr("app.results.result_file._netcdf", lambda *_: b"")
     with pytest.raises(RunError, match="cannot be read again"):
         write_pieces(tmp_path / "r.nc", [piece], bench=BENCH, inputs={})
     assert not list(tmp_path.iterdir())

@@ -23,8 +23,7 @@ from app.bench.config import parse_bench
 from app.errors import InputError, Interrupted, RunError
 from app.recording.reader import Recording
 from app.results import dataset
-from app.results.export.images import psf_grid, psf_reach, write_psf_grid, write_stack
-from app.results.export.run import Format, export
+from app.results.export import Format, export, psf_grid, psf_reach, write_psf_grid, write_stack
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import diffraction_rad
 from reconstruction.solve.modal_solution import ModalSolution
@@ -159,7 +158,7 @@ def test_frame_without_wavefront_is_a_row_of_nan(tmp_path: Path, small_toml: Pat
 def test_netcdf_equals_the_recorded_results(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dataset, "_PIECE", 2)
+    monkeypatch.setattr(dataset, "PIECE", 2)
     with xr.open_dataset(exported(recording, "netcdf", tmp_path / "run.nc", frames=":5")) as results:
         for index in range(5):
             np.testing.assert_array_equal(results["coefficients"][index], recording.coefficients(index))

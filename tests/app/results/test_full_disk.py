@@ -14,7 +14,7 @@ import pytest
 import xarray as xr
 from support.paths import FOREIGN_FRAMES
 
-from app.results.hdf_file import HdfFile
+from app.results.result_file import HdfFile
 
 # A limit on the size of files stands for the size of the disk; without HdfFile HDF5 writes to it and crashes.
 _PROGRAM = """
@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np, xarray as xr
 from app.bench.config import load_bench
 from app.errors import RunError
-from app.results.dataset import write_pieces
+from app.results.result_file import write_pieces
 
 room, out = int(sys.argv[1]), Path(sys.argv[2])
 bench = load_bench("small_demo")

@@ -15,12 +15,16 @@ from app.bench.config import load_bench
 from app.errors import InputError
 from app.evaluation.simulated_frames import simulated_frames
 from app.measurement.bench_reconstructor import BenchReconstructor
-from app.results.layers.correction import compare_correctors, correction_dataset, in_words
-from app.results.layers.correction_figure import correction_figure
-from app.results.layers.dataset import centred, distance_m, layers_dataset, ratio_at, shown_range_m
-from app.results.layers.figure import layers_figure
-from app.results.layers.phase_files import wrapped, write_phase
-from app.results.layers.run import summary
+from app.results.corrector import (
+    compare_correctors,
+    correction_dataset,
+    correction_figure,
+    in_words,
+    wrapped,
+    write_phase,
+)
+from app.results.layers import centred, distance_m, layers_dataset, layers_figure, ratio_at, shown_range_m
+from app.results.layers_run import summary
 from reconstruction.layers.corrector import Corrector
 from reconstruction.layers.layer_search import find_layers
 from simulated_devices.sample import make_sample

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.gaussian_lenslets import SHIFT_PX, inspected
 
-from app.results.lenslet_inspection import inspect_lenslet
+from app.results.view_analysis import inspect_lenslet
 from reconstruction.displacement import Outcome
 
 

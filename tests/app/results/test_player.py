@@ -22,7 +22,7 @@ from app.errors import InputError
 from app.measurement.measurement import SKIPPED, FrameTotals, Measurement, Reconstruction
 from app.recording.reader import Recording
 from app.recording.writer import Record, RecordingWriter
-from app.results.replay.player import Player
+from app.results.player import Player
 from drivers.interface import Frame
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import ReconstructionSettings

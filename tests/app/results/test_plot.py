@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from support.gui_bench import FIELD
 from support.wavefronts import bowl
 
-from app.results.plot import views_figure
+from app.results.figures import views_figure
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import rms
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from app.results.relief import contour_step, contours, project_surface
+from app.results.pictures import contour_step, contours, project_surface
 
 X, Y = np.meshgrid(np.arange(21.0), np.arange(15.0))
 

@@ -26,7 +26,7 @@ from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
 from app.recording.writer import Record, RecordingWriter
 from app.results import dataset
-from app.results.replay.run import Replay, change_of, replay
+from app.results.replay import Replay, change_of, replay
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
@@ -336,7 +336,7 @@ def test_skipped_frame_is_reconstructed(eventful: Recording, tmp_path: Path) -> 
 def test_changed_settings_do_not_fit_one_file(
     eventful: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int
 ) -> None:
-    monkeypatch.setattr(dataset, "_PIECE", at_once)
+    monkeypatch.setattr(dataset, "PIECE", at_once)
     with pytest.raises(
         InputError, match="the settings changed between these frames: select frames with equal settings"
     ):
@@ -349,14 +349,14 @@ def test_changed_settings_do_not_fit_one_file(
 
 def test_pieces_equal_the_whole(plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     replayed(plain.folder, out=tmp_path / "one.nc", frames=":5")
-    monkeypatch.setattr(dataset, "_PIECE", 2)
+    monkeypatch.setattr(dataset, "PIECE", 2)
     replayed(plain.folder, out=tmp_path / "two.nc", frames=":5")
     with xr.open_dataset(tmp_path / "one.nc") as one, xr.open_dataset(tmp_path / "two.nc") as two:
         xr.testing.assert_identical(one, two)
 
 
 def test_interrupted_replay_leaves_no_file(plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dataset, "_PIECE", 2)
+    monkeypatch.setattr(dataset, "PIECE", 2)
 
     def interrupt(_text: str, fraction: float) -> None:
         if fraction > 0.7:

@@ -27,15 +27,12 @@ from support.recordings import edit_line, record, replace_pixels
 
 from app.errors import InputError, RunError
 from app.recording.reader import Recording
-from app.results.export.run import export
-from app.results.replay.run import change_of
-from app.results.report.certainty import draw_certainty
+from app.results.export import export
+from app.results.replay import change_of
 from app.results.report.facts import facts
-from app.results.report.layout import Page, one_page
-from app.results.report.overview import draw_overview
-from app.results.report.residual import draw_comparison, residual_of
+from app.results.report.pages import Page, draw_certainty, draw_comparison, draw_overview, one_page
 from app.results.report.run import report_pages
-from app.results.report.summary import Summary, summarise
+from app.results.report.summary import Summary, residual_of, summarise
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 

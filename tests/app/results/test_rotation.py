@@ -18,7 +18,7 @@ from app.acquisition.instrument import Status
 from app.bench.config import Bench, write_bench
 from app.gui.wording import warning
 from app.results.dataset import result_dataset
-from app.results.rotation import ROTATES
+from app.results.frame_tallies import ROTATES
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import Wavefront
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from app.results.shades import enlarged
+from app.results.pictures import enlarged
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(4, 5), (12, 10), (8, 30)])

@@ -11,7 +11,8 @@ from support.gui_bench import BENCH, FIELD, SENSOR
 from support.wavefronts import bowl, modal
 
 from app.errors import InputError
-from app.results.dataset import result_dataset, stack_frames, write_results
+from app.results.dataset import result_dataset, stack_frames
+from app.results.result_file import write_results
 from app.results.shown_wavefront import DisplayOptions, StoredWavefront, Unit, WavefrontDisplay, with_views
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field

@@ -22,8 +22,9 @@ from app.bench.settings import RecordingSettings
 from app.errors import InputError
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
-from app.results.dataset import result_dataset, results_in_pieces, write_pieces
+from app.results.dataset import result_dataset, results_in_pieces
 from app.results.opened_recording import OpenedRecording
+from app.results.result_file import write_pieces
 from reconstruction.runtime.threads import one_blas_thread
 
 FILES = Path(__file__).parents[2] / "support" / "version_0_1"

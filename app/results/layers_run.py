@@ -1,4 +1,4 @@
-"""`svwfs layers`: distances and phase maps of the sample's layers, from one frame."""
+"""The work of `svwfs layers`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +9,10 @@ from app.errors import InputError
 from app.files import check_outputs, check_suffix
 from app.progress import Progress
 from app.recording.folder import parts_of
-from app.results.dataset import write_results
-from app.results.layers.dataset import Origin, distance_in_words, layers_dataset, ratio_at
-from app.results.layers.figure import plot_layers
-from app.results.layers.measured_frame import measured_frame
-from app.results.plot import check_plot_path
+from app.results.figures import check_plot_path
+from app.results.layers import Origin, distance_in_words, layers_dataset, plot_layers, ratio_at
+from app.results.result_file import write_results
+from app.results.sources import measured_frame
 from reconstruction.layers.layer_search import find_layers
 from reconstruction.runtime.threads import one_blas_thread
 

@@ -1,14 +1,31 @@
-"""Correctors at every distance as a dataset with names and units (docs/layers.md)."""
+"""Correctors at every distance: dataset with names and units (docs/layers.md), figure, and files of a phase."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from app.bench.config import Bench
-from app.results.layers.dataset import MAP_POINTS, Origin, distance_in_words, distance_m, from_where, possible_origin
-from app.results.view_quality import about
+from app.errors import InputError
+from app.files import atomic_write
+from app.results.dataset import about
+from app.results.layers import (
+    MAP_POINTS,
+    Origin,
+    axis_label,
+    distance_in_words,
+    distance_m,
+    from_where,
+    possible_origin,
+    shown_range_m,
+)
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
@@ -112,4 +129,73 @@ def in_words(found: xr.Dataset) -> str:
     return (
         f"one corrector at the pupil leaves {at_pupil:.2g} of {float(found['uncorrected']):.2g} rad RMS;"
         f" {place}, {float(found['corrector_residual']):.2g} rad (Strehl {float(found['field_strehl'].mean()):.2f})"
+    )
+
+
+def correction_figure(found: xr.Dataset) -> Figure:
+    """Return the figure: residual over the distance, and over the field."""
+    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[1.5, 1])
+    left.plot(found["distance"] * 1e3, found["residual"], color="#35739f", marker=".")
+    origin, at_m = found.attrs["distances_from"], float(found["corrector_distance_m"])
+    residual = float(found["corrector_residual"])
+    label = f"{distance_in_words(at_m, np.nan, origin)}: {residual:.2g} rad"
+    left.plot([at_m * 1e3], [residual], "o", color="#d1495b", label=label)
+    uncorrected = float(found["uncorrected"])
+    left.axhline(uncorrected, color="0.5", linewidth=0.8, linestyle="--", label=f"uncorrected: {uncorrected:.2g} rad")
+    low_m, high_m = shown_range_m(found["corrector_distance_m"].values, found["distance"].values, origin)
+    left.set(
+        xlim=(1e3 * low_m, 1e3 * high_m),
+        ylim=(0, None),
+        xlabel=axis_label(origin),
+        ylabel="residual over the field (rad RMS)",
+        title=f"Best command of {found.attrs['shapes']} {found.attrs['influence']} shapes",
+    )
+    left.legend()
+    shown = right.scatter(
+        found["field_x"] * 1e3, found["field_y"] * 1e3, c=found["field_residual"], s=160, marker="s", vmin=0
+    )
+    right.set(xlabel="field x (mm)", ylabel="field y (mm)", aspect="equal", title="Residual (rad RMS)")
+    right.invert_yaxis()  # +y down, as on the camera
+    figure.colorbar(shown, ax=right)
+    return figure
+
+
+_FORMATS = (".npy", ".fits", ".png")
+_GREY = 256  # levels of a wrapped phase
+_FITS_BLOCK = 2880  # bytes
+
+
+def check_phase_path(path: Path) -> None:
+    """Raise `InputError` if the suffix is no format of a phase."""
+    if path.suffix.lower() not in _FORMATS:
+        raise InputError(f"{path}: give a name that ends in one of {', '.join(_FORMATS)}")
+
+
+def write_phase(path: Path, phase_rad: Floats) -> None:
+    """Write a phase map: NPY or FITS in rad, or an 8-bit PNG wrapped at 2 pi, 256 levels to a wave."""
+    suffix = path.suffix.lower()
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        if suffix == ".npy":
+            np.save(file, phase_rad.astype(np.float32))
+        elif suffix == ".fits":
+            file.write(_fits(phase_rad))
+        else:
+            file.write(cv2.imencode(".png", wrapped(phase_rad))[1].tobytes())
+
+
+def wrapped(phase_rad: Floats) -> NDArray[np.uint8]:
+    """Grey levels of a phase for a modulator: 0 ... 255 for 0 ... 2 pi."""
+    return np.asarray(np.rint(np.mod(phase_rad, 2 * math.pi) / (2 * math.pi) * _GREY) % _GREY, np.uint8)
+
+
+def _fits(phase_rad: Floats) -> bytes:
+    """Primary HDU of 32-bit floats (FITS 4.0, sections 4 and 5)."""
+    rows, columns = phase_rad.shape
+    cards: dict[str, Any] = {"SIMPLE": "T", "BITPIX": -32, "NAXIS": 2, "NAXIS1": columns, "NAXIS2": rows}
+    lines = [f"{name:8}= {value:>20}" for name, value in cards.items()] + ["BUNIT   = 'rad     '", "END"]
+    header = "".join(f"{line:80}" for line in lines).encode("ascii")
+    pixels = phase_rad.astype(">f4").tobytes()
+    return header.ljust(-(-len(header) // _FITS_BLOCK) * _FITS_BLOCK) + pixels.ljust(
+        -(-len(pixels) // _FITS_BLOCK) * _FITS_BLOCK, b"\0"
     )

@@ -1,4 +1,4 @@
-"""`svwfs corrector`: what one corrector could do, over its distance, and its best command."""
+"""The work of `svwfs corrector`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,14 +9,17 @@ from app.errors import InputError
 from app.files import atomic_write, check_outputs, check_suffix
 from app.progress import Progress, between
 from app.recording.folder import parts_of
-from app.results.dataset import write_results
-from app.results.field_wavefront import mean_wavefront
-from app.results.layers.correction import compare_correctors, correction_dataset
-from app.results.layers.correction_figure import correction_figure
-from app.results.layers.dataset import Origin, ratio_at
-from app.results.layers.phase_files import check_phase_path, write_phase
-from app.results.plot import check_plot_path
-from app.results.source_bench import read_bench_of
+from app.results.corrector import (
+    check_phase_path,
+    compare_correctors,
+    correction_dataset,
+    correction_figure,
+    write_phase,
+)
+from app.results.figures import check_plot_path
+from app.results.layers import Origin, ratio_at
+from app.results.result_file import write_results
+from app.results.sources import mean_wavefront, read_bench_of
 from reconstruction.layers.corrector import Corrector
 
 

@@ -12,8 +12,8 @@ import xarray as xr
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
 from app.memory import kept_for_bench
-from app.results.layers.correction import compare_correctors, correction_dataset
-from app.results.layers.dataset import Origin, centred, distance_m, distances_and_sigma_m, layer_maps, possible_origin
+from app.results.corrector import compare_correctors, correction_dataset
+from app.results.layers import Origin, centred, distance_m, distances_and_sigma_m, layer_maps, possible_origin
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.corrector import Corrector

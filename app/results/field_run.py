@@ -1,4 +1,4 @@
-"""`svwfs field`: coefficients over the field of one frame, as maps, table and double Zernikes."""
+"""The work of `svwfs field`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,12 +9,10 @@ from app.errors import InputError
 from app.files import check_outputs
 from app.progress import Progress
 from app.recording.folder import parts_of
-from app.results.dataset import write_results
-from app.results.field.dataset import field_dataset
-from app.results.field.figure import plot_field, strongest
-from app.results.field.source import read_fit
-from app.results.field.table import table_names, table_rows, write_table
-from app.results.plot import check_plot_path
+from app.results.field_coefficients import field_dataset, plot_field, strongest, table_names, table_rows, write_table
+from app.results.figures import check_plot_path
+from app.results.result_file import write_results
+from app.results.sources import read_fit
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_coefficients import field_coefficients
 from reconstruction.runtime.threads import one_blas_thread

@@ -1,5 +1,6 @@
-"""Results in a recording's folder: `results.nc`, dark and reference."""
+"""Quality, samples, rotation and noise of several frames, in words; results in a recording's folder."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain
@@ -9,19 +10,100 @@ import numpy as np
 
 from app.bench.config import Bench
 from app.images import write_image
-from app.progress import Progress
+from app.measurement.assumptions import sample_sentence
+from app.progress import Progress, counted
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed, reprocess
-from app.results.assumed_layers import SampleTally
-from app.results.dataset import results_in_pieces, write_pieces
-from app.results.quality import QualityTally
-from app.results.rotation import rotation_of
-from app.results.uncertainty import rms_noise
+from app.results.dataset import results_in_pieces, rotation_of
+from app.results.result_file import write_pieces
 from reconstruction.arrays import Floats
+from reconstruction.geometry import Field
+from reconstruction.layers.layered_wavefront import AssumedSample
+from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.circulation import Circulation
-from reconstruction.wavefront import rms
+from reconstruction.wavefront import Wavefront, rms
 
 _RESULTS = "results.nc"
+ROTATES = (
+    "the subimages rotate, which thin layers cannot cause: look for a cylinder lens, different magnifications"
+    " along x and y, or a camera turned since the reference; keep registration.rotation = true"
+)
+
+
+@dataclass(slots=True)
+class QualityTally:
+    """Faults of several frames."""
+
+    frames: int = 0
+    _counts: Counter[Fault] = field(default_factory=Counter)
+    _reasons: dict[Fault, str] = field(default_factory=dict)  # of the first frame with each
+    unjudged: str = ""  # what could not be judged of some frames, and why
+
+    def take(self, quality: Quality) -> None:
+        """Add one frame."""
+        self.frames += 1
+        self._counts.update(quality.reasons.keys())
+        self._reasons = {**quality.reasons, **self._reasons}
+        self.unjudged = self.unjudged or quality.unjudged
+
+    @property
+    def sentences(self) -> list[str]:
+        """One sentence for each fault, the most frequent first, with the number of frames if not all have it."""
+        return [
+            self._reasons[fault] if count == self.frames else f"{count} of {self.frames} frames: {self._reasons[fault]}"
+            for fault, count in self._counts.most_common()
+        ]
+
+
+@dataclass(slots=True)
+class SampleTally:
+    """Samples assumed of several frames."""
+
+    _counts: Counter[int] = field(default_factory=Counter)  # frames, by number of layers
+    _newest: dict[int, AssumedSample] = field(default_factory=dict)
+
+    def take(self, sample: AssumedSample) -> None:
+        """Add one frame."""
+        layers = len(sample.ratios)
+        self._counts[layers] += 1
+        self._newest[layers] = sample
+
+    def sentence(self, of: Field) -> str:
+        """Say what was assumed, with the newest distances, and of how many frames if not alike of all."""
+        told, is_one = [], len(self._counts) == 1
+        for layers, count in self._counts.most_common():
+            text, last = sample_sentence(self._newest[layers], of), "last of " * bool(layers and count > 1)
+            told.append(text if is_one and not last else f"{text} ({last}{counted(count)})")
+        return "; ".join(told)
+
+
+def rotation_sentence(found: Circulation) -> str:
+    """Describe the rotation, as "rotation of the subimages: -3.53 +- 0.81 mrad, 4.4 times its error; ..."."""
+    if not found.is_shown:
+        return "rotation of the subimages: not shown by this source with this warp"
+    return (
+        f"rotation of the subimages: {found.mean_rad * 1e3:+z.2f} +- {found.mean_sigma_rad * 1e3:.2f} mrad,"
+        f" {abs(found.significance):.1f} times its error; chi-square of their circulation {found.chi_square:.1f}"
+    )
+
+
+def rms_noise(wavefront: Wavefront) -> Floats:
+    """RMS over the lenslets of the standard deviation of the wavefront, rad, (view_row, view_column).
+
+    A wavefront with a smaller RMS cannot be told from a flat one. NaN where the wavefront is unknown.
+    """
+    variance = wavefront.sigma() ** 2
+    known = np.isfinite(variance)
+    with np.errstate(invalid="ignore"):
+        mean = np.sum(variance, axis=(2, 3), where=known) / np.count_nonzero(known, axis=(2, 3))
+    return np.asarray(np.sqrt(mean))
+
+
+def rms_text(rms_rad: float, noise_rad: float) -> str:
+    """Format an RMS, rad, as "0.123 +- 0.007"; without a number if it is below the noise."""
+    if rms_rad < noise_rad:
+        return f"below noise ({noise_rad:.3f} rad)"
+    return f"{rms_rad:.3f} +- {noise_rad:.3f}" if np.isfinite(noise_rad) else f"{rms_rad:.3f}"
 
 
 def files_of(folder: Path) -> list[Path]:

@@ -13,8 +13,8 @@ from app.measurement.measurement import Measurement
 from app.recording.reader import Recording
 from app.recording.recorded_camera import RecordedCamera
 from app.recording.recorded_devices import recorded_devices
-from app.results.replay.run import change_of
-from app.results.source_bench import version_notice
+from app.results.replay import change_of
+from app.results.sources import version_notice
 from drivers.interface import Devices, Frame, FrameLost, WrongState
 
 

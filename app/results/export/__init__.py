@@ -1,1 +1,0 @@
-"""Export of recordings to the formats of other programs."""

@@ -1,1 +1,0 @@
-"""`svwfs field`: coefficients over the field."""

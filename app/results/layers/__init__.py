@@ -1,1 +1,0 @@
-"""`svwfs layers`: where the aberration is."""

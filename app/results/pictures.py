@@ -1,0 +1,189 @@
+"""Pixels and shapes of pictures: statistics of a frame, colours, enlarged maps, contours and surfaces."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, TypeAlias
+
+import contourpy
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import Floats
+from reconstruction.quality.clipping import is_piled_up
+from reconstruction.runtime.compilation import compiled
+
+NEARLY_FULL = 0.95  # of the level at which pixels clip
+_BINS = 128
+_STEP = 2e-3  # of the highest count: scatter of clipped pixels, by read noise
+_LEAST_SHARE, _MOST_SHARE = 2e-4, 0.5  # of the pixels, that a full well clips; of more, nothing is known
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameStatistics:
+    """Statistics of the counts of one frame."""
+
+    level: Floats  # lower edge of each bin, and the upper edge of the last, counts, (bin + 1,)
+    pixels: NDArray[np.intp]  # number in each bin, (bin,)
+    peak: int  # highest count
+    clip_level: int  # count from which pixels are clipped: full scale, or a full well that shows below it
+    clipped_share: float  # of the pixels
+
+    @property
+    def is_nearly_full(self) -> bool:
+        """True from 95 % of the level at which pixels clip."""
+        return self.peak >= NEARLY_FULL * self.clip_level
+
+
+def frame_statistics(pixels: NDArray[np.integer[Any]], full_scale: int) -> FrameStatistics:
+    """Count the pixels (row, column) of a frame in bins from 0 to full scale.
+
+    A full well below full scale shows by many pixels at the highest count and few just below. Full scale 0 is unknown:
+    then the bins end at the highest count, and nothing is clipped.
+    """
+    if pixels.dtype.kind != "u":
+        raise ValueError(f"{pixels.dtype} may be negative: no counts of a camera")
+    peak = int(pixels.max())
+    top = full_scale or peak
+    edges = _edges(max(top, peak) + 1)
+    by_count = np.zeros(edges[-1], np.intp)
+    _count(np.ascontiguousarray(pixels), by_count)
+    of_bins = np.add.reduceat(by_count, edges[:-1])
+    clip_level = _clip_level(by_count, peak, full_scale) if full_scale else peak + 1
+    share = float(by_count[clip_level:].sum() / pixels.size)
+    return FrameStatistics(edges.astype(np.float64), of_bins, peak, clip_level, share)
+
+
+@compiled
+def _count(pixels: NDArray[np.integer[Any]], by_count: NDArray[np.intp]) -> None:
+    """Count the pixels (row, column) with each count."""
+    for row in range(pixels.shape[0]):
+        for column in range(pixels.shape[1]):
+            by_count[pixels[row, column]] += 1
+
+
+@lru_cache(maxsize=4)
+def _edges(end: int) -> NDArray[np.intp]:
+    """Lower edges of the bins from 0 to an end, and the end."""
+    return np.unique(np.linspace(0, end, _BINS + 1).astype(np.intp))
+
+
+def _clip_level(by_count: NDArray[np.intp], peak: int, full_scale: int) -> int:
+    """Count from which pixels are clipped, from the number with each count; full scale if no full well shows."""
+    if peak >= full_scale:
+        return full_scale
+    lowest = peak - max(round(_STEP * peak), 1) + 1
+    piled, below = by_count[lowest : peak + 1].sum(), by_count[max(2 * lowest - peak - 1, 0) : lowest].sum()
+    is_full_well = is_piled_up(int(piled), int(below)) and _LEAST_SHARE < piled / by_count.sum() < _MOST_SHARE
+    return lowest if is_full_well else full_scale
+
+
+Pixels: TypeAlias = NDArray[np.uint32]  # 0xAARRGGBB; 0 is transparent
+
+
+def shaded(counts: NDArray[np.integer[Any]], black: float, white: float, table: Pixels) -> Pixels:
+    """Colour of each pixel (row, column): the table's first at the black level and below, its last at the white one."""
+    found = np.empty(counts.shape, np.uint32)
+    last = np.float32(len(table) - 1)
+    _fill(np.ascontiguousarray(counts), np.float32(black), last / np.float32(white - black), table, found)
+    return found
+
+
+def enlarged(maps: Pixels, rows: int, columns: int, *, is_smooth: bool) -> Pixels:
+    """Enlarge each map (view_row, view_column, row, column), by linear interpolation if smooth.
+
+    Qt would do it in threads of its own, and keep Python's lock until they end.
+    """
+    maps = np.ascontiguousarray(maps)
+    found = np.empty((*maps.shape[:2], rows, columns), np.uint32)
+    how = cv2.INTER_LINEAR if is_smooth else cv2.INTER_NEAREST_EXACT
+    for view in np.ndindex(maps.shape[:2]):
+        small, large = (each[view][..., None].view(np.uint8) for each in (maps, found))
+        cv2.resize(small, (columns, rows), dst=large, interpolation=how)
+    return found
+
+
+@compiled
+def _fill(
+    counts: NDArray[np.integer[Any]], black: np.float32, per_count: np.float32, table: Pixels, found: Pixels
+) -> None:
+    last = np.float32(table.size - 1)
+    for row in range(counts.shape[0]):
+        for column in range(counts.shape[1]):
+            place = (np.float32(counts[row, column]) - black) * per_count
+            found[row, column] = table[np.int32(min(max(place, np.float32(0)), last) + np.float32(0.5))]
+
+
+_MOST_CONTOURS = 16
+_LIGHT = (-0.4, 0.5, 0.77)  # direction to the light over the surface, unit length
+_AMBIENT = 0.55  # brightness of a face turned away from the light
+
+
+def contours(values: Floats, limit: float) -> list[Floats]:
+    """Return the contours (point, xy) of a map (row, column), in columns and rows; none around unknown values.
+
+    Levels are multiples of 1, 2 or 5 times a power of ten; at most 16 steps lie between -limit and +limit.
+    """
+    if min(values.shape) < 2 or not limit > 0:
+        return []
+    step = contour_step(limit)
+    generator = contourpy.contour_generator(z=np.ma.masked_invalid(values))
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return []
+    levels = np.arange(math.ceil(known.min() / step), math.floor(known.max() / step) + 1) * step
+    return [np.asarray(line, np.float64) for level in levels for line in generator.lines(float(level))]
+
+
+def contour_step(limit: float) -> float:
+    """Return the step between contours."""
+    least = 2 * limit / _MOST_CONTOURS
+    decade = 10.0 ** math.floor(math.log10(least))
+    return next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= least * (1 - 1e-9))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """Faces of a surface in orthographic projection, the farthest first."""
+
+    corners: Floats  # x to the right, y down, (face, corner, xy); a base of width 1 is centred on 0
+    values: Floats  # mean of the corners' values, (face,)
+    brightness: Floats  # 0 ... 1, (face,)
+
+
+def project_surface(values: Floats, limit: float, *, azimuth_rad: float, elevation_rad: float) -> Surface:
+    """Project a map (row, column) as a surface of height values / (4 limit) over a base of width 1.
+
+    Faces with an unknown corner are left out.
+
+    Parameters
+    ----------
+    values : (row, column)
+        NaN where unknown.
+    limit : float
+        Value a quarter of the base's width high.
+    azimuth_rad : float
+        Turn of the base; at 0 columns run to the right and rows towards the viewer.
+    elevation_rad : float
+        Of the viewer above the base: pi/2 looks straight down.
+    """
+    rows, columns = values.shape
+    width = max(rows, columns) - 1
+    y, x = np.meshgrid(np.arange(rows) - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2, indexing="ij")
+    points = np.stack([x / width, y / width, values / (4 * limit)], axis=-1)
+    face = np.stack([points[:-1, :-1], points[:-1, 1:], points[1:, 1:], points[1:, :-1]], axis=2).reshape(-1, 4, 3)
+    mean = np.mean([values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]], axis=0).ravel()
+    known = np.isfinite(face).all(axis=(1, 2))
+    face, mean = face[known], mean[known]
+    normal = np.cross(face[:, 2] - face[:, 0], face[:, 3] - face[:, 1])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    cosine, sine = math.cos(azimuth_rad), math.sin(azimuth_rad)
+    turned_x = cosine * face[..., 0] - sine * face[..., 1]
+    turned_y = sine * face[..., 0] + cosine * face[..., 1]
+    raised, flat = math.cos(elevation_rad), math.sin(elevation_rad)
+    corners = np.stack([turned_x, flat * turned_y - raised * face[..., 2]], axis=-1)
+    nearness = raised * turned_y.mean(axis=1) + flat * face[..., 2].mean(axis=1)
+    order = np.argsort(nearness, kind="stable")
+    light = np.clip(normal @ np.array(_LIGHT), 0, 1)
+    return Surface(corners[order], mean[order], (_AMBIENT + (1 - _AMBIENT) * light)[order])

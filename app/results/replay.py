@@ -1,0 +1,257 @@
+"""Recordings reconstructed again: verified bit by bit, or compared with another bench."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.bench.bench_files import bench_file
+from app.bench.config import Bench, load_bench, parse_bench, write_bench
+from app.errors import InputError, RunError
+from app.files import check_outputs, check_suffix
+from app.measurement.calibration import Calibration
+from app.measurement.measurement import SKIPPED
+from app.progress import Progress, counted
+from app.recording.folder import parts_of
+from app.recording.reader import Recording
+from app.recording.reprocess import Change, Reprocessed, reprocess
+from app.results.dataset import Variable, about, results_in_pieces
+from app.results.frame_tallies import QualityTally, SampleTally
+from app.results.result_file import write_pieces
+from reconstruction.arrays import Floats
+from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import Field
+from reconstruction.refinement import mean_rms
+from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.wavefront import Wavefront, rms
+
+_VIEW = ("view_row", "view_column")
+
+
+class Verification:
+    """Compares frames with what was recorded, to the last bit, and remembers the first that differs."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._first = ""
+        self.frames = 0  # frames that were reconstructed, or refused, live
+        self.different = 0
+
+    def take(self, frame: Reprocessed) -> None:
+        """Compare one frame, unless it was skipped live."""
+        if frame.line.calibration is None or frame.line.problem == SKIPPED:
+            return
+        self.frames += 1
+        differences = _differences(self._recording, frame)
+        if differences:
+            self.different += 1
+            self._first = self._first or f"frame {frame.line.index}: {differences}"
+
+    @property
+    def passes(self) -> bool:
+        """True if there was something to compare, and nothing differs."""
+        return self.frames > 0 and not self.different
+
+    @property
+    def sentence(self) -> str:
+        """The result in words."""
+        if not self.frames:
+            return "none of these frames was reconstructed when it was recorded: there is nothing to compare"
+        if not self.different:
+            return f"{counted(self.frames)}, each bit-identical to what was recorded"
+        versions, now = self._recording.run.get("versions"), version("svwfs")
+        then = versions.get("svwfs") if isinstance(versions, dict) else "an unknown version"
+        software = f"recorded by svwfs {then}, replayed by {now}" if then != now else f"both by svwfs {now}"
+        return f"{self.different} of {self.frames} frames differ from what was recorded; {self._first} ({software})"
+
+
+def _differences(recording: Recording, frame: Reprocessed) -> str:
+    """Differences and their size; empty if there are none."""
+    line, wavefront = frame.line, frame.wavefront
+    if line.problem != frame.problem:
+        return f'the problem was "{line.problem}" and is "{frame.problem}"'
+    if wavefront is None or frame.registered is None:
+        return ""
+    solution = wavefront.solution
+    differences = [
+        _difference(recording.displacement(line.index), frame.registered.coefficients, "displacements", "px"),
+        _difference(np.array(line.rms_rad, np.float64), np.array(mean_rms(wavefront.views)), "the RMS", "rad"),
+    ]
+    if isinstance(solution, ModalSolution):
+        recorded = recording.coefficients(line.index)
+        differences.append(_difference(recorded, solution.coefficients, "coefficients", "rad"))
+    return ", ".join(part for part in differences if part)
+
+
+def _difference(then: NDArray[Any] | None, now: NDArray[Any], what: str, unit: str) -> str:
+    if then is None:
+        return f"{what} were not recorded"
+    if then.shape != now.shape:
+        return f"{what} have another shape"
+    if np.array_equal(then, now, equal_nan=True):
+        return ""
+    if not np.array_equal(np.isnan(then), np.isnan(now)):
+        return f"{what} of other lenslets are known"
+    return f"{what} by up to {np.nanmax(np.abs(then - now)):.2g} {unit}"
+
+
+class Comparison:
+    """Means over the frames that have a wavefront with both benches."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.field: Field | None = None
+        self._sums: list[Floats] = []
+
+    def take(self, then: Reprocessed, now: Reprocessed) -> dict[str, Variable]:
+        """Add a frame; return additional variables for its results."""
+        if then.wavefront is None or now.wavefront is None or not are_alike(then.wavefront, now.wavefront):
+            return {}
+        values = [rms(then.wavefront.views), rms(now.wavefront.views), rms(now.wavefront.views - then.wavefront.views)]
+        self._sums = [total + value for total, value in zip(self._sums or [np.zeros(1)] * 3, values, strict=True)]
+        self.frames, self.field = self.frames + 1, now.wavefront.field
+        return {
+            "recorded_rms": (_VIEW, values[0], about("rad", "RMS of each view's wavefront with the recorded bench")),
+            "difference_rms": (_VIEW, values[2], about("rad", "RMS difference of each view's wavefront from it")),
+        }
+
+    @property
+    def recorded_rms_rad(self) -> Floats:
+        """RMS with the recorded bench, (view_row, view_column)."""
+        return self._sums[0] / self.frames
+
+    @property
+    def rms_rad(self) -> Floats:
+        """RMS with the other bench, (view_row, view_column)."""
+        return self._sums[1] / self.frames
+
+    @property
+    def difference_rms_rad(self) -> Floats:
+        """RMS of the difference where both wavefronts are known, without piston, (view_row, view_column)."""
+        return self._sums[2] / self.frames
+
+
+def are_alike(one: Wavefront, other: Wavefront) -> bool:
+    """True if views and lenslets are the same, so that the wavefronts can be subtracted."""
+    return (
+        one.views.shape == other.views.shape
+        and np.array_equal(one.field.view_x_m, other.field.view_x_m)
+        and np.array_equal(one.field.view_y_m, other.field.view_y_m)
+    )
+
+
+@dataclass(slots=True)
+class Replay:
+    """Outcome of a replay: a verification with the recorded bench, a comparison with another."""
+
+    verification: Verification | None
+    comparison: Comparison | None
+    frames: int = 0
+    reconstructed: int = 0
+    unrefined: int = 0  # frames refined live but not in this replay
+    problem: str = ""  # of the first frame that could not be reconstructed
+    assumed: str = ""  # samples, in words
+    samples: SampleTally = field(default_factory=SampleTally)
+    quality: QualityTally = field(default_factory=QualityTally)
+
+    def take(self, frame: Reprocessed) -> None:
+        """Count one frame."""
+        self.frames += 1
+        self.reconstructed += frame.wavefront is not None
+        self.unrefined += frame.wavefront is not None and frame.line.bias is not None and not frame.is_refined
+        self.problem = self.problem or frame.problem
+        if frame.wavefront is not None:
+            self.quality.take(frame.quality)
+            self.samples.take(frame.wavefront.sample)
+            self.assumed = self.samples.sentence(frame.wavefront.field)
+
+
+def replay(
+    folder: Path,
+    *,
+    bench: str | None,
+    settings: tuple[str, ...],
+    frames: str | None,
+    out: Path | None,
+    overwrite: bool,
+    verify: bool,
+    progress: Progress,
+) -> Replay:
+    """Reconstruct the recorded frames FIRST:END again and write the results to `out`, if given.
+
+    With another `bench`, or changed `settings` of the recorded one, both are made and compared. With `verify`, raise
+    `RunError` if a result differs from the recorded one in any bit.
+    """
+    other = None if bench is None else load_bench(bench, settings)
+    bench_read = () if bench is None or other is None else (bench_file(bench), *other.files)
+    check_outputs([out], inputs=[*parts_of(folder), *bench_read], overwrite=overwrite)
+    recording = Recording(folder)
+    if other is None and settings:
+        check_outputs([out], inputs=_changed(recording.bench, settings).files, overwrite=overwrite)
+    check_suffix(out, ".nc")
+    chosen = recording.select(frames)
+    change = change_of(other, settings)
+    if verify and change is not None:
+        raise InputError("--verify compares with the recorded bench: leave --bench and --set out")
+    made = Replay(Verification(recording) if change is None else None, None if change is None else Comparison())
+    with one_blas_thread():
+        stream = _frames(recording, chosen, change, made, progress)
+        if out is not None:
+            used, inputs = first_bench(recording, chosen, change), {"recording": recording.folder.name}
+            write_pieces(out, results_in_pieces(stream), bench=used, inputs=inputs)
+        for _ in stream:
+            pass
+    if verify and made.verification is not None and not made.verification.passes:
+        raise RunError(f"{folder}: {made.verification.sentence}")
+    return made
+
+
+def _frames(
+    recording: Recording, chosen: range, change: Change | None, made: Replay, progress: Progress
+) -> Iterator[tuple[Reprocessed, Mapping[str, Variable]]]:
+    """Reconstruct each frame, with both benches if there are two; yield it with additional variables."""
+    originals = reprocess(recording, chosen)
+    others = originals if change is None else reprocess(recording, chosen, change)
+    for done, frame in enumerate(others, 1):
+        more: dict[str, Variable] = {}
+        if made.verification is not None:
+            made.verification.take(frame)
+        if made.comparison is not None:
+            more = made.comparison.take(next(originals), frame)
+        made.take(frame)
+        progress(f"replaying {counted(len(chosen))}", done / len(chosen))
+        yield frame, more
+
+
+def change_of(bench: Bench | None, settings: tuple[str, ...]) -> Change | None:
+    """Return the change of a recorded calibration to another bench, or to other settings; None if there is none."""
+    if bench is None and not settings:
+        return None
+
+    def change(calibration: Calibration) -> Calibration:
+        other = bench or _changed(calibration.bench, settings)
+        try:
+            return Calibration.of(other, calibration.dark, calibration.reference, calibration.full_scale)
+        except ReconstructionError as error:
+            raise InputError(f"the recorded reference does not fit this bench: {error}") from error
+
+    return change
+
+
+def _changed(recorded: Bench, settings: tuple[str, ...]) -> Bench:
+    return parse_bench(write_bench(recorded), "the recorded bench", settings)
+
+
+def first_bench(recording: Recording, chosen: range, change: Change | None = None) -> Bench:
+    """Return the bench of the first chosen frame that has one, after the change."""
+    for index in chosen:
+        number = recording.line(index).calibration
+        if number is not None:
+            calibration = recording.calibration(number)
+            return (calibration if change is None else change(calibration)).bench
+    return recording.bench

@@ -1,1 +1,0 @@
-"""Replay of recordings: verified bit by bit, compared with another bench, or shown live."""

@@ -1,0 +1,267 @@
+"""Pages of a report: facts and mean wavefronts, certainty, coefficients over the field, comparison."""
+
+import textwrap
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize, to_rgb
+from matplotlib.figure import Figure, FigureBase, SubFigure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from app.results.field_coefficients import coefficient_maps, draw_field, strongest
+from app.results.figures import draw_maps, draw_structure, draw_transfer, place
+from app.results.report.facts import facts
+from app.results.report.summary import Residual, Statistics, Summary
+from reconstruction.arrays import Floats
+from reconstruction.displacement import Outcome
+from reconstruction.errors import ReconstructionError
+from reconstruction.field_coefficients import FieldCoefficients, ModalFit, field_coefficients
+from reconstruction.geometry import Field
+from reconstruction.quality.image_quality import mtf
+from reconstruction.quality.isoplanatism import isoplanatism
+from reconstruction.wavefront import peak_to_valley, rms
+
+Page = Callable[[FigureBase], None]  # draws a page into a figure or a part of one
+
+PAGE_INCHES = (8.27, 11.69)  # A4
+TITLE_INCHES = 0.85
+MARGIN_INCHES = 0.45
+QUIET = "0.4"
+_FOOT_INCHES = 0.3
+_ACCENT = "#1f4e79"
+_LONGEST_TITLE = 55  # characters
+
+
+def one_page(page: Page) -> Figure:
+    """Return a figure with one page."""
+    figure = Figure(figsize=PAGE_INCHES, layout=_spaced())
+    page(figure)
+    return figure
+
+
+def all_pages(pages: Sequence[Page]) -> Figure:
+    """Return a figure with all pages, one below the other."""
+    width, height = PAGE_INCHES
+    figure = Figure(figsize=(width, height * len(pages)), layout=_spaced())
+    for page, part in zip(pages, figure.subfigures(len(pages), 1, squeeze=False)[:, 0], strict=True):
+        page(part)
+    return figure
+
+
+def parts(figure: FigureBase, heights: Sequence[float]) -> list[SubFigure]:
+    """Divide a page into parts of these heights, one below the other, above an empty margin."""
+    ratios = [*heights, _FOOT_INCHES]
+    return list(figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:-1, 0])
+
+
+def write_title(figure: SubFigure, height: float, title: str, below: str) -> None:
+    """Write a title and a sentence at the top of a part of this height, inches."""
+    left = MARGIN_INCHES / PAGE_INCHES[0]
+    shown = textwrap.shorten(title, _LONGEST_TITLE, placeholder=" ...") or title[:_LONGEST_TITLE]
+    figure.text(left, 1 - 0.3 / height, shown, fontsize=17, weight="bold", color=_ACCENT, va="top", parse_math=False)
+    figure.text(left, 1 - 0.63 / height, below, fontsize=9.5, color=QUIET, va="top", parse_math=False)
+
+
+def _spaced() -> ConstrainedLayoutEngine:
+    return ConstrainedLayoutEngine(w_pad=0.15, h_pad=0.08)  # inches
+
+
+_LABEL_INCHES, _LINE_INCHES = 0.85, 0.18
+_COLUMNS = 98  # characters of a line beside the labels
+_MOST_VIEWS = 5  # along each axis; more would be too small
+_LARGEST_POINTS = 8.0
+_LETTER = 0.62  # width of a letter over its size, on average
+_MAPS_PART = 0.82  # of the width; the rest is for the colour bar
+_GREY_PERCENT = (0.5, 99.8)  # percentiles at the ends of the grey scale
+
+
+def draw_overview(figure: FigureBase, summary: Summary) -> None:
+    """Draw the page; without any wavefront, with images instead."""
+    wrapped = [(label, textwrap.wrap(value, _COLUMNS)) for label, value in facts(summary)]
+    lines = [(label * (at == 0), text) for label, texts in wrapped for at, text in enumerate(texts)]
+    head = TITLE_INCHES + _LINE_INCHES * (len(lines) + 1)
+    top, below = parts(figure, [head, PAGE_INCHES[1] - head])
+    write_title(top, head, summary.name, _headline(summary))
+    for index, (label, text) in enumerate(lines):
+        y, left = 1 - (TITLE_INCHES + _LINE_INCHES * (index + 0.5)) / head, MARGIN_INCHES
+        top.text(left / PAGE_INCHES[0], y, label, fontsize=8.5, color=QUIET, va="center")
+        left += _LABEL_INCHES
+        top.text(left / PAGE_INCHES[0], y, text, fontsize=8.5, va="center", parse_math=False)
+    if (stats := summary.statistics) is None:
+        _draw_images(below, summary)
+    else:
+        draw_views(below, stats.mean, stats.wavefront.field, f"mean wavefront of {summary.sampled_frames}")
+
+
+def draw_views(
+    figure: SubFigure, views: Floats, field: Field, title: str, *, limit: float = 0.0, with_places: bool = True
+) -> None:
+    """Draw the wavefronts of the views with RMS and PV, on a scale of +-`limit` rad, or up to the largest value."""
+    rows, columns = (_some(count) for count in views.shape[:2])
+    scale = limit or float(np.nanmax(np.abs(views), initial=0)) or 1.0
+    captions = [
+        [
+            f"{place(field, row, column)}\n" * with_places
+            + f"{rms(views[row, column]):.3f} / {peak_to_valley(views[row, column]):.2f}"
+            for column in columns
+        ]
+        for row in rows
+    ]
+    hidden = views.shape[0] * views.shape[1] - len(rows) * len(columns)
+    note = f"; {hidden} more views are not shown" * bool(hidden)
+    figure.suptitle(f"{title}: RMS / PV (rad){note}", fontsize=10)
+    colours = ("RdBu_r", Normalize(-scale, scale), "rad")
+    draw_maps(figure, views[np.ix_(rows, columns)], captions, colours, fontsize=_fitting(captions, figure))
+
+
+def _headline(summary: Summary) -> str:
+    stats = summary.statistics
+    if stats is None:
+        return "no frame has a wavefront"
+    of_views = rms(stats.mean)
+    off_rad = isoplanatism(stats.wavefront).error_rad
+    return (
+        f"RMS {np.nanmin(of_views):.3f} ... {np.nanmax(of_views):.3f} rad over the views;"
+        f" a single correction for the whole field would leave {off_rad:.2f} rad RMS, with its tilt"
+    )
+
+
+def _draw_images(figure: SubFigure, summary: Summary) -> None:
+    """Draw the first frame and the reference, if any."""
+    line, calibration = summary.lines[0], summary.calibration
+    images: list[tuple[str, NDArray[Any]]] = [(f"frame {line.index}", summary.recording.pixels(line.index))]
+    images += [] if calibration is None else [("reference", calibration.reference.mean)]
+    for axis, (name, image) in zip(figure.subplots(1, len(images), squeeze=False)[0], images, strict=True):
+        darkest, brightest = np.percentile(image, _GREY_PERCENT)
+        axis.imshow(image, cmap="gray", vmin=darkest, vmax=brightest)
+        axis.set_title(f"{name}: {image.min():.0f} ... {image.max():.0f} counts", fontsize=10)
+        axis.set(xticks=[], yticks=[])
+
+
+def _fitting(captions: list[list[str]], figure: SubFigure) -> float:
+    """Font size at which neighbouring captions do not touch, points."""
+    longest = max(len(line) for row in captions for caption in row for line in caption.splitlines())
+    width_inches = _MAPS_PART * figure.bbox.width / figure.get_figure(root=True).dpi / len(captions[0])
+    return min(_LARGEST_POINTS, 72 * width_inches / longest / _LETTER)
+
+
+def _some(count: int) -> list[int]:
+    """Indices of at most five evenly spaced views along an axis, from edge to edge."""
+    return sorted({round(index) for index in np.linspace(0, count - 1, min(count, _MOST_VIEWS))})
+
+
+_COLOURS = {
+    Outcome.DARK: "#4d4d4d",
+    Outcome.SATURATED: "#e69f00",
+    Outcome.DIVERGED: "#cc3311",
+    Outcome.LEFT_CELL: "#0077bb",
+    Outcome.OFF_CAMERA: "#aa4499",
+    Outcome.EXCLUDED: "#44aa99",
+}
+_VALID = np.array([0.91, 0.94, 0.91])  # red, green, blue
+
+
+def draw_certainty(figure: FigureBase, summary: Summary, stats: Statistics) -> None:
+    """Draw the page."""
+    rest = PAGE_INCHES[1] - TITLE_INCHES
+    title, trend, maps, curves = parts(figure, [TITLE_INCHES, 0.3 * rest, 0.36 * rest, 0.34 * rest])
+    write_title(title, TITLE_INCHES, summary.name, "stability, uncertainty and range of validity of the wavefront")
+    _draw_trend(trend.subplots(), summary, stats)
+    lost, sigma = maps.subplots(1, 2)
+    _draw_lost(lost, stats)
+    image = sigma.imshow(stats.sigma, cmap="viridis", vmin=0)
+    sigma.set(title="error bar of one frame", xticks=[], yticks=[], facecolor="0.6")
+    maps.colorbar(image, ax=sigma, label="standard deviation (rad)", shrink=0.8)
+    field, views = stats.wavefront.field, stats.wavefront.views
+    middle = field.view_rows // 2, field.view_columns // 2
+    transfer, structure = curves.subplots(1, 2)
+    draw_transfer(transfer, mtf(views[middle], summary.bench.sensor), place(field, *middle))
+    draw_structure(structure, isoplanatism(stats.wavefront))
+    for axis in (*trend.axes, *maps.axes, *curves.axes):
+        axis.title.set_fontsize(8.5)
+
+
+def _draw_trend(axis: Axes, summary: Summary, stats: Statistics) -> None:
+    """Draw the live RMS of every frame, and with error bars the RMS of the sampled frames."""
+    lines = summary.lines
+    time_s = {line.index: line.host_time_s - lines[0].host_time_s for line in lines}
+    live_rad = [np.nan if line.rms_rad is None else line.rms_rad for line in lines]
+    axis.plot(list(time_s.values()), live_rad, "-", color="0.7", linewidth=1, label="as recorded", zorder=1)
+    at_s = [time_s[index] for index in stats.frames.tolist()]
+    name = f"{summary.sampled_frames} reconstructed again; bars: at most the error bar of one frame"
+    axis.errorbar(at_s, stats.rms_rad, stats.rms_sigma_rad, fmt=".", capsize=2, linewidth=0.8, label=name, zorder=2)
+    gaps_s = [time_s[line.index] for line in lines if line.lost]
+    if gaps_s:
+        axis.vlines(gaps_s, 0, 1, transform=axis.get_xaxis_transform(), color="#cc3311", lw=0.8, label="frames lost")
+    failed_s = [time_s[line.index] for line in lines if line.problem]
+    if failed_s:
+        axis.plot(
+            failed_s, [0.03] * len(failed_s), "x", transform=axis.get_xaxis_transform(), label="no live wavefront"
+        )
+    axis.set(title="RMS of the wavefront, mean over the views", xlabel="time since the first frame (s)", ylabel="rad")
+    axis.ticklabel_format(useOffset=False)
+    axis.margins(y=0.1)
+    axis.legend(fontsize=8, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False)
+
+
+def _draw_lost(axis: Axes, stats: Statistics) -> None:
+    """Draw the lenslets without a slope and the reason; the more frames, the stronger the colour."""
+    colours = np.broadcast_to(_VALID, (*stats.lost.shape, 3)).copy()
+    handles = []
+    for outcome, colour in _COLOURS.items():
+        where = stats.reason == outcome
+        if where.any():
+            part = 0.3 + 0.7 * stats.lost[where, None]
+            colours[where] = part * np.array(to_rgb(colour)) + (1 - part) * _VALID
+            handles.append(Patch(color=colour, label=f"{outcome.reason}: {where.sum()}"))
+    axis.imshow(colours)
+    rows, columns = stats.lost.shape
+    axis.set_xticks(np.arange(columns + 1) - 0.5, labels=[], minor=True)
+    axis.set_yticks(np.arange(rows + 1) - 0.5, labels=[], minor=True)
+    axis.grid(which="minor", color="white", linewidth=0.6)
+    axis.tick_params(which="both", length=0, labelbottom=False, labelleft=False)
+    ever, always = int((stats.lost > 0).sum()), int((stats.lost == 1).sum())
+    text = f"{ever} of {stats.lost.size} lenslets lost, {always} of them always" if ever else "no lenslet was lost"
+    axis.set_title(text)
+    if handles:
+        axis.legend(
+            handles=handles, fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False
+        )
+
+
+_POSITIONS = 21  # across the field
+_MODES = 8
+
+
+def over_field(stats: Statistics) -> FieldCoefficients | None:
+    """Return the Zernike coefficients of the middle frame; None if its reconstruction has none."""
+    try:
+        return field_coefficients(ModalFit.of(stats.wavefront), "zernike")
+    except ReconstructionError:
+        return None
+
+
+def draw_over_field(figure: FigureBase, summary: Summary, stats: Statistics, found: FieldCoefficients) -> None:
+    """Draw the page."""
+    title, maps = parts(figure, [TITLE_INCHES, PAGE_INCHES[1] - TITLE_INCHES])
+    frame = int(stats.frames[(len(stats.frames) - 1) // 2])
+    below = f"strongest Zernike coefficients of frame {frame} over the field (mm), and their errors (rad)"
+    write_title(title, TITLE_INCHES, summary.name, below)
+    dataset = coefficient_maps(found, stats.wavefront.field, _POSITIONS)
+    draw_field(maps, dataset, strongest(dataset, _MODES))
+
+
+def draw_comparison(figure: FigureBase, residual: Residual) -> None:
+    """Draw the page; both recordings share a colour scale, the difference has its own."""
+    rest = PAGE_INCHES[1] - TITLE_INCHES
+    title, above, below = parts(figure, [TITLE_INCHES, 0.42 * rest, 0.58 * rest])
+    write_title(title, TITLE_INCHES, f"{residual.name} beside {residual.other_name}", residual.sentence)
+    limit = float(np.nanmax(np.abs([residual.mean, residual.other_mean]), initial=0))
+    ((own, other),) = above.subfigures(1, 2, squeeze=False)
+    draw_views(own, residual.mean, residual.field, "the first", limit=limit, with_places=False)
+    draw_views(other, residual.other_mean, residual.field, "the second", limit=limit, with_places=False)
+    draw_views(below, residual.views, residual.field, "the first minus the second")

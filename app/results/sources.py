@@ -1,0 +1,278 @@
+"""Bench, wavefronts and coefficients from a recording or a file of results."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from scipy.interpolate import make_interp_spline
+
+from app.bench.config import Bench, parse_bench
+from app.bench.earlier_versions import neglected_propagation
+from app.errors import SETTINGS_CHANGED, InputError
+from app.measurement.calibration import Calibration
+from app.progress import Progress
+from app.recording.reader import Recording, selected
+from app.recording.reprocess import reprocess
+from app.results.result_file import reading_results
+from reconstruction.arrays import Floats
+from reconstruction.deconvolution.corrected_image import PhaseAt
+from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
+from reconstruction.errors import ReconstructionError
+from reconstruction.field_coefficients import ModalFit
+from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
+from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes, gradient_basis
+from reconstruction.modes.layered_modes import layered_wavefronts
+from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.solve.modal import ModalSolver
+from reconstruction.solve.sensitivity import MeanGradients
+from reconstruction.wavefront import Wavefront, without_piston
+
+_LARGEST_RAD = 1e6  # of a coefficient: displacements of thousands of pixels
+
+
+def recorded_frame(folder: Path, frame: int) -> tuple[Calibration, Wavefront]:
+    """Reconstruct one frame of a recording, counted from 0; `InputError` if there is none, or it has no wavefront."""
+    recording = Recording(folder)
+    _require_frame(folder, frame, len(recording))
+    (made,) = reprocess(recording, [frame])
+    if made.wavefront is None or made.calibration is None:
+        raise InputError(f"{folder}: frame {frame} has no wavefront: {made.problem}")
+    return made.calibration, made.wavefront
+
+
+def stored_frame(path: Path, frame: int, *names: str) -> tuple[Bench, xr.Dataset]:
+    """Return the bench, and the variables `names` and the coefficients of one frame, counted from 0, of a results file.
+
+    Raises `InputError` if there is no such frame or variable, or no measurement can have given the coefficients.
+    """
+    with reading_results(path) as opened:
+        if "coefficients" not in opened:
+            raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method=modal")
+        if missing := [name for name in names if name not in opened]:
+            raise InputError(f"{path}: is damaged: it lacks {', '.join(missing)}")
+        results = opened[["coefficients", *names]]
+        results = results if "frame" in results.dims else results.expand_dims("frame")
+        _require_frame(path, frame, results.sizes["frame"])
+        bench = parse_bench(str(opened.attrs.get("bench", "")), f"{path}: bench", is_recorded=True)
+        one = results.isel(frame=frame).load()
+    require_plausible(path, one["coefficients"].values)
+    return bench, one
+
+
+def require_plausible(path: Path, coefficients: Floats) -> None:
+    """Raise `InputError` unless a measurement can have given coefficients e_pq, rad."""
+    if not (np.abs(coefficients) < _LARGEST_RAD).all():  # nor is NaN
+        worst = np.max(np.abs(coefficients))
+        raise InputError(f"{path}: is damaged: it has a coefficient of {worst:g} rad, which no wavefront has")
+
+
+def _require_frame(source: Path, frame: int, count: int) -> None:
+    if not 0 <= frame < count:
+        raise InputError(f"{source}: there is no frame {frame}; frames are counted from 0, their number is {count}")
+
+
+def read_bench_of(source: Path, settings: tuple[str, ...] = ()) -> Bench:
+    """Return the bench of results or of a recording, changed by "section.key=value"."""
+    return parse_bench(_text_of(source), f"{source}: bench", settings, is_recorded=True)
+
+
+def version_notice(source: Path, settings: tuple[str, ...] = ()) -> str:
+    """Say that the version of results or of a recording neglected propagation; empty if not, or if settings do not."""
+    notice = neglected_propagation(_text_of(source))
+    return notice if notice and read_bench_of(source, settings).field.neglect_propagation else ""
+
+
+def _text_of(source: Path) -> str:
+    if source.is_dir():
+        return str(Recording(source).run["bench"])
+    with reading_results(source) as results:
+        return str(results.attrs.get("bench", ""))
+
+
+def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:
+    """Return bench and coefficients of one frame, counted from 0, of a recording or a results file.
+
+    A results file has the standard deviations of e_pq without their covariance: they are taken as uncorrelated. Raises
+    `InputError` if there is no such frame, or it has no coefficients.
+    """
+    return _recorded_fit(source, frame) if source.is_dir() else _stored_fit(source, frame)
+
+
+def _recorded_fit(folder: Path, frame: int) -> tuple[Bench, ModalFit]:
+    calibration, wavefront = recorded_frame(folder, frame)
+    try:
+        return calibration.bench, ModalFit.of(wavefront)
+    except ReconstructionError as error:
+        raise InputError(f"{folder}: {error}") from error
+
+
+def _stored_fit(path: Path, frame: int) -> tuple[Bench, ModalFit]:
+    bench, results = stored_frame(path, frame, "coefficients_sigma", "wavefront")
+    rad, sigma = (
+        results[name].transpose("pupil_mode", "field_mode").values for name in ("coefficients", "coefficients_sigma")
+    )
+    views = results["wavefront"].transpose("view_row", "view_column", ...).values
+    if bench.registration.method != "gauss_newton":
+        raise InputError(f"{path}: its wavefront is known at its views alone: reconstruct with method gauss_newton")
+    modes = pupil_modes(bench.sensor, bench.reconstruction.basis, len(rad))
+    field_modes = (ZernikeModes if bench.field.shape == "circle" else LegendreModes)(rad.shape[1])
+    uncorrelated = np.diag(sigma[1:].ravel()).reshape(*sigma[1:].shape, -1)
+    known = np.isfinite(views).any(axis=(0, 1))
+    return bench, ModalFit(bench.sensor, modes, field_modes, rad, uncorrelated, known)
+
+
+_Frame = tuple[Floats | None, Floats]  # e_pq (pupil_mode, field_mode), and the wavefronts of the views, rad
+
+
+def mean_wavefront(source: Path, bench: Bench, frames: str | None, progress: Progress) -> PhaseAt:
+    """Return the mean wavefront of the frames FIRST:END of results or of a recording.
+
+    Modal results hold it for every position of the field. Others are interpolated between their views, by splines of
+    the third degree if there are at least four along a side.
+
+    Raises
+    ------
+    InputError
+        If the source cannot be read, or has neither coefficients nor several views.
+    """
+    read = _recorded_frames if source.is_dir() else _stored_frames
+    coefficients: Floats | None = None
+    views, count = np.zeros(()), 0
+    for of_frame, views_of_frame in read(source, frames, progress):
+        if count and (views_of_frame.shape != views.shape or _shape(of_frame) != _shape(coefficients)):
+            raise InputError(f"{source}: {SETTINGS_CHANGED}")
+        views, count = views + views_of_frame, count + 1
+        coefficients = of_frame if coefficients is None or of_frame is None else coefficients + of_frame
+    if not count:
+        raise InputError(f"{source}: has no frame with a wavefront")
+    if coefficients is not None and bench.registration.method == "gauss_newton":
+        return _of_modes(bench, coefficients / count, views / count)
+    return _between_views(source, bench, views / count)
+
+
+def _shape(values: Floats | None) -> tuple[int, ...]:
+    return () if values is None else values.shape
+
+
+def _stored_frames(source: Path, frames: str | None, progress: Progress) -> Iterator[_Frame]:
+    with reading_results(source) as results:
+        stacked = results if "frame" in results.dims else results.expand_dims("frame")
+        chosen = selected(frames, stacked.sizes["frame"], source)
+        for done, index in enumerate(chosen, 1):
+            frame = stacked.isel(frame=index)
+            coefficients = frame["coefficients"].values if "coefficients" in frame else None
+            if coefficients is not None:
+                require_plausible(source, coefficients)
+            yield coefficients, frame["wavefront"].values
+            progress("reading wavefronts", done / len(chosen))
+
+
+def _recorded_frames(source: Path, frames: str | None, progress: Progress) -> Iterator[_Frame]:
+    recording = Recording(source)
+    chosen = recording.select(frames)
+    for done, frame in enumerate(reprocess(recording, chosen), 1):
+        if frame.wavefront is not None:
+            yield frame.wavefront.coefficients, frame.wavefront.views
+        progress("reconstructing frames", done / len(chosen))
+
+
+def _of_modes(bench: Bench, coefficients: Floats, views: Floats) -> PhaseAt:
+    """Evaluate e_pq; lenslets that are unknown at every view stay unknown."""
+    modes = (ZernikeModes if bench.field.shape == "circle" else LegendreModes)(coefficients.shape[1])
+    values = pupil_modes(bench.sensor, bench.reconstruction.basis, len(coefficients)).values
+    known, half_m = np.isfinite(views).any(axis=(0, 1)), bench.field.half_width_m
+
+    def phase_at(x_m: float, y_m: float) -> Floats:
+        phase = np.tensordot(coefficients @ modes.values(x_m / half_m, y_m / half_m), values, axes=1)
+        return without_piston(np.where(known, phase, np.nan))
+
+    return phase_at
+
+
+def _between_views(source: Path, bench: Bench, views: Floats) -> PhaseAt:
+    field = bench.field
+    if min(views.shape[:2]) < 2:
+        raise InputError(
+            f"{source}: holds neither coefficients nor several views along both axes, so that the wavefront between"
+            " them is unknown: reconstruct with the modal method"
+        )
+    if not np.isfinite(views).all(axis=(0, 1)).any():
+        raise InputError(f"{source}: no lenslet is known at every view: reconstruct with the modal method")
+    along_y, along_x = (
+        make_interp_spline(at_m, np.eye(len(at_m)), k=min(3, len(at_m) - 1))
+        for at_m in (field.view_y_m, field.view_x_m)
+    )
+
+    def phase_at(x_m: float, y_m: float) -> Floats:
+        return np.asarray(np.einsum("v,w,vwrc->rc", along_y(y_m), along_x(x_m), views))
+
+    return phase_at
+
+
+_ROUNDING = 1e-6  # singular value over the largest, below which displacements are zero
+
+
+def measured_frame(source: Path, frame: int) -> tuple[Bench, FrameEquations]:
+    """Return bench and equations of one frame, counted from 0, of a recording or a results file.
+
+    Raises `InputError` if there is no such frame, or it cannot tell of layers.
+    """
+    try:
+        return _recorded_equations(source, frame) if source.is_dir() else _stored_equations(source, frame)
+    except ReconstructionError as error:
+        raise InputError(f"{source}: {error}") from error
+
+
+def _recorded_equations(folder: Path, frame: int) -> tuple[Bench, FrameEquations]:
+    calibration, wavefront = recorded_frame(folder, frame)
+    return calibration.bench, calibration.reconstructor().layers(wavefront.displacement)
+
+
+def _stored_equations(path: Path, frame: int) -> tuple[Bench, FrameEquations]:
+    """Equations of the mean slopes of the modal wavefront, which no longer have the registration's bias."""
+    bench, results = stored_frame(path, frame, "displacement", "displacement_sigma", "valid")
+    sigma_px = results["displacement_sigma"].values[results["valid"].values.astype(bool)]
+    if not ((sigma_px > 0) & np.isfinite(sigma_px)).all():
+        raise InputError(f"{path}: is damaged: the error of a displacement must be above 0 px and finite")
+    return bench, _equations(results, bench)
+
+
+def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
+    sensor, coefficients = bench.sensor, results["coefficients"].values
+    modes: PolynomialModes = (ZernikeModes if bench.field.shape == "circle" else LegendreModes)(coefficients.shape[1])
+    gradients = gradient_basis(modes)
+    parameters = _shown(results, gradients)
+    sensitivity = MeanGradients(sensor, parameters)
+    basis = pupil_modes(sensor, bench.reconstruction.basis, len(coefficients))
+    of_lenslets = np.einsum("lkpq,pq->lk", sensitivity(basis, slice(None)), coefficients[1:]) @ parameters
+    shape = sensor.lenslet_rows, sensor.lenslet_columns
+    variance = diagonal_covariance(results["displacement_sigma"].values ** 2)
+    unknown = np.full(shape, np.nan)
+    displacement = Displacement(
+        modes=modes,
+        coefficients=np.swapaxes(of_lenslets.reshape(*shape, 2, -1), 2, 3),
+        covariance=variance,
+        outcome=np.where(results["valid"].values.astype(bool) & basis.inside, Outcome.CONVERGED, Outcome.DARK),
+        residual_rms=unknown,
+        chi_square=unknown,
+        range_used=unknown,
+    )
+    smooth = pupil_modes(sensor, "legendre", None)
+    layered = layered_wavefronts(sensor, smooth, modes, parameters)
+    free = ModalSolver(smooth, sensitivity, parameters, variance, layered=layered, field_degree=modes.degree)
+    return LayerSolver(sensor, bench.field, modes, free, len(gradients) - len(parameters))(displacement)
+
+
+def _shown(results: xr.Dataset, gradients: Floats) -> Floats:
+    """Displacements without rotation that the registration determined, orthonormal rows (K, x modes and then y modes).
+
+    `gradients` has all of them; in what the mask hides, every lenslet's displacement is zero.
+    """
+    valid = results["valid"].values.astype(bool)
+    vectors = np.swapaxes(results["displacement"].values[valid], 1, 2).reshape(np.count_nonzero(valid), -1)
+    _, singular, components = np.linalg.svd(vectors @ gradients.T, full_matrices=False)
+    moves = singular > _ROUNDING * np.max(singular, initial=0.0)
+    if not moves.any():
+        raise ReconstructionError("no lenslet is displaced: there is no layer to find")
+    return np.asarray(components[moves] @ gradients)
