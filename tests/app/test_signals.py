@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 import pytest
 from support.patience import HANG_S
+from support.wires.dc4100 import DC4100Wire
+from support.wires.pseudo_terminal import PtyServer
 
 from app.signals import ENDING, ended_by
-from simulated_devices.wires.dc4100 import DC4100Wire
-from simulated_devices.wires.pseudo_terminal import PtyServer
 
 # A command that keeps the light on; it runs as any other, but its terminal closes early.
 LIT = """

@@ -17,8 +17,8 @@ from drivers.dcam import session
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.library import DcamLibrary, load_library
 from drivers.settings import DcamSettings
-from simulated_devices.wires.dcam.build import NoCompiler, build
-from simulated_devices.wires.dcam.stand_in import StandIn
+from support.wires.dcam.build import NoCompiler, build
+from support.wires.dcam.stand_in import StandIn
 
 
 @cache

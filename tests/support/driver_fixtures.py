@@ -10,8 +10,8 @@ import pytest
 from drivers.dcam.camera import DcamCamera
 from drivers.interface import DeviceError, LightSource
 from simulated_devices.clock import ManualClock
-from simulated_devices.wires.dcam.stand_in import StandIn
 from support.dcam_tools import dcam_stand_in, open_camera
+from support.wires.dcam.stand_in import StandIn
 
 
 @pytest.fixture

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from drivers.serial_lights.line import Wire
 from simulated_devices.clock import ManualClock
-from simulated_devices.wires.pseudo_terminal import PtyServer
-from simulated_devices.wires.serial import FaultKind, LineDevice, LineFault, MemoryPort
 from support.light_contract import LightFaultContract
 from support.light_storm import LightStorm
+from support.wires.pseudo_terminal import PtyServer
+from support.wires.serial import FaultKind, LineDevice, LineFault, MemoryPort
 
 
 def wire_to(device: LineDevice, clock: ManualClock) -> Wire:

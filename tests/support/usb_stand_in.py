@@ -13,7 +13,7 @@ import usb.core
 from usb.backend import IBackend
 
 from simulated_devices.clock import ManualClock
-from simulated_devices.wires.usbtmc import GoneError, NoAnswerError, StalledError, UsbtmcWire
+from support.wires.usbtmc import GoneError, NoAnswerError, StalledError, UsbtmcWire
 
 OUT, IN = 0x01, 0x82
 

@@ -11,6 +11,9 @@ from support.dcam_tools import built, dcam_stand_in
 from support.gui_bench import FakeLight
 from support.paths import FOREIGN_FRAMES
 from support.patience import HANG_S, own_time, wait_until
+from support.wires.dc4100 import DC4100Wire
+from support.wires.dcam.stand_in import StandIn
+from support.wires.pseudo_terminal import PtyServer
 
 from app.acquisition.devices import open_devices, open_light
 from app.acquisition.start_up import start_up
@@ -21,9 +24,6 @@ from app.recording.reader import Recording
 from drivers.errors import BadValue, DeviceError, Disconnected, WrongState
 from drivers.serial_lights.thorlabs_dc4100 import _DIALECT
 from drivers.settings import DC4100Settings
-from simulated_devices.wires.dc4100 import DC4100Wire
-from simulated_devices.wires.dcam.stand_in import StandIn
-from simulated_devices.wires.pseudo_terminal import PtyServer
 
 FOREIGN = (FOREIGN_FRAMES / "bench.toml").read_text()
 WITHIN_S = 2.0

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from support.micro_manager_core import FOLDER
 from support.simulated_scene import CAMERA, STILL, open_bench
+from support.wires.dc4100 import DC4100Wire
+from support.wires.pseudo_terminal import PtyServer
 
 from app.acquisition.device_kinds import KINDS, DeviceKind
 from app.acquisition.devices import open_camera, open_light
@@ -30,8 +32,6 @@ from drivers.settings import DC4100Settings, GenicamSettings, MicroManagerSettin
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.light_and_stage import SimulatedLight
-from simulated_devices.wires.dc4100 import DC4100Wire
-from simulated_devices.wires.pseudo_terminal import PtyServer
 
 A_CAMERA = DiscoveredDevice(kind="camera", driver="dcam", description="C9100-23B S/N 1", settings={"device": "S/N 1"})
 A_LIGHT = DiscoveredDevice(

@@ -15,6 +15,7 @@ from support.dcam_tools import dcam_stand_in, open_camera
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.optics import sensor_of
 from support.patience import HANG_S, wait_until
+from support.wires.dcam.stand_in import pattern
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
@@ -34,7 +35,6 @@ from app.recording.reader import Recording
 from drivers.interface import BadValue, CameraCapabilities, Disconnected, Region, WrongState
 from drivers.settings import CoolLEDSettings, DcamSettings
 from reconstruction.geometry import Lattice
-from simulated_devices.wires.dcam.stand_in import pattern
 
 SENSOR = Region(0, 0, 500, 700)
 LATTICE = Lattice(center_x_px=121.3, center_y_px=84.6, pitch_px=31.25, rotation_rad=0.003)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from support.camera_contract import CameraContract, CameraFaultContract
 from support.dcam_tools import dcam_stand_in, library, open_camera
+from support.wires.dcam.stand_in import Plug, StandIn, pattern
 
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.property_ids import Id
 from drivers.interface import BadValue, Range, Region, WrongState
 from drivers.settings import DcamSettings
-from simulated_devices.wires.dcam.stand_in import Plug, StandIn, pattern
 
 SENSOR = Region(0, 0, 512, 512)
 INVALIDVALUE, OUTOFRANGE = 0x80000821, 0x80000822

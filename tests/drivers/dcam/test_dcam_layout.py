@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 from support.dcam_tools import compiling
+from support.wires.dcam.build import SOURCES, build_program
 
 from drivers.dcam import structures
 from drivers.dcam.errors import ERRORS, Denied, NotThere, error_of
 from drivers.dcam.library import PROTOTYPES, DcamLibrary
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
-from simulated_devices.wires.dcam.build import SOURCES, build_program
 
 # Name in C, size and some offsets, as gcc gave them for Hamamatsu's own header with 64-bit pointers.
 LAYOUTS: dict[type[ctypes.Structure], tuple[str, int, dict[str, int]]] = {

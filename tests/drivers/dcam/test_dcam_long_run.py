@@ -14,11 +14,11 @@ from random import Random
 import numpy as np
 import pytest
 from support.dcam_tools import dcam_stand_in, library, open_camera
+from support.wires.dcam.stand_in import StandIn, pattern
 
 from drivers.dcam.camera import DcamCamera
 from drivers.interface import DeviceTimeout, Frame, FrameLost, Region
 from drivers.settings import DcamSettings
-from simulated_devices.wires.dcam.stand_in import StandIn, pattern
 
 PERIOD_S = 0.01429  # 70 frames/s
 RING = 128

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 from support.dcam_tools import library, open_camera
+from support.wires.dcam.stand_in import Plug, StandIn
 
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.property_ids import Id
 from drivers.dcam.session import discover
 from drivers.interface import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, Frame
-from simulated_devices.wires.dcam.stand_in import Plug, StandIn
 
 OUTOFRANGE = 0x80000822
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 from support.dcam_tools import open_camera
+from support.wires.dcam.stand_in import StandIn
 
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.property_ids import Id
 from drivers.interface import BadValue, DeviceError, Range, Region, Unsupported
-from simulated_devices.wires.dcam.stand_in import StandIn
 
 SENSOR = Region(0, 0, 512, 512)
 EM_PROPERTIES = (0x00400310, 0x00200220, 0x00200250, 0x00200260, 0x00200270, 0x00200290, 0x002002A0, 0x002002B0)

@@ -9,12 +9,12 @@ from hypothesis.stateful import run_state_machine_as_test
 from support.camera_storm import CameraStorm
 from support.dcam_tools import dcam_stand_in, open_camera
 from support.storm import storm_settings
+from support.wires.dcam.stand_in import Plug, StandIn
 
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.errors import ERRORS, NotThere
 from drivers.dcam.library import PROTOTYPES
 from drivers.interface import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, Region, Unsupported
-from simulated_devices.wires.dcam.stand_in import Plug, StandIn
 
 
 def codes(*kinds: type[DeviceError]) -> st.SearchStrategy[int]:

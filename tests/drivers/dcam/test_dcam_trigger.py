@@ -8,11 +8,11 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from support.dcam_tools import open_camera
+from support.wires.dcam.stand_in import StandIn, pattern
 
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.property_ids import Id
 from drivers.interface import DeviceTimeout, Disconnected, FrameLost, Region, Unsupported
-from simulated_devices.wires.dcam.stand_in import StandIn, pattern
 
 SENSOR = Region(0, 0, 512, 512)
 LOSTFRAME, NOTREADY = 0x80000301, 0x80000103

@@ -11,14 +11,14 @@ from hypothesis.stateful import rule
 from support.light_contract import LightFaultContract
 from support.serial_stand_in import PtyFaults, ScriptedPort, SerialLightContract, SerialStorm, wire_to
 from support.storm import storm_settings
+from support.wires.coolled import CoolLEDWire
+from support.wires.serial import FaultKind, LineFault
 
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, Unsupported
 from drivers.serial_lights.coolled import CoolLED
 from drivers.serial_lights.line import Wire
 from drivers.settings import CoolLEDSettings
 from simulated_devices.clock import ManualClock
-from simulated_devices.wires.coolled import CoolLEDWire
-from simulated_devices.wires.serial import FaultKind, LineFault
 
 
 @pytest.fixture(params=["nothing", "command", "channel", "state"])

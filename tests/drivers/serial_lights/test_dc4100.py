@@ -10,14 +10,14 @@ import pytest
 from support.light_storm import HeatStorm
 from support.serial_stand_in import ScriptedPort, SerialLightContract, SerialStorm, wire_to
 from support.storm import storm_settings
+from support.wires.dc4100 import DC4100Wire
+from support.wires.serial import FaultKind, LineFault
 
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, WrongState
 from drivers.serial_lights.line import Wire
 from drivers.serial_lights.thorlabs_dc4100 import ChannelStatus, ThorlabsDC4100
 from drivers.settings import DC4100Settings
 from simulated_devices.clock import ManualClock
-from simulated_devices.wires.dc4100 import DC4100Wire
-from simulated_devices.wires.serial import FaultKind, LineFault
 
 # Traffic of opening channel 1, written by hand from the protocol.
 OPENING = [

@@ -15,14 +15,14 @@ import serial
 from support.light_contract import LightFaultContract
 from support.patience import own_time
 from support.serial_stand_in import PtyFaults, patient_wire
+from support.wires.dc4100 import DC4100Wire
+from support.wires.pseudo_terminal import PtyServer
+from support.wires.serial import LineFault
 
 from drivers.errors import Busy, DeviceError, Disconnected
 from drivers.serial_lights.line import Wire
 from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
 from drivers.settings import DC4100Settings
-from simulated_devices.wires.dc4100 import DC4100Wire
-from simulated_devices.wires.pseudo_terminal import PtyServer
-from simulated_devices.wires.serial import LineFault
 
 
 class TestContractOnAPort(LightFaultContract):

@@ -7,11 +7,11 @@ from collections.abc import Iterable
 import pytest
 import serial
 from support.serial_stand_in import wire_to
+from support.wires.serial import LineDevice, LineFault, MemoryPort
 
 from drivers.errors import DeviceError, DeviceTimeout
 from drivers.serial_lights.line import Dialect, SerialLine, Wire
 from simulated_devices.clock import ManualClock
-from simulated_devices.wires.serial import LineDevice, LineFault, MemoryPort
 
 DIALECT = Dialect("counter", end=b"\r\n", timeout_s=0.5)
 

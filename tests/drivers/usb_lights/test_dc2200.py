@@ -11,13 +11,13 @@ from support.light_contract import LightFaultContract
 from support.light_storm import HeatStorm
 from support.storm import storm_settings
 from support.usb_stand_in import Bus, Plug
+from support.wires.dc2200 import DC2200Wire, header
+from support.wires.usbtmc import UsbFault, UsbFaultKind
 
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported, WrongState
 from drivers.settings import DC2200Settings
 from drivers.usb_lights.thorlabs_dc2200 import ThorlabsDC2200, discover
 from simulated_devices.clock import ManualClock
-from simulated_devices.wires.dc2200 import DC2200Wire, header
-from simulated_devices.wires.usbtmc import UsbFault, UsbFaultKind
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ import usb.backend.libusb0
 import usb.backend.libusb1
 import usb.backend.openusb
 from support.usb_stand_in import IN, Bus, Plug
+from support.wires.usbtmc import UsbFault, UsbFaultKind, UsbtmcWire
 
 from drivers.errors import Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported
 from drivers.usb_lights import usbtmc
 from drivers.usb_lights.usbtmc import Usbtmc
 from simulated_devices.clock import ManualClock
-from simulated_devices.wires.usbtmc import UsbFault, UsbFaultKind, UsbtmcWire
 
 
 class Echo(UsbtmcWire):

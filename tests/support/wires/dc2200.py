@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from simulated_devices.wires.usbtmc import UsbtmcWire
+from support.wires.usbtmc import UsbtmcWire
 
 _MODES = ("CC", "CB", "PWM", "PULS", "IMOD", "EMOD", "TTL")
 _QUEUE = 10  # errors
