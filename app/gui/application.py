@@ -86,7 +86,7 @@ def run_window(
         signals.append(number)
         QTimer.singleShot(0, window.close)  # works before the event loop starts, too
 
-    with ended_by(end):  # Python handles signals when the window's timer fires
+    with window.guard.of_slots(), ended_by(end):  # Python handles signals when the window's timer fires
         try:
             window.show()
             if settings is None:

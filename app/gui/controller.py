@@ -75,7 +75,14 @@ class Controller:
         self._starting: Future[None] | None = None  # the last start of a recording
         self._reported: set[Path] = set()  # recordings whose end was shown
         self._free_minutes, self._disk_due_s = math.inf, -math.inf
-        self.light = LightControl(lambda: self.acquisition, self._send, self.ask, controls=controls, messages=messages)
+        self.light = LightControl(
+            lambda: self.acquisition,
+            self._send,
+            self.ask,
+            lambda: self.pending.is_done,
+            controls=controls,
+            messages=messages,
+        )
         self.settings = SettingsControl(self._send, controls=controls, messages=messages)
         self._connect_routines(controls)
 

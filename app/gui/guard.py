@@ -1,9 +1,11 @@
-"""Guard of the window's timers: an error becomes a red message, and the timer goes on."""
+"""Guard of the window: an error in a timer or a slot becomes a red message, and the window goes on."""
 
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import TracebackType
 
 
 class Guard:
@@ -25,17 +27,36 @@ class Guard:
             try:
                 act()
             except Exception as error:  # noqa: BLE001 - reported; without the next refresh, the window would be dead
-                self._report(error)
+                if self.report(error):
+                    sys.excepthook(type(error), error, error.__traceback__)
 
         return guarded
 
-    def _report(self, error: Exception) -> None:
+    def report(self, error: BaseException) -> bool:
+        """Show an error, and return whether it is a new one."""
         at = traceback.extract_tb(error.__traceback__)[-1]
         sentence = (
             f"the display failed ({type(error).__name__}: {error}; {Path(at.filename).name}:{at.lineno}), so that what"
             " you see may be old: open the bench again, and report this line of the log (Ctrl+L)"
         )
-        if sentence not in self._known:
-            self._known.add(sentence)
-            self._show(sentence)
-            sys.excepthook(type(error), error, error.__traceback__)
+        if sentence in self._known:
+            return False
+        self._known.add(sentence)
+        self._show(sentence)
+        return True
+
+    @contextmanager
+    def of_slots(self) -> Iterator[None]:
+        """Report errors that nothing catches, as those of slots, after which Qt would abort with the light on."""
+        before = sys.excepthook
+
+        def report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+            before(kind, error, trace)
+            if isinstance(error, Exception):
+                self.report(error)
+
+        sys.excepthook = report
+        try:
+            yield
+        finally:
+            sys.excepthook = before

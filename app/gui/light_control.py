@@ -25,12 +25,16 @@ class LightControl:
         acquisition: Callable[[], Acquisition | None],
         send: _Send,
         ask: Callable[[str, Callable[[], object], str, str], None],
+        is_idle: Callable[[], bool],
         *,
         controls: ControlsPanel,
         messages: MessageStrip,
     ) -> None:
-        """`send(command)` queues it for the acquisition; `ask(question, on_accept, accept_label, cancel_label)`."""
-        self._acquisition, self._send, self._ask = acquisition, send, ask
+        """`send(command)` queues it for the acquisition; `ask(question, on_accept, accept_label, cancel_label)`.
+
+        `is_idle` tells whether all commands that were sent are finished.
+        """
+        self._acquisition, self._send, self._ask, self._is_idle = acquisition, send, ask, is_idle
         self._controls, self._messages = controls, messages
         self._switching_off: Future[None] | None = None
         self.end_sequence: Callable[[], bool] = lambda: False  # of commands; returns whether one was running
@@ -61,23 +65,29 @@ class LightControl:
         return True
 
     def _switch(self, on: bool) -> None:
-        """Switch the light; during a sequence, which switches it on and off, always off and the sequence ends."""
+        """Switch the light, and end a sequence. While a command waits or runs, it may be lighting up: always off.
+
+        So two requests in a row never light it, whatever the first one did.
+        """
         acquisition = self._acquisition()
         if acquisition is None or not acquisition.is_alive:
             return
         has_ended, status = self.end_sequence(), acquisition.status
+        may_light = not (has_ended or acquisition.activity.text or self.is_switching_off) and self._is_idle()
         if status is not None and status.bench.has_manual_light:
             if has_ended:
                 acquisition.cancel()
             self._controls.light.setChecked(status.is_light_on)  # until it is confirmed
             self._ask_by_hand(on=on, then=lambda: None)
-        elif on and not has_ended and not acquisition.activity.text:
+        elif on and may_light:
             self._send(lambda to: to.submit(lambda instrument: instrument.devices.light.set_on(True)), None)
         else:
+            self._switching_off = acquisition.switch_light_off()
             self._messages.clear_notice()
+            if on:
+                self._messages.warn("the light stays off: commands were waiting; L switches it on")
             self._controls.light.setChecked(False)
             self._controls.show_switching_off()
-            self._switching_off = acquisition.switch_light_off()
 
     def _take_dark(self, frames: int) -> None:
         if self._must_ask(on=False):

@@ -94,8 +94,8 @@ class MainWindow(BaseWindow):
             messages=self.messages,
         )
         self.messages.reconnect_requested.connect(self._reconnect)
-        self._guard = Guard(self.messages.alarm)
-        self._analysis = BackgroundAnalysis(self.wavefront_panel, self.tabs, self._guard, self)
+        self.guard = Guard(self.messages.alarm)
+        self._analysis = BackgroundAnalysis(self.wavefront_panel, self.tabs, self.guard, self)
         for failed in (self._analysis.failed, self.wavefront_panel.refused, self.replay.failed):
             failed.connect(self.messages.warn)
         self.camera_panel.lenslet_clicked.connect(self.tabs.inspect)
@@ -111,11 +111,11 @@ class MainWindow(BaseWindow):
         fit_to_screen(self)
         self._timer = QTimer(self)
         self._timer.setInterval(_REFRESH_INTERVAL_MS)
-        self._timer.timeout.connect(self._guard(self.refresh))
+        self._timer.timeout.connect(self.guard(self.refresh))
         self._text_timer = QTimer(self)  # between two frames: together they would hold up the measurement
         self._text_timer.setInterval(_REFRESH_INTERVAL_MS // 2)
         self._text_timer.setSingleShot(True)
-        self._text_timer.timeout.connect(self._guard(self.update_text))
+        self._text_timer.timeout.connect(self.guard(self.update_text))
         self.recording_panel.setEnabled(False)
         self.update_text()
 
@@ -152,7 +152,7 @@ class MainWindow(BaseWindow):
             ask_light_off()
 
     def _forget_bench(self) -> None:
-        self._guard.restart()
+        self.guard.restart()
         self.camera_panel.forget()
         self.wavefront_panel.forget_bench()
         self.tabs.forget_bench()
@@ -178,17 +178,17 @@ class MainWindow(BaseWindow):
         self.controls.setEnabled(is_ready)
         self.recording_panel.setEnabled(is_ready and self.replay.isHidden())
         self.messages.show_activity(self._activity, may_cancel=is_ready)
+        self._refreshes += 1
+        if self._failure:
+            self.update_text()
+        elif self._refreshes % _REFRESHES_PER_TEXT == 0:
+            self._text_timer.start()  # before the frame is drawn: if that fails, the text says so
         measurement = acquisition.newest
         is_new = measurement is not self._measurement and not self.isMinimized()
         if measurement is not None and is_new and not self._late.leave_out(measurement, self._measurement):
             start_s = time.perf_counter()
             self.show_measurement(measurement)
             self.unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
-        self._refreshes += 1
-        if self._failure:
-            self.update_text()
-        elif self._refreshes % _REFRESHES_PER_TEXT == 0:
-            self._text_timer.start()
 
     def show_measurement(self, measurement: Measurement) -> None:
         """Show a frame and its wavefront, live or recorded."""

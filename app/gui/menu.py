@@ -71,6 +71,7 @@ def _fill(menu: QMenu | None, entries: Entries) -> None:
                 buttons.append((action, act))
                 act = act.click
             action.setShortcut(QKeySequence(key))
+            action.setAutoRepeat(False)  # a held key switches once
             if key in _EVERYWHERE:
                 action.setShortcutContext(Qt.ShortcutContext.ApplicationShortcut)
             action.triggered.connect(lambda _=False, act=act: act())

@@ -142,6 +142,8 @@ class NumberField(QDoubleSpinBox):
         if match is None:
             return None
         value, unit = float(match[1].replace(",", ".")), match[2].strip()
+        if math.isinf(value):
+            return None
         if not unit:
             return value
         if not self._unit or unit[-1:].lower() != self._unit[-1].lower() or unit[:-1] not in _PREFIXES:

@@ -38,6 +38,11 @@ class PendingCommands:
         """True if all commands are finished."""
         return not self._pending
 
+    @property
+    def is_done(self) -> bool:
+        """True if all commands are finished, also those that are not reported yet."""
+        return all(future.done() for future, _, _ in self._pending)
+
     def poll(self) -> bool:
         """Report finished commands; return whether there were any."""
         done = [pending for pending in self._pending if pending[0].done()]

@@ -98,7 +98,7 @@ class RecordingBar(QFrame):
         if self._stage != "recording":
             self._forget()
         self.show()
-        self.name.setFocus()
+        self.stop_after.edit()  # not the name: it would take the letters of shortcuts, also the light's
 
     def refresh(self) -> None:
         """Show the state of the recording."""

@@ -7,12 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QApplication, QDialog, QLineEdit, QWidget
+from pyqtgraph import GraphicsView
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S
-from support.window_tools import MakeWindow, press, wait_for_wavefront
+from support.window_tools import MakeWindow, click, press, wait_for_wavefront
 from test_calibration_guide import ExposedCamera
 from test_window_small import open_help
 
@@ -128,6 +130,84 @@ def test_number_field_leaves_the_light_key_alone(live: tuple[MainWindow, FakeCam
     qtbot.waitUntil(window.controls.exposure.hasFocus)
     press(qtbot, window.controls.exposure, Qt.Key.Key_L)
     qtbot.waitUntil(lambda: not camera.light.shines)
+
+
+@pytest.mark.parametrize("elsewhere", ["camera image", "button"])
+def test_click_elsewhere_gives_the_light_its_key_back(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, elsewhere: str
+) -> None:
+    window, camera = live
+    activate(window, qtbot)
+    window.recording_bar.prepare()
+    name = window.recording_bar.name
+    click(qtbot, name, QPoint(5, 5))
+    press(qtbot, focused(window), Qt.Key.Key_L)
+    assert name.text() == "l"  # is typed
+    graphics = window.camera_panel.findChild(GraphicsView)
+    clicked = window.controls.sample if elsewhere == "button" else graphics and graphics.viewport()
+    assert isinstance(clicked, QWidget)
+    click(qtbot, clicked, QPoint(5, 5))
+    assert focused(window) is not name
+    press(qtbot, focused(window), Qt.Key.Key_L)
+    qtbot.waitUntil(lambda: not camera.light.shines)
+    assert name.text() == "l"
+
+
+def test_opening_the_recording_bar_leaves_the_light_its_key(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    activate(window, qtbot)
+    window.recording_bar.prepare()
+    press(qtbot, focused(window), Qt.Key.Key_L)
+    qtbot.waitUntil(lambda: not camera.light.shines)
+    assert not window.recording_bar.name.text()
+
+
+def test_held_key_switches_once(live: tuple[MainWindow, FakeCamera]) -> None:
+    window, _ = live
+    actions = [action for action in window.findChildren(QAction) if not action.shortcut().isEmpty()]
+    assert "L" in {action.shortcut().toString() for action in actions}
+    assert not [action.text() for action in actions if action.autoRepeat()]
+
+
+def test_second_light_key_keeps_off_what_is_lighting_up(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    """Although a change of the status between both shows the light as off again."""
+    window, camera = live
+    activate(window, qtbot)
+    press(qtbot, window, Qt.Key.Key_L)
+    qtbot.waitUntil(lambda: window.controls.light.text() == "Light off" and window.controller.pending.is_empty)
+    busy = threading.Event()
+    acquisition = window.controller.acquisition
+    assert acquisition is not None
+    acquisition.submit(lambda _: busy.wait(HANG_S))
+    for _ in range(2):
+        press(qtbot, window, Qt.Key.Key_L)
+        window.controls.light.setChecked(False)
+    busy.set()
+    qtbot.waitUntil(lambda: window.controller.pending.is_empty and not window.controller.light.is_switching_off)
+    assert not camera.light.shines
+    assert "light stays off" in window.log.text
+
+
+def test_light_key_at_start_keeps_the_light_off(
+    make_window: MakeWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = FakeCamera()
+    window, switch, lighting, go = make_window(camera), camera.light._switch, threading.Event(), threading.Event()
+
+    def switch_slowly(*, on: bool) -> None:
+        if on:
+            lighting.set()
+            go.wait(HANG_S)
+        switch(on=on)
+
+    monkeypatch.setattr(camera.light, "_switch", switch_slowly)
+    window.connect_devices()
+    activate(window, qtbot)
+    qtbot.waitUntil(lambda: lighting.is_set() and window.controls.isEnabled())
+    press(qtbot, window, Qt.Key.Key_L)
+    go.set()
+    qtbot.waitUntil(lambda: window.controller.pending.is_empty and not window.controller.light.is_switching_off)
+    assert not camera.light.shines
 
 
 def test_stopping_a_recording_leaves_its_name(

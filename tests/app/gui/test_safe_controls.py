@@ -145,6 +145,19 @@ def test_impossible_number_is_refused_in_red_and_not_sent(
     assert not sent
 
 
+@pytest.mark.parametrize("typed", ["1e999", "-1e999"])
+def test_infinite_whole_number_is_refused(qtbot: QtBot, typed: str) -> None:
+    field, refused = NumberField(name="Frames", tool_tip=""), list[str]()
+    qtbot.addWidget(field)
+    field.show_value(20, Range(1, 1000))
+    field.refused.connect(refused.append)
+    field.edit()
+    type_text(qtbot, field, typed)
+    press(qtbot, field, Qt.Key.Key_Return)
+    assert refused[-1].startswith(f"Frames {typed}: type a number")
+    assert field.value() == 20
+
+
 def test_number_that_stands_for_automatic_is_refused(qtbot: QtBot) -> None:
     field = NumberField(name="Modes", tool_tip="", lowest="automatic")
     field.show_value(28, Range(2, 1000))

@@ -40,17 +40,31 @@ def test_error_in_a_refresh_is_shown_once(
 
     with qtbot.capture_exceptions() as printed, monkeypatch.context() as patch:
         patch.setattr(window.camera_panel, "show_frame", fail)
-        qtbot.waitUntil(lambda: len(calls) > 3)
-    window.update_text()
-    assert (
-        "The display failed (IndexError: index 8 is out of bounds; test_window_errors.py:"
-        in window.messages.text.text()
-    )
+        said = "The display failed (IndexError: index 8 is out of bounds; test_window_errors.py:"
+        qtbot.waitUntil(lambda: len(calls) > 3 and said in window.messages.text.text())
     assert window.log.text.count("display failed") == 1
     assert len(printed) == 1
     window.messages.escape()
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
     assert window.log.text.count("display failed") == 1
+
+
+def test_error_in_a_slot_is_shown_and_ends_nothing(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, camera = live
+
+    def fail() -> None:
+        raise IndexError("list index out of range")
+
+    monkeypatch.setattr(window.controls, "show_switching_off", fail)
+    with qtbot.capture_exceptions() as printed, window.guard.of_slots():
+        for _ in range(2):
+            window.controls.light_requested.emit(False)
+    assert len(printed) == 2
+    qtbot.waitUntil(lambda: "The display failed (IndexError: list index out of range" in window.messages.text.text())
+    assert window.log.text.count("display failed") == 1
+    qtbot.waitUntil(lambda: not camera.light.shines)
 
 
 def test_history_and_pinned_coefficient_are_forgotten_with_their_bench(
