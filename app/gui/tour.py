@@ -84,9 +84,11 @@ class Tour(QFrame):
         room, wrap = QRect(0, 0, _WIDTH, 999), Qt.TextFlag.TextWordWrap
         heights = [self.text.fontMetrics().boundingRect(room, wrap, text).height() for _, _, text in self._steps]
         self.text.setFixedHeight(max(heights) + self.fontMetrics().height())
+        self.show()  # from now on it has the fonts of the style sheet
+        self.next.setText("Done")
+        self.next.setMinimumWidth(self.next.sizeHint().width())
         self.adjustSize()
         self._show_step()
-        self.show()
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
         """Follow the window's size, and end at Esc."""

@@ -23,6 +23,8 @@ from app.errors import Interrupted, RunError
 from app.gui.application import run_window
 from drivers.interface import Disconnected
 
+pytestmark = pytest.mark.usefixtures("restored_theme")
+
 
 @contextmanager
 def when_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:

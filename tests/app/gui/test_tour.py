@@ -13,11 +13,11 @@ from support.window_tools import MakeWindow, press
 
 from app.gui.main_window import MainWindow
 from app.gui.splash import Splash
+from app.gui.theme import apply_theme
 from app.gui.tour import Tour
 
 
-@pytest.fixture
-def tour(make_window: MakeWindow) -> tuple[MainWindow, Tour]:
+def begun(make_window: MakeWindow) -> tuple[MainWindow, Tour]:
     window = make_window()
     window.activateWindow()
     window.setFocus()
@@ -27,12 +27,24 @@ def tour(make_window: MakeWindow) -> tuple[MainWindow, Tour]:
     return window, made
 
 
+@pytest.fixture
+def tour(make_window: MakeWindow) -> tuple[MainWindow, Tour]:
+    return begun(make_window)
+
+
 def place(widget: QWidget) -> QPoint:
     return widget.mapToGlobal(QPoint())
 
 
-def test_button_stays_in_place_while_the_parts_are_outlined(tour: tuple[MainWindow, Tour]) -> None:
-    window, bubble = tour
+@pytest.fixture(params=["bare", "theme"])
+def look(request: pytest.FixtureRequest, qapp: QApplication, restored_theme: None) -> None:  # noqa: ARG001 - restores
+    if request.param == "theme":
+        apply_theme(qapp)
+
+
+@pytest.mark.usefixtures("look")
+def test_button_stays_in_place_while_the_parts_are_outlined(make_window: MakeWindow) -> None:
+    window, bubble = begun(make_window)
     at, outlined = place(bubble.next), list[QWidget]()
     for part in (window.camera_panel, window.wavefront_panel, window.controls, window.messages, window.recording_panel):
         QApplication.processEvents()

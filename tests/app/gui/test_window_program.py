@@ -15,7 +15,7 @@ from app.cli.window import main
 from app.gui.bench_dialog import BenchDialog
 from app.gui.main_window import MainWindow
 
-pytestmark = pytest.mark.usefixtures("qapp", "display")
+pytestmark = pytest.mark.usefixtures("qapp", "display", "restored_theme")
 
 
 @pytest.fixture
