@@ -3,6 +3,7 @@
 import sys
 from typing import NoReturn
 
+from app.commands.terminal import printable
 from app.errors import InputError, Interrupted, RunError
 from app.signals import ended_by
 
@@ -36,8 +37,3 @@ def _interrupt(_number: int, _frame: object) -> None:
 def _exit(error: BaseException, status: int) -> NoReturn:
     sys.stderr.write(f"svwfs: {printable(str(error))}\n")
     raise SystemExit(status) from error
-
-
-def printable(text: str) -> str:
-    """Return a text in one line, without control codes that could change the terminal."""
-    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)

@@ -7,12 +7,25 @@ from typing import Annotated
 
 import typer
 
-from app.cli.answers import corrector, field, layers
-from app.cli.command import Command
-from app.cli.evaluation import benchmark, paper, selftest, study
-from app.cli.frames import calibrate, deconvolve, reconstruct, simulate
-from app.cli.measuring import desktop, devices, live, measure
-from app.cli.recordings import batch, export, recover, replay, report
+from app.commands.batch import batch
+from app.commands.benchmark import benchmark
+from app.commands.calibrate import calibrate
+from app.commands.corrector import corrector
+from app.commands.deconvolve import deconvolve
+from app.commands.desktop import desktop
+from app.commands.devices import devices
+from app.commands.export import export
+from app.commands.field import field
+from app.commands.layers import layers
+from app.commands.live import live
+from app.commands.measure import measure
+from app.commands.options import OnceCommand
+from app.commands.reconstruct import reconstruct
+from app.commands.recover import recover
+from app.commands.replay import replay
+from app.commands.report import report
+from app.commands.simulate import simulate
+from app.commands.study import paper, selftest, study
 
 cli = typer.Typer(
     help="Live space-variant Shack-Hartmann wavefront sensing: the wavefront at every position of the field.",
@@ -39,5 +52,5 @@ _BENCH = (live, measure, recover, replay, batch, export, report)
 _ANSWERS = (layers, corrector, field)
 _OTHERS = (calibrate, simulate, devices, desktop, selftest, study, benchmark, reconstruct, deconvolve)
 for command in (*_BENCH, *_ANSWERS, *_OTHERS):
-    cli.command(cls=Command)(command)
+    cli.command(cls=OnceCommand)(command)
 cli.add_typer(paper, name="paper")

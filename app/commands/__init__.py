@@ -1,1 +1,1 @@
-"""The work of each command; `cli` parses its arguments."""
+"""The commands: each file has the options, the work and the closing sentence of one."""

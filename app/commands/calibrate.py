@@ -1,28 +1,79 @@
 """`svwfs calibrate`: find the lattice in a reference and write it into the bench."""
 
+from __future__ import annotations
+
 import dataclasses
+import json
 import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import tomli_w
-from numpy.typing import NDArray
+import typer
 
-from app.bench.bench_files import bench_file, read_bench_text
-from app.bench.config import Bench, parse_bench, write_bench
+from app.commands.options import (
+    BenchOption,
+    OverwriteOption,
+    SetOption,
+    check_files,
+    check_images,
+    files_of_bench,
+    load,
+)
+from app.commands.terminal import progress_bar, remind
 from app.errors import InputError
 from app.files import atomic_write
-from app.images import read_image
-from app.measurement.bench_reconstructor import full_scale_of
+from app.images import FORMATS
 from app.progress import Progress
-from reconstruction.errors import ReconstructionError
-from reconstruction.geometry import Lattice
-from reconstruction.lattice.search import Survey, survey
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from app.bench.config import Bench
+    from reconstruction.geometry import Lattice
+    from reconstruction.lattice.search import Survey
 
 _NOTEWORTHY = 0.005  # relative deviation of the pitch from the design that is reported
 _LATTICE_SECTION = re.compile(r"^\[lattice\][^\n]*\n(?:(?!\[)[^\n]*\n)*", re.MULTILINE)
+
+
+def calibrate(
+    reference: Annotated[Path, typer.Argument(help=f"Frame without the sample: {FORMATS}.")],
+    *,
+    bench: BenchOption,
+    out: Annotated[Path | None, typer.Option(help="Bench TOML file to write, with the lattice.")] = None,
+    dark: Annotated[Path | None, typer.Option(help="Frame with the light off.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture of the frame with its lenslets: PNG, PDF or SVG.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON.")] = False,
+    overwrite: OverwriteOption = False,
+    setting: SetOption = None,
+) -> None:
+    """Find the lenslet lattice in a reference frame.
+
+    The result is pitch, rotation, centre, and which lenslets are lit. Check the picture of --plot: every lit subimage
+    should lie in the middle of its cell. Without --out the result is only printed.
+
+    Example: svwfs calibrate reference.tif --bench paper_experiment --out bench.toml --plot lattice.png
+    """
+    loaded = load(bench, setting)
+    check_images(reference, dark)
+    reads = (reference, dark, *files_of_bench(bench, loaded))
+    check_files(out, ".toml", reads=reads, plot=plot, overwrite=overwrite)
+    with progress_bar() as progress:
+        calibrated = find_lattice(reference, dark=dark, bench=loaded, progress=progress)
+    if plot is not None:
+        from app.results.figures import lattice_figure, save_figure
+
+        save_figure(lattice_figure(calibrated.reference, calibrated.survey), plot)
+    if out is not None:
+        write_calibrated(calibrated, bench, out)
+    if as_json:
+        typer.echo(json.dumps(as_numbers(calibrated)))
+        return
+    typer.echo("\n".join(summary(calibrated)))
+    for difference in differences(calibrated):
+        remind(f"note: {difference}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,10 +86,15 @@ class CalibratedBench:
     survey: Survey
 
 
-def calibrate(
+def find_lattice(
     reference: Path, *, dark: Path | None, bench: Bench, progress: Progress = lambda *_: None
 ) -> CalibratedBench:
     """Find the lattice in a reference image file; `InputError` if the files are unusable."""
+    from app.images import read_image
+    from app.measurement.bench_reconstructor import full_scale_of
+    from reconstruction.errors import ReconstructionError
+    from reconstruction.lattice.search import survey
+
     image = read_image(reference)
     dark_image = None if dark is None else read_image(dark)
     try:
@@ -114,6 +170,8 @@ def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | str | lis
 
 def write_calibrated(calibrated: CalibratedBench, source: str, path: Path) -> None:
     """Write the bench with its lattice, keeping the comments of `source`, a TOML file or preset."""
+    from app.bench.bench_files import bench_file, read_bench_text
+
     text = bench_text(read_bench_text(bench_file(source)), calibrated.bench)
     with atomic_write(path) as temporary:
         temporary.write_text(text, "utf-8")
@@ -124,7 +182,12 @@ def bench_text(text: str, bench: Bench) -> str:
 
     If the result would not read back to the same bench, for example after --set, the whole bench is written anew.
     """
-    section = _lattice_section(bench)
+    import tomli_w
+
+    from app.bench.config import parse_bench, write_bench
+
+    values = {} if bench.lattice is None else dataclasses.asdict(bench.lattice)
+    section = f"[lattice] # found by svwfs calibrate\n{tomli_w.dumps(values)}\n"
     edited, count = _LATTICE_SECTION.subn(lambda _: section, text, count=1)
     if not count:
         edited = f"{text.rstrip()}\n\n{section}"
@@ -133,9 +196,3 @@ def bench_text(text: str, bench: Bench) -> str:
     except InputError:
         is_same = False
     return edited if is_same else write_bench(bench)
-
-
-def _lattice_section(bench: Bench) -> str:
-    lattice = bench.lattice
-    values = {} if lattice is None else dataclasses.asdict(lattice)
-    return f"[lattice] # found by svwfs calibrate\n{tomli_w.dumps(values)}\n"

@@ -1,18 +1,18 @@
 """`svwfs desktop`: the entry of svwfs in the menu of a Linux desktop."""
 
+from __future__ import annotations
+
 import re
 import sys
+from importlib.resources import files
 from pathlib import Path
+from typing import Annotated
 
-import platformdirs
+import typer
 
-import app.gui
-from app.bench.bench_files import bench_file
-from app.bench.config import load_bench
 from app.errors import InputError, RunError
 from app.files import atomic_write
 
-_ICON = Path(app.gui.__file__).with_name("svwfs.svg")
 _ENTRY = """[Desktop Entry]
 Type=Application
 Name=svwfs
@@ -24,6 +24,25 @@ Terminal=false
 Categories=Science;Physics;
 StartupWMClass=svwfs
 """
+
+
+def desktop(
+    *,
+    bench: Annotated[
+        str | None, typer.Option("--bench", "-b", metavar="TOML", help="Bench file or preset that the entry opens.")
+    ] = None,
+    remove: Annotated[bool, typer.Option("--remove", help="Remove the entry.")] = False,
+) -> None:
+    """Add svwfs to the menu of a Linux desktop, for the present user.
+
+    The entry starts svwfs-window: the window without a terminal, with errors in a dialog.
+
+    Example: svwfs desktop --bench bench.toml
+    """
+    if remove:
+        remove_entry()
+    else:
+        typer.echo(f"entry: {add_entry(bench)}")
 
 
 def add_entry(bench: str | None) -> Path:
@@ -41,6 +60,9 @@ def add_entry(bench: str | None) -> Path:
     RunError
         `svwfs-window` is not installed, or the entry cannot be written.
     """
+    from app.bench.bench_files import bench_file
+    from app.bench.config import load_bench
+
     program = Path(sys.executable).with_name("svwfs-window")
     if not sys.platform.startswith("linux"):
         raise InputError(f"an entry can be made on Linux only: make a shortcut to {program} by hand")
@@ -52,7 +74,7 @@ def add_entry(bench: str | None) -> Path:
         words += ["--bench", bench if bench_file(bench) != Path(bench) else str(Path(bench).absolute())]
     entry, icon = _files()
     with atomic_write(icon) as temporary:
-        temporary.write_bytes(_ICON.read_bytes())
+        temporary.write_bytes((files("app.gui") / "svwfs.svg").read_bytes())
     with atomic_write(entry) as temporary:
         temporary.write_text(_ENTRY.format(command=" ".join(map(_quoted, words))), "utf-8")
     return entry
@@ -68,6 +90,8 @@ def remove_entry() -> None:
 
 
 def _files() -> tuple[Path, Path]:
+    import platformdirs
+
     data = platformdirs.user_data_path()
     return data / "applications" / "svwfs.desktop", data / "icons" / "hicolor" / "scalable" / "apps" / "svwfs.svg"
 

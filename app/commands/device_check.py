@@ -1,24 +1,35 @@
 """Check of a connected device against the contract of its kind, for `svwfs devices --check`."""
 
 import dataclasses
+import platform
+import re
+import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import cattrs
+from rich.console import Console
 
+from app.acquisition.device_kinds import KINDS
 from app.acquisition.devices import open_camera, open_light
+from app.bench.config import Bench
 from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
-from app.commands.device_trace import Trace
-from app.errors import RunError
+from app.commands.terminal import ask, remind
+from app.errors import InputError, RunError
+from app.run_facts import versions
 from drivers.camera import Camera
 from drivers.contract import camera as camera_contract
 from drivers.contract import light as light_contract
 from drivers.contract.device import ContractBroken, describe
 from drivers.device import DiscoveredDevice, Property
 from drivers.errors import DeviceError, Disconnected
+from drivers.interface import Frame
 from drivers.light_source import LightSource
 
 Warn = Callable[[str], None]
@@ -100,3 +111,182 @@ def _verdict(check: Callable[..., None], device: Camera | LightSource, *more: An
     except (ContractBroken, DeviceError) as error:
         problem = str(error)
     return Verdict(describe(check), problem, time.perf_counter() - start_s, tuple(trace.calls))
+
+
+_MOST_CALLS = 10  # kept
+_LONGEST = 100  # characters of an answer
+_SERIAL = re.compile(r"\b(?=\w*\d{5})\w+\b")  # of five digits or more, as M00331234
+_OWN_KEYS = ("serial", "cameraid", "userid")
+_HIDDEN = "(serial number)"
+
+
+class Trace:
+    """A device that notes its last calls, answers and their durations."""
+
+    def __init__(self, device: Any) -> None:
+        self._device = device
+        self.calls: deque[str] = deque(maxlen=_MOST_CALLS)
+
+    def __getattr__(self, name: str) -> Any:
+        with self._noted(name) as answers:
+            value = getattr(self._device, name)
+            if not callable(value):
+                answers.append(value)
+                return value
+
+        def call(*arguments: object) -> Any:
+            with self._noted(f"{name}({', '.join(map(repr, arguments))})") as answers:
+                answers.append(value(*arguments))
+            return answers[0]
+
+        return call
+
+    @contextmanager
+    def _noted(self, what: str) -> Iterator[list[Any]]:
+        """Note the answer that the block appends, or its error; nothing if there is neither."""
+        answers: list[Any] = []
+        start_s = time.perf_counter()
+        try:
+            yield answers
+        except Exception as error:
+            answers.append(f"{type(error).__name__}: {error}")
+            raise
+        finally:
+            if answers:
+                took_s = time.perf_counter() - start_s
+                self.calls.append(f"{what} -> {_short(answers[0])}, {took_s:.3f} s")
+
+
+def identifying_texts(name: str, settings: Mapping[str, object], properties: Mapping[str, Property]) -> frozenset[str]:
+    """Texts that identify this one device rather than its model."""
+    keys = (
+        ("serial_number",) if "adapter" in settings else ("device", "serial_number")
+    )  # an adapter's device is a model
+    found = {str(settings.get(key) or "") for key in keys}
+    found |= {str(value) for key, value in properties.items() if any(own in key.lower() for own in _OWN_KEYS)}
+    for text in (name, *properties.values()):
+        if isinstance(text, str) and not _is_number(text):
+            found |= set(_SERIAL.findall(text))
+    return frozenset(text for text in found if len(text) > 3)  # a shorter one is an index
+
+
+def hide(text: str, secrets: frozenset[str]) -> str:
+    """Replace the secrets and the home folder."""
+    for secret in sorted(secrets, key=len, reverse=True):
+        text = text.replace(secret, _HIDDEN)
+    return text.replace(str(Path.home()), "~")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _short(answer: object) -> str:
+    if isinstance(answer, Frame):
+        rows, columns = answer.pixels.shape
+        least, most = answer.pixels.min(), answer.pixels.max()
+        return f"frame {answer.index}, {rows} x {columns}, counts {least} ... {most}, exposed {answer.exposure_s:g} s"
+    text = f"{len(answer)} values" if isinstance(answer, Mapping) else str(answer)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
+def check_and_print(name: str, bench: Bench | None = None, *, serial_numbers: bool = False) -> None:
+    """Check the device of that name against the contract of its kind, and print a report; `RunError` if it fails.
+
+    With a bench, the name is "camera" or "light", and the device is opened with the bench's settings. The report can be
+    published: serial numbers are hidden unless asked for.
+    """
+    settings = settings_of(_connected(name)) if bench is None else _configured(bench, name)
+    report = _Report(settings, is_open=serial_numbers)
+    report.print_versions()
+    verdicts: list[Verdict] = []
+    try:
+        for verdict in check_device(settings, _warn, report.print_device):
+            verdicts.append(verdict)
+            report.print_verdict(verdict)
+    except RunError as error:
+        raise RunError(report.public(str(error))) from error
+    failed = sum(bool(verdict.problem) for verdict in verdicts)
+    if failed:
+        raise RunError(report.public(f"{name} fails {failed} of {len(verdicts)} checks"))
+    report.print(f"{name} passes all {len(verdicts)} checks")
+
+
+class _Report:
+    """Prints a report that can be published."""
+
+    def __init__(self, settings: CameraSettings | LightSettings, *, is_open: bool) -> None:
+        """`is_open` shows serial numbers and the home folder."""
+        self._console = Console(soft_wrap=True, highlight=False)
+        self._settings, self._is_open = settings, is_open
+        self._secrets = identifying_texts("", dataclasses.asdict(settings), {})
+
+    def public(self, text: str) -> str:
+        """Return the text without what is to be hidden."""
+        return text if self._is_open else hide(text, self._secrets)
+
+    def print(self, text: str, style: str | None = None) -> None:
+        self._console.print(self.public(text), style=style, markup=False)
+
+    def print_versions(self) -> None:
+        """Print software, computer, and the settings that are no defaults."""
+        driver = self._settings.driver
+        package = next((kind.package for kind in KINDS if kind.driver == driver), "")
+        found = versions(package) if package else versions()
+        self.print(f"svwfs {found.get('svwfs', '')}, Python {found['python']}, {platform.platform()}")
+        self.print(f"driver {driver}" + (f", {package} {found.get(package, 'not installed')}" if package else ""))
+        for field in dataclasses.fields(self._settings):
+            value = getattr(self._settings, field.name)
+            if value not in (field.default, driver) and value:
+                self.print(f"  {field.name} = {value!r}")
+
+    def print_device(self, name: str, properties: Mapping[str, Property], opened_s: float) -> None:
+        """Print what the device reports of itself."""
+        settings = dataclasses.asdict(self._settings)
+        self._secrets = identifying_texts(name, settings, properties)
+        self.print(name, "bold")
+        for key, value in properties.items():
+            self.print(f"  {key} = {value}")
+        self.print(f"opened in {opened_s:.2f} s")
+
+    def print_verdict(self, verdict: Verdict) -> None:
+        """Print what was tried, and for a failure the last calls with their answers."""
+        self.print(f"  {'FAILED' if verdict.problem else 'ok':7}{verdict.took_s:7.2f} s  {verdict.requirement}")
+        if verdict.problem:
+            self.print(f"         {verdict.problem}")
+            for call in verdict.calls:
+                self.print(f"           {call}")
+
+
+def _warn(sentence: str) -> None:
+    """Print a warning before the light shines; on a terminal wait for Enter."""
+    if sys.stdin.isatty():
+        ask(f"{sentence}: make sure that no one looks into it")
+    else:
+        remind(sentence)
+
+
+def _configured(bench: Bench, name: str) -> CameraSettings | LightSettings:
+    if name == "camera":
+        return bench.camera
+    if name == "light":
+        if bench.has_manual_light:
+            raise InputError("the light of this bench is manual: there is nothing to check")
+        return bench.light
+    raise InputError(f"{name}: with --bench, --check takes camera or light")
+
+
+def _connected(name: str) -> DiscoveredDevice:
+    kind = next((kind for kind in KINDS if kind.driver == name.split(":", 1)[0]), None)
+    if kind is None:
+        known = ", ".join(kind.driver for kind in KINDS)
+        raise InputError(f"{name}: not a device's name as `svwfs devices` shows it; it begins with one of {known}")
+    devices, missing = kind.discover()
+    for device in devices:
+        if device.name == name:
+            return device
+    raise RunError(f"{name} is not connected" + (f": {missing}" if missing else "; `svwfs devices` shows what is"))

@@ -1,26 +1,71 @@
 """`svwfs devices`: list the connected devices, or check one of them."""
 
-import dataclasses
-import platform
-import sys
-from collections.abc import Mapping
+from __future__ import annotations
 
-import tomli_w
-from rich.console import Console
+from typing import Annotated
 
-from app.acquisition.device_kinds import KINDS
-from app.bench.config import Bench
-from app.bench.device_settings import CameraSettings, LightSettings
-from app.commands import device_trace
-from app.commands.device_check import Verdict, check_device, settings_of
-from app.commands.prompt import ask
-from app.errors import InputError, RunError
-from app.run_facts import versions
-from drivers.device import DiscoveredDevice, Property
+import typer
+
+from app.commands.options import SetOption, TrustOption, load
+from app.errors import InputError
+
+
+def devices(
+    *,
+    check: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Test everything that this device, named as in the list, must be able to do, and print a report that"
+            " can be published: versions, what was tried, what was answered, timings. A light shines during the test,"
+            " with at most 5 % of its range.",
+        ),
+    ] = None,
+    bench: Annotated[
+        str | None,
+        typer.Option(
+            "--bench",
+            "-b",
+            metavar="TOML",
+            help="With --check camera or --check light: that device of this bench, with its settings.",
+        ),
+    ] = None,
+    trust_library: TrustOption = False,
+    serial_numbers: Annotated[
+        bool, typer.Option("--serial-numbers", help="With --check: do not hide serial numbers in the report.")
+    ] = False,
+    setting: SetOption = None,
+) -> None:
+    """List the connected cameras and lights.
+
+    Each is shown with its section of a bench file and with what is missing to use it. Listing switches nothing on. See
+    docs/hardware.md for how to connect each. The devices of the presets are simulated: check those of your own bench.
+
+    Example: svwfs devices
+
+    Example: svwfs devices --check light --bench bench.toml
+    """
+    from app.commands.device_check import check_and_print
+    from app.commands.terminal import confirm_libraries
+
+    if check is None and bench is None:
+        print_devices()
+    elif check is None:
+        raise InputError("--bench needs --check camera or --check light")
+    else:
+        loaded = None if bench is None else load(bench, setting)
+        if loaded is not None:
+            confirm_libraries(loaded, trust=trust_library)
+        check_and_print(check, loaded, serial_numbers=serial_numbers)
 
 
 def print_devices() -> None:
     """Search for all supported devices, and print the result."""
+    import tomli_w
+    from rich.console import Console
+
+    from app.acquisition.device_kinds import KINDS
+
     console = Console(soft_wrap=True, highlight=False)
     for kind in KINDS:
         devices, missing = kind.discover()
@@ -37,101 +82,3 @@ def print_devices() -> None:
             section = tomli_w.dumps({device.kind: {"driver": device.driver, **device.settings}})
             for line in section.splitlines():
                 console.print(f"      {line}", markup=False)
-
-
-def check_and_print(name: str, bench: Bench | None = None, *, serial_numbers: bool = False) -> None:
-    """Check the device of that name against the contract of its kind, and print a report; `RunError` if it fails.
-
-    With a bench, the name is "camera" or "light", and the device is opened with the bench's settings. The report can be
-    published: serial numbers are hidden unless asked for.
-    """
-    settings = settings_of(_connected(name)) if bench is None else _configured(bench, name)
-    report = _Report(settings, is_open=serial_numbers)
-    report.print_versions()
-    verdicts: list[Verdict] = []
-    try:
-        for verdict in check_device(settings, _warn, report.print_device):
-            verdicts.append(verdict)
-            report.print_verdict(verdict)
-    except RunError as error:
-        raise RunError(report.public(str(error))) from error
-    failed = sum(bool(verdict.problem) for verdict in verdicts)
-    if failed:
-        raise RunError(report.public(f"{name} fails {failed} of {len(verdicts)} checks"))
-    report.print(f"{name} passes all {len(verdicts)} checks")
-
-
-class _Report:
-    """Prints a report that can be published."""
-
-    def __init__(self, settings: CameraSettings | LightSettings, *, is_open: bool) -> None:
-        """`is_open` shows serial numbers and the home folder."""
-        self._console = Console(soft_wrap=True, highlight=False)
-        self._settings, self._is_open = settings, is_open
-        self._secrets = device_trace.serial_numbers("", dataclasses.asdict(settings), {})
-
-    def public(self, text: str) -> str:
-        """Return the text without what is to be hidden."""
-        return text if self._is_open else device_trace.hide(text, self._secrets)
-
-    def print(self, text: str, style: str | None = None) -> None:
-        self._console.print(self.public(text), style=style, markup=False)
-
-    def print_versions(self) -> None:
-        """Print software, computer, and the settings that are no defaults."""
-        driver = self._settings.driver
-        package = next((kind.package for kind in KINDS if kind.driver == driver), "")
-        found = versions(package) if package else versions()
-        self.print(f"svwfs {found.get('svwfs', '')}, Python {found['python']}, {platform.platform()}")
-        self.print(f"driver {driver}" + (f", {package} {found.get(package, 'not installed')}" if package else ""))
-        for field in dataclasses.fields(self._settings):
-            value = getattr(self._settings, field.name)
-            if value not in (field.default, driver) and value:
-                self.print(f"  {field.name} = {value!r}")
-
-    def print_device(self, name: str, properties: Mapping[str, Property], opened_s: float) -> None:
-        """Print what the device reports of itself."""
-        settings = dataclasses.asdict(self._settings)
-        self._secrets = device_trace.serial_numbers(name, settings, properties)
-        self.print(name, "bold")
-        for key, value in properties.items():
-            self.print(f"  {key} = {value}")
-        self.print(f"opened in {opened_s:.2f} s")
-
-    def print_verdict(self, verdict: Verdict) -> None:
-        """Print what was tried, and for a failure the last calls with their answers."""
-        self.print(f"  {'FAILED' if verdict.problem else 'ok':7}{verdict.took_s:7.2f} s  {verdict.requirement}")
-        if verdict.problem:
-            self.print(f"         {verdict.problem}")
-            for call in verdict.calls:
-                self.print(f"           {call}")
-
-
-def _warn(sentence: str) -> None:
-    """Print a warning before the light shines; on a terminal wait for Enter."""
-    if sys.stdin.isatty():
-        ask(f"{sentence}: make sure that no one looks into it")
-    else:
-        sys.stderr.write(f"{sentence}\n")
-
-
-def _configured(bench: Bench, name: str) -> CameraSettings | LightSettings:
-    if name == "camera":
-        return bench.camera
-    if name == "light":
-        if bench.has_manual_light:
-            raise InputError("the light of this bench is manual: there is nothing to check")
-        return bench.light
-    raise InputError(f"{name}: with --bench, --check takes camera or light")
-
-
-def _connected(name: str) -> DiscoveredDevice:
-    kind = next((kind for kind in KINDS if kind.driver == name.split(":", 1)[0]), None)
-    if kind is None:
-        known = ", ".join(kind.driver for kind in KINDS)
-        raise InputError(f"{name}: not a device's name as `svwfs devices` shows it; it begins with one of {known}")
-    devices, missing = kind.discover()
-    for device in devices:
-        if device.name == name:
-            return device
-    raise RunError(f"{name} is not connected" + (f": {missing}" if missing else "; `svwfs devices` shows what is"))

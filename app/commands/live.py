@@ -1,31 +1,85 @@
 """`svwfs live`: the window on a bench or a recording, attended or not."""
 
+from __future__ import annotations
+
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
-from app.acquisition.devices import open_devices
-from app.acquisition.start_up import start_up
-from app.acquisition.streams.publisher import stream_sinks
-from app.acquisition.worker import Acquisition, Measurement
-from app.bench.config import Bench
-from app.commands.prompt import LIGHT_BY_HAND, remind
+import typer
+
+from app.commands.options import FOLDER, FramesOption, OverwriteOption, SetOption, TrustOption, load
+from app.commands.terminal import LIGHT_BY_HAND, confirm_libraries, remind
 from app.errors import InputError, RunError
 from app.files import check_outputs, make_folder
-from app.recording.folder import FRAME_LINES
-from app.results.dataset import result_dataset
-from app.results.player import Player
-from app.results.result_file import write_results
-from app.run_facts import now, software_facts, timing_facts, write_record
 
 if TYPE_CHECKING:
+    from app.acquisition.worker import Acquisition, Measurement
+    from app.bench.config import Bench
     from app.gui.main_window import MainWindow
+    from app.results.player import Player
 
+_LIVE_OUT = Path("svwfs-output")
+_LIVE_BENCH = "live_demo"
 _UNATTENDED_S = 5.0
+
+
+def live(
+    *,
+    bench: Annotated[
+        str | None,
+        typer.Option("--bench", "-b", metavar="TOML", help=f"Bench TOML file or preset [default: {_LIVE_BENCH}]."),
+    ] = None,
+    setting: SetOption = None,
+    replay: Annotated[
+        Path | None, typer.Option(metavar="RECORDING", help="Play a recording repeatedly at its own rate.")
+    ] = None,
+    frames: FramesOption = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            max=86400,
+            metavar="SECONDS",
+            help="Close by itself SECONDS after the first wavefront, saving the results.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(metavar=FOLDER, help="For screenshot, results and timings of such a run.")
+    ] = _LIVE_OUT,
+    overwrite: OverwriteOption = False,
+    trust_library: TrustOption = False,
+) -> None:
+    """Open the window with live wavefronts at every field position.
+
+    Without a display it runs offscreen for a few seconds and saves a screenshot and the results. --replay plays a
+    recording with its own bench unless --bench or --set changes it; --frames selects a part.
+
+    Example: svwfs live --bench live_demo --set registration.warp=affine
+    """
+    from app.commands.display import use_display
+
+    is_attended = use_display() and seconds is None
+    if replay is None:
+        if frames is not None:
+            raise InputError("--frames selects frames of a recording: add --replay RECORDING")
+        if is_attended:
+            offers_last = bench is None and not setting
+            source, overrides = bench or _LIVE_BENCH, tuple(setting or ())
+            raise typer.Exit(bench_window(source, overrides, trust=trust_library, offers_last=offers_last))
+        loaded = load(bench or _LIVE_BENCH, setting)
+        confirm_libraries(loaded, trust=trust_library)
+        raise typer.Exit(unattended_window(loaded, seconds=seconds, out=out, overwrite=overwrite))
+    from app.results.player import Player
+
+    player = Player(replay, bench=bench, settings=tuple(setting or ()), frames=frames)
+    if is_attended:
+        raise typer.Exit(replay_window(player))
+    raise typer.Exit(unattended_window(player.bench, seconds=seconds, out=out, overwrite=overwrite, player=player))
 
 
 class _Publishing:
@@ -38,6 +92,10 @@ class _Publishing:
 
     def __call__(self, bench: Bench) -> Acquisition:
         """Make an acquisition; the previous one has ended."""
+        from app.acquisition.devices import open_devices
+        from app.acquisition.streams.publisher import stream_sinks
+        from app.acquisition.worker import Acquisition
+
         try:
             if bench is not self.bench:
                 self.bench = None
@@ -66,7 +124,7 @@ def bench_window(source: str, overrides: tuple[str, ...], *, trust: bool, offers
     with ExitStack() as streams:
         publishing = _Publishing(streams)
 
-        def open_first(window: "MainWindow") -> None:
+        def open_first(window: MainWindow) -> None:
             splash.finish(window)
             window.benches.open(source, overrides, trust=trust)
             if offers_last:
@@ -83,9 +141,11 @@ def replay_window(player: Player) -> int:
     from app.gui.splash import Splash
 
     splash = Splash()  # before the rest is loaded
+    from app.acquisition.streams.publisher import stream_sinks
+    from app.acquisition.worker import Acquisition
     from app.gui.application import run_window
 
-    def open_first(window: "MainWindow") -> None:
+    def open_first(window: MainWindow) -> None:
         splash.finish(window)
         window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take, *sinks)), player.begin, player)
 
@@ -102,6 +162,14 @@ def unattended_window(
     The window closes by itself `seconds` after the first wavefront and writes `window.png`, `result.nc` and `run.json`
     into the folder `out`; without a wavefront it fails.
     """
+    from app.acquisition.devices import open_devices
+    from app.acquisition.start_up import start_up
+    from app.acquisition.streams.publisher import stream_sinks
+    from app.acquisition.worker import Acquisition
+    from app.recording.folder import FRAME_LINES
+    from app.results.dataset import result_dataset
+    from app.results.result_file import write_results
+
     picture, results, run = (out / name for name in ("window.png", "result.nc", "run.json"))
     if (out / FRAME_LINES).exists():
         raise InputError(f"{out}: holds a recording; choose another folder with --out")
@@ -140,6 +208,8 @@ def unattended_window(
 
 def _write_run(path: Path, acquisition: Acquisition) -> None:
     """Write `run.json` of a run without a recording: numbers of frames and stage times."""
+    from app.run_facts import now, software_facts, timing_facts, write_record
+
     shown = acquisition.timings.summary()["draw"].count
     record = {
         "command": "live",

@@ -1,24 +1,86 @@
 """`svwfs reconstruct`: the wavefront of a frame in image files."""
 
+from __future__ import annotations
+
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
+import typer
 
-from app.bench.config import Bench
-from app.bench.device_settings import CameraSettings
+from app.commands.options import (
+    BenchOption,
+    OverwriteOption,
+    SetOption,
+    check_files,
+    check_images,
+    files_of_bench,
+    load,
+)
+from app.commands.terminal import print_by_view, print_quality, print_rotation, print_sentence, progress_bar, remind
 from app.errors import InputError
-from app.images import read_image
-from app.measurement.bench_reconstructor import BenchReconstructor, full_scale_of
-from app.progress import Progress
-from reconstruction.errors import ReconstructionError
-from reconstruction.quality.verdict import Quality
-from reconstruction.wavefront import Wavefront
-from simulated_devices.settings import SimulatedCameraSettings
+from app.images import FORMATS
+from app.progress import Progress, counted
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from app.bench.config import Bench
+    from app.bench.device_settings import CameraSettings
+    from reconstruction.arrays import Floats
+    from reconstruction.quality.verdict import Quality
+    from reconstruction.wavefront import Wavefront
 
 _PEAK_PERCENT = 99.9  # percentile taken for the peak, so that hot pixels do not count
+
+
+def reconstruct(
+    frame: Annotated[Path, typer.Argument(help=f"Frame with the sample: {FORMATS}.")],
+    *,
+    reference: Annotated[Path, typer.Option(help="Frame without the sample.")],
+    bench: BenchOption,
+    out: Annotated[Path, typer.Option(help="NetCDF file to write.")],
+    dark: Annotated[Path | None, typer.Option(help="Frame with the light off.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture of the views: PNG, PDF or SVG.")] = None,
+    refine: Annotated[
+        int, typer.Option(min=0, max=100, help="Maximum rounds of refinement with the forward model.")
+    ] = 0,
+    overwrite: OverwriteOption = False,
+    setting: SetOption = None,
+) -> None:
+    """Reconstruct the wavefronts of one frame from image files.
+
+    Example: svwfs reconstruct frame.tif --reference reference.tif --dark dark.tif --bench bench.toml --out result.nc
+    """
+    from app.results.dataset import result_dataset
+    from app.results.figures import save_figure, views_figure
+    from app.results.frame_tallies import QualityTally
+    from app.results.result_file import write_results
+
+    loaded = load(bench, setting)
+    check_images(frame, reference, dark)
+    reads = (frame, reference, dark, *files_of_bench(bench, loaded))
+    check_files(out, ".nc", reads=reads, plot=plot, overwrite=overwrite)
+    with progress_bar() if refine else nullcontext(lambda *_: None) as progress:
+        made = reconstruct_files(frame, reference=reference, dark=dark, bench=loaded, refine=refine, progress=progress)
+    names = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}
+    dataset = result_dataset(made.wavefront, made.quality, with_psf=True)
+    dataset = dataset.assign_attrs(refinement_rounds=len(made.changes_rad))
+    write_results(out, dataset, bench=made.bench, inputs=names)
+    if plot is not None:
+        save_figure(views_figure(made.wavefront), plot)
+    for note in made.notes:
+        remind(f"note: {note}")
+    print_views(made.wavefront)
+    if refine:
+        changes = ", ".join(f"{change_rad:.4f}" for change_rad in made.changes_rad)
+        rounds = counted(len(made.changes_rad), "round")
+        refined = f"refined in {rounds}, changing the wavefront by {changes} rad RMS"
+        print_sentence(refined if changes else "not refined: it would not improve")
+    tally = QualityTally()
+    tally.take(made.quality)
+    print_quality(tally)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +98,10 @@ def reconstruct_files(
     frame: Path, *, reference: Path, dark: Path | None, bench: Bench, refine: int, progress: Progress
 ) -> Reconstructed:
     """Reconstruct one frame from image files, refined in at most `refine` rounds; `InputError` names a bad file."""
+    from app.images import read_image
+    from app.measurement.bench_reconstructor import BenchReconstructor
+    from reconstruction.errors import ReconstructionError
+
     frame_image, reference_image = read_image(frame), read_image(reference)
     dark_image = None if dark is None else read_image(dark)
     for path, image in ((frame, frame_image), (dark, dark_image)):
@@ -66,6 +132,10 @@ def reconstruct_files(
 
 def _check_scale(image: NDArray[Any], path: Path, other: NDArray[Any], other_path: Path, bits: int) -> None:
     """Raise `InputError` if another image has larger counts than this one's type, or the camera, allows it."""
+    import numpy as np
+
+    from app.measurement.bench_reconstructor import full_scale_of
+
     most = full_scale_of(image, 64 if image.dtype.kind in "ui" else bits)
     if np.percentile(other, _PEAK_PERCENT, method="lower") > most:
         raise InputError(
@@ -76,6 +146,8 @@ def _check_scale(image: NDArray[Any], path: Path, other: NDArray[Any], other_pat
 
 def _size_note(camera: CameraSettings, frame: NDArray[Any]) -> str:
     """Say if a frame has another size than the bench's simulated camera, unless that has the size it has by default."""
+    from simulated_devices.settings import SimulatedCameraSettings
+
     usual = SimulatedCameraSettings()
     size = (camera.rows, camera.columns) if isinstance(camera, SimulatedCameraSettings) else frame.shape
     if size in {frame.shape, (usual.rows, usual.columns)}:
@@ -85,3 +157,43 @@ def _size_note(camera: CameraSettings, frame: NDArray[Any]) -> str:
 
 def _size(image: NDArray[Any]) -> str:
     return " x ".join(str(length) for length in image.shape)
+
+
+def print_views(wavefront: Wavefront) -> None:
+    """Print RMS with error bar and PV of every view, arranged as in the field, what was assumed, and the lenslets."""
+    from app.measurement.assumptions import sample_sentence
+    from app.results.dataset import rotation_of
+    from app.results.frame_tallies import rms_noise, rms_text
+    from reconstruction.wavefront import peak_to_valley, rms
+
+    def cell(view: Floats, noise_rad: float) -> str:
+        """RMS and PV of a view, rad; no PV if the wavefront is below the noise."""
+        rms_rad = float(rms(view))
+        text = rms_text(rms_rad, noise_rad)
+        return text if rms_rad < noise_rad else f"{text}\nPV {peak_to_valley(view):.2f}"
+
+    noise_rad = rms_noise(wavefront)
+    cells = ((cell(*each) for each in zip(*row, strict=True)) for row in zip(wavefront.views, noise_rad, strict=True))
+    print_by_view(wavefront.field, "RMS +- error bar and PV (rad) of the wavefront at each field position", cells)
+    print_sentence(lenslet_summary(wavefront))
+    print_sentence(f"assumed: {sample_sentence(wavefront.sample, wavefront.field)}")
+    rotation = rotation_of(wavefront)
+    if rotation is not None:
+        print_rotation(rotation, rotates=rotation.contradicts_layers)
+
+
+def lenslet_summary(wavefront: Wavefront) -> str:
+    """Summarise the lenslets, as "223 of 225 lenslets valid; 2 dark; 40 % of the dynamic range used"."""
+    import numpy as np
+
+    from reconstruction.displacement import Outcome
+
+    outcome = wavefront.displacement.outcome
+    lost = (
+        f"{count} {Outcome(code).name.lower().replace('_', ' ')}"
+        for code, count in zip(*np.unique(outcome, return_counts=True), strict=True)
+        if code != Outcome.CONVERGED
+    )
+    valid = f"{np.count_nonzero(wavefront.displacement.valid)} of {outcome.size} lenslets valid"
+    used = np.nanmax(wavefront.displacement.range_used, initial=0.0)
+    return "; ".join([valid, *lost, f"{100 * used:.0f} % of the dynamic range used"])

@@ -1,39 +1,74 @@
 """`svwfs simulate`: simulated frames and the true wavefronts as files."""
 
-from collections.abc import Callable
+from __future__ import annotations
+
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
+import typer
 
-from app.acquisition.devices import simulated_bench
-from app.bench.config import Bench
-from app.images import write_image
-from app.results.dataset import truth_dataset
-from app.results.result_file import write_results
-from simulated_devices.bench import SimulatedBench
-from simulated_devices.camera import SimulatedCamera
-from simulated_devices.clock import ManualClock
-from simulated_devices.sample import scintillation
+from app.commands.options import FOLDER, BenchOption, OverwriteOption, SetOption, files_of_bench, load
+from app.commands.terminal import progress_bar
+from app.files import check_outputs
+from app.progress import Progress
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from app.bench.config import Bench
+    from simulated_devices.bench import SimulatedBench
+    from simulated_devices.camera import SimulatedCamera
 
 _CONDITIONS = {"dark": (False, False), "reference": (True, False), "frame": (True, True)}  # light on, sample in
 _TRUTH = "truth.nc"
 
 
-def files_of(out: Path) -> list[Path]:
-    """Return the files that `simulate` writes."""
-    return [out / name for name in (*(f"{name}.tif" for name in _CONDITIONS), _TRUTH)]
+def simulate(
+    *,
+    bench: BenchOption,
+    out: Annotated[
+        Path, typer.Option(metavar=FOLDER, help="Folder for dark.tif, reference.tif, frame.tif and truth.nc.")
+    ],
+    setting: SetOption = None,
+    noise_free: Annotated[
+        bool, typer.Option("--noise-free", help="Write mean photons instead of the camera's counts.")
+    ] = False,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Simulate dark, reference and frame, with the true wavefronts.
 
-
-def simulate(bench: Bench, out: Path, *, noise_free: bool, progress: Callable[[float], None]) -> float:
-    """Write `dark.tif`, `reference.tif`, `frame.tif` and `truth.nc` into the folder `out`.
-
-    The images are camera counts or, with `noise_free`, mean photons per pixel as float32. Returns the scintillation,
-    the RMS of the light at the lenslets about that without sample, relative to it.
+    Example: svwfs simulate --bench paper_simulation --out simulated
     """
-    with closing(simulated_bench(bench, progress, ManualClock())) as simulated, SimulatedCamera(simulated) as camera:
+    loaded = load(bench, setting)
+    check_outputs(
+        [out / name for name in (*(f"{name}.tif" for name in _CONDITIONS), _TRUTH)],
+        inputs=files_of_bench(bench, loaded),
+        overwrite=overwrite,
+    )
+    with progress_bar() as progress:
+        scintillation = _render(loaded, out, noise_free=noise_free, progress=progress)
+    typer.echo(f"dark.tif, reference.tif, frame.tif and truth.nc are in {out}")
+    typer.echo(f"light at the lenslets: {100 * scintillation:.1f} % RMS from that without the sample")
+
+
+def _render(bench: Bench, out: Path, *, noise_free: bool, progress: Progress) -> float:
+    """Write the files, and return the scintillation.
+
+    That is the RMS of the light at the lenslets about that without sample, relative to it. The images are camera counts
+    or, with `noise_free`, mean photons per pixel as float32.
+    """
+    from app.acquisition.devices import simulated_bench
+    from app.images import write_image
+    from app.results.dataset import truth_dataset
+    from app.results.result_file import write_results
+    from simulated_devices.camera import SimulatedCamera
+    from simulated_devices.clock import ManualClock
+    from simulated_devices.sample import scintillation
+
+    opening = simulated_bench(bench, lambda fraction: progress("rendering", fraction), ManualClock())
+    with closing(opening) as simulated, SimulatedCamera(simulated) as camera:
         state: int | None = None
         for name, (light_on, sample_in) in _CONDITIONS.items():
             simulated.change(is_light_on=light_on, is_sample_in=sample_in)

@@ -8,7 +8,7 @@ from app.gui.layers_panel import origin_choice
 from app.gui.plot import Plot
 from app.gui.widgets import Choice, ElidedLabel, column, row
 from app.measurement.measurement import Measurement
-from app.results.corrector import in_words
+from app.results.corrector import correction_sentence
 from app.results.layers import axis_label, shown_range_m
 from app.results.shown_layers import CorrectorRequest, FoundCorrectors
 from reconstruction.layers.corrector import Corrector
@@ -69,7 +69,7 @@ class CorrectorPanel(QWidget):
         self.plot.axes["bottom"].setLabel(axis_label(origin))
         self._mark.setData([at_mm, at_mm], [0.0, top])
         self.plot.set_ranges((low_mm, high_mm), (0, top))
-        text = in_words(found)
+        text = correction_sentence(found)
         self.sentence.setText(text[0].upper() + text[1:])
 
 

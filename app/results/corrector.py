@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
-from app.errors import InputError
 from app.files import atomic_write
 from app.results.dataset import about
 from app.results.layers import (
@@ -121,7 +120,7 @@ def correction_dataset(found: CorrectorComparison, bench: Bench, origin: Origin 
     )
 
 
-def in_words(found: xr.Dataset) -> str:
+def correction_sentence(found: xr.Dataset) -> str:
     """Residuals of correctors at the pupil and at the chosen distance, and without one."""
     origin, residual = found.attrs["distances_from"], found["residual"].values
     at_pupil = residual[np.argmin(np.abs(found["distance"].values)) if origin == "lenslets" else -1]
@@ -161,15 +160,9 @@ def correction_figure(found: xr.Dataset) -> Figure:
     return figure
 
 
-_FORMATS = (".npy", ".fits", ".png")
+PHASE_FORMATS = (".npy", ".fits", ".png")
 _GREY = 256  # levels of a wrapped phase
 _FITS_BLOCK = 2880  # bytes
-
-
-def check_phase_path(path: Path) -> None:
-    """Raise `InputError` if the suffix is no format of a phase."""
-    if path.suffix.lower() not in _FORMATS:
-        raise InputError(f"{path}: give a name that ends in one of {', '.join(_FORMATS)}")
 
 
 def write_phase(path: Path, phase_rad: Floats) -> None:

@@ -109,13 +109,12 @@ def strongest(maps: xr.Dataset, count: int = STRONGEST) -> list[int]:
     return [int(number) for number in maps["mode"].values[np.argsort(-mean_square)[:count]]]
 
 
-def plot_field(maps: xr.Dataset, modes: Sequence[int], path: Path) -> None:
-    """Draw modes of a dataset of coefficients into an image file."""
+def field_figure(maps: xr.Dataset, modes: Sequence[int]) -> Figure:
+    """Return the figure of modes of a dataset of coefficients."""
     rows = -(-len(modes) // _PAIRS)
     figure = Figure(figsize=(4.4 * min(_PAIRS, len(modes)), 2.9 * rows), layout="constrained")
     draw_field(figure, maps, modes)
-    with atomic_write(path) as temporary:
-        figure.savefig(temporary, dpi=130)
+    return figure
 
 
 def draw_field(figure: FigureBase, maps: xr.Dataset, modes: Sequence[int]) -> None:
@@ -176,3 +175,18 @@ def _zernikes(wavefront: Wavefront) -> FieldCoefficients:
         return field_coefficients(ModalFit.of(wavefront), "zernike")
     except ReconstructionError as error:
         raise InputError(f"the wavefront cannot be written in Zernike modes: {error}") from error
+
+
+def field_sentences(maps: xr.Dataset) -> list[str]:
+    """Return the strongest coefficients in sentences, as mean and range over the field."""
+    lines = []
+    for number in strongest(maps):
+        of_mode = maps.sel(mode=number)
+        values, sigma = of_mode["coefficient"], float(of_mode["coefficient_sigma"].mean())
+        lines.append(
+            f"{of_mode['name'].item()}: mean {float(values.mean()):+.3f} rad,"
+            f" {float(values.min()):+.3f} ... {float(values.max()):+.3f} over the field, error {sigma:.2g} rad"
+        )
+    if (share := maps.attrs["known_share"]) < 1:
+        lines.append(f"{100 * (1 - share):.0f} % of the lenslets in the pupil are unknown: the modes bridge them")
+    return lines

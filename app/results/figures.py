@@ -13,7 +13,6 @@ from matplotlib.colors import Normalize, PowerNorm, to_rgba
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
-from app.errors import InputError
 from app.files import atomic_write
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, lenslet_centers
@@ -23,25 +22,18 @@ from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, 
 from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
-_FORMATS = (".png", ".pdf", ".svg")  # Matplotlib writes others, some by programs that may be missing
 _CURVES_HEIGHT = 2.6  # inches
 _SMALLEST = 10.0, 4.2  # width of the figure and height of its maps, inches; titles need them
 
 
-def check_plot_path(path: Path) -> None:
-    """Raise `InputError` if the suffix is not a picture format."""
-    if path.suffix.lower() not in _FORMATS:
-        raise InputError(f"{path}: give a picture's name that ends in one of {', '.join(_FORMATS)}")
-
-
-def plot_views(wavefront: Wavefront, path: Path) -> None:
-    """Draw the views into an image file, +x to the right and +y down as on the camera."""
+def save_figure(figure: Figure, path: Path, *, dpi: int = 150) -> None:
+    """Write a figure into an image file (atomic)."""
     with atomic_write(path) as temporary:
-        views_figure(wavefront).savefig(temporary, dpi=150)
+        figure.savefig(temporary, dpi=dpi)
 
 
 def views_figure(wavefront: Wavefront) -> Figure:
-    """Return the figure of `plot_views`."""
+    """Return the figure of the views, +x to the right and +y down as on the camera."""
     views, field, sensor = wavefront.views, wavefront.field, wavefront.sensor
     width, height = np.maximum(_SMALLEST, (4.4 * field.view_columns + 2.8, 2.5 * field.view_rows + 0.4))
     figure = Figure(figsize=(width, height + _CURVES_HEIGHT), layout="constrained")
@@ -138,12 +130,6 @@ def _with_places(field: Field, captions: list[list[str]]) -> list[list[str]]:
 _SHOWN_PERCENT = (0.5, 99.8)  # percentiles at the ends of the grey scale
 _LIT, _DARK, _BESIDE, _CUT = "#35d0ba", "#ff5a5f", "#ffd166", "#9aa5b1"
 _CENTER = "#d1495b"
-
-
-def plot_lattice(reference: NDArray[Any], found: Survey, path: Path) -> None:
-    """Draw the lattice over the reference (row, column) into an image file."""
-    with atomic_write(path) as temporary:
-        lattice_figure(reference, found).savefig(temporary, dpi=150)
 
 
 def lattice_figure(reference: NDArray[Any], found: Survey) -> Figure:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -12,7 +11,6 @@ from matplotlib.figure import Figure
 
 from app.bench.config import Bench
 from app.errors import InputError
-from app.files import atomic_write
 from app.results.dataset import about
 from reconstruction.arrays import Floats
 from reconstruction.layers.layer_fit import Layer
@@ -171,12 +169,6 @@ def from_where(origin: Origin) -> str:
     return "distance from the mask" if origin == "mask" else "distance in front of the lenslets; negative behind them"
 
 
-def plot_layers(found: xr.Dataset, path: Path) -> None:
-    """Draw a dataset of layers into an image file."""
-    with atomic_write(path) as temporary:
-        layers_figure(found).savefig(temporary, dpi=150)
-
-
 def layers_figure(found: xr.Dataset) -> Figure:
     """Return the figure: the curve on top, below it phase and error of each layer."""
     layers = found.sizes["layer"]
@@ -224,3 +216,20 @@ def _draw_map(axes: Axes, values: xr.DataArray, title: str, colours: str, limits
     axes.set(xlabel="x on the layer (mm)", ylabel="y (mm)")
     axes.set_title(title, fontsize=9)
     axes.figure.colorbar(image, ax=axes, shrink=0.85)
+
+
+def layers_sentences(found: xr.Dataset) -> list[str]:
+    """Distances, and what explains the displacements, in sentences."""
+    origin = found.attrs["distances_from"]
+    at = zip(found["distance_m"].values, found["distance_sigma_m"].values, strict=True)
+    lines = ["layer " + distance_in_words(*each, origin).replace("\N{PLUS-MINUS SIGN}", "+-") for each in at]
+    if found.attrs["verdict"].startswith("nothing"):
+        lines = []
+    for name, misfit, chi_square in zip(
+        found["model"].values, found["model_misfit"].values, found["model_chi_square"].values, strict=True
+    ):
+        share = float(f"{100 * misfit:.2g}")
+        reduced = "below 0.01" if chi_square < 0.005 else f"{chi_square:.2f}"
+        lines.append(f"{name}: {share:g} % of the displacements unexplained, reduced chi-square {reduced}")
+    lines.append("; but ".join(filter(None, (f"verdict: {found.attrs['verdict']}", found.attrs["doubt"]))))
+    return lines

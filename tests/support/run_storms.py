@@ -25,7 +25,7 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.tables import progress_bar
+from app.commands.terminal import progress_bar
 from support.paths import TESTS
 from support.storm import FEW, MANY, Storm
 

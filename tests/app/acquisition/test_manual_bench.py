@@ -15,7 +15,7 @@ from support.patience import HANG_S
 
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
-from app.commands.measure import measure
+from app.commands.measure import measure_bench
 from app.errors import InputError, RunError
 from drivers.interface import Stage, WrongState
 from drivers.manual_light import ManualLight, ManualLightSettings
@@ -60,8 +60,8 @@ def test_measure_asks_for_manual_steps(
 ) -> None:
     person = Person(camera, presses=2)
     monkeypatch.setattr("sys.stdin", person)
-    monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
-    measured = measure(MANUAL, 3, tmp_path / "m", lambda *_: None)
+    monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
+    measured = measure_bench(MANUAL, 3, tmp_path / "m", lambda *_: None)
     assert measured.reconstructed == 3
     assert len(person.saw) == 2
     assert person.saw[1] == (True, False)  # after dark and reference
@@ -76,9 +76,9 @@ def test_measure_asks_for_a_manual_light(
     camera.light = light  # type: ignore[assignment] # the camera sees whether it is on
     person = Person(camera, presses=4)
     monkeypatch.setattr("sys.stdin", person)
-    monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
+    monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
     bench = replace(MANUAL, light=ManualLightSettings())
-    measured = measure(bench, 3, tmp_path / "m", lambda *_: None)
+    measured = measure_bench(bench, 3, tmp_path / "m", lambda *_: None)
     assert measured.reconstructed == 3
     assert [is_on for is_on, _ in person.saw] == [True, True, False, True]
     asked = [line.split(",")[0] for line in capsys.readouterr().err.splitlines()]
@@ -110,8 +110,8 @@ def test_measure_by_hand_retakes_unusable_reference(
 ) -> None:
     person = Mender(camera, presses=4)
     monkeypatch.setattr("sys.stdin", person)
-    monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
-    measured = measure(MANUAL, 3, tmp_path / "m", lambda *_: None)
+    monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
+    measured = measure_bench(MANUAL, 3, tmp_path / "m", lambda *_: None)
     assert measured.reconstructed == 3
     assert [is_sample_in for _, is_sample_in in person.saw] == [False] * 4
     first, *told, last = capsys.readouterr().err.splitlines()
@@ -125,9 +125,9 @@ def test_measure_by_hand_retakes_unusable_reference(
 def test_measure_with_motors_fails_on_unusable_reference(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     camera = FakeCamera()
     camera._images[0] = np.zeros_like(camera._images[0])
-    monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
+    monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
     with pytest.raises(RunError, match="the reference is unusable: "):
-        measure(BENCH, 3, tmp_path / "m", lambda *_: None)
+        measure_bench(BENCH, 3, tmp_path / "m", lambda *_: None)
     assert not camera.light.shines
     assert not (tmp_path / "m").exists()
 
@@ -137,18 +137,18 @@ def test_measure_fails_if_terminal_is_closed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, camera: FakeCamera, presses: int
 ) -> None:
     monkeypatch.setattr("sys.stdin", Person(camera, presses))
-    monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
+    monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
     with pytest.raises(InputError, match="terminal was closed before"):
-        measure(MANUAL, 3, tmp_path / "m", lambda *_: None)
+        measure_bench(MANUAL, 3, tmp_path / "m", lambda *_: None)
     assert not camera.light.shines
     assert camera.state in {"closed", "stopped"}  # stopped if it was never opened
 
 
 def test_measure_needs_a_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, camera: FakeCamera) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("\n\n"))
-    monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
+    monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
     with pytest.raises(InputError, match=r"no motors: .* to take the sample out of the beam"):
-        measure(MANUAL, 3, tmp_path / "m", lambda *_: None)
+        measure_bench(MANUAL, 3, tmp_path / "m", lambda *_: None)
 
 
 def test_window_starts_without_reference(camera: FakeCamera) -> None:

@@ -19,7 +19,7 @@ from app.batch.job import Job
 from app.batch.sources import unique_names
 from app.bench.config import load_bench, write_bench
 from app.bench.imaging_model import BenchModel
-from app.cli.tables import print_batch
+from app.commands.batch import print_batch
 from app.errors import InputError, Interrupted, RunError
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessing

@@ -161,7 +161,7 @@ def test_measure_that_recorded_nothing_can_be_repeated(
 
     command = ("measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m")
     with monkeypatch.context() as unplugged:
-        unplugged.setattr("app.commands.measure.start_camera", lambda acquisition: acquisition.submit(fail))
+        unplugged.setattr("app.acquisition.start_up.start_camera", lambda acquisition: acquisition.submit(fail))
         assert run(monkeypatch, *command) == 1
     assert "the camera is gone" in capsys.readouterr().err
     assert not (tmp_path / "m").exists()
@@ -289,7 +289,7 @@ def test_unplugged_camera_keeps_measured_frames(
         monkeypatch.setattr(camera, "read", read_while_plugged)
         return devices
 
-    monkeypatch.setattr("app.commands.measure.open_devices", open_then_unplug)
+    monkeypatch.setattr("app.acquisition.devices.open_devices", open_then_unplug)
     assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "50", "--out", tmp_path / "m") == 1
     errors = capsys.readouterr().err
     assert "svwfs: " in errors
@@ -444,7 +444,10 @@ def test_reading_bench_and_help_load_no_devices_numba_or_qt(tmp_path: Path, prog
 
 
 def test_measuring_loads_no_qt() -> None:
-    program = "import sys, app.commands.measure, app.cli.tables; sys.exit(any('PyQt6' in name for name in sys.modules))"
+    rooms = (
+        "app.cli.application, app.acquisition.start_up, app.acquisition.streams.publisher, app.results.frame_tallies"
+    )
+    program = f"import sys, {rooms}; sys.exit(any('PyQt6' in name for name in sys.modules))"
     finished = subprocess.run([sys.executable, "-c", program], check=False)  # noqa: S603 - our own program
     assert finished.returncode == 0
 

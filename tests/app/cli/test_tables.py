@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.bench.config import load_bench
-from app.cli.tables import print_measurement
+from app.commands.measure import print_measurement
 from app.results.frame_tallies import Measured
 
 

@@ -16,7 +16,7 @@ from support.pictures import assert_drawn
 
 from app.bench.config import load_bench, parse_bench
 from app.bench.presets import PRESETS
-from app.commands.calibrate import bench_text, calibrate, differences, summary, write_calibrated
+from app.commands.calibrate import bench_text, differences, find_lattice, summary, write_calibrated
 from app.results.figures import lattice_figure
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.cells import cell_index
@@ -177,7 +177,7 @@ def test_unusual_lattice_notation_is_rewritten() -> None:
 
 
 def test_preset_is_written_with_lattice(tmp_path: Path) -> None:
-    found = calibrate(FRAMES / "square_reference.tif", dark=None, bench=load_bench("live_demo"))
+    found = find_lattice(FRAMES / "square_reference.tif", dark=None, bench=load_bench("live_demo"))
     write_calibrated(found, "live_demo", tmp_path / "b.toml")
     assert load_bench(tmp_path / "b.toml") == found.bench
     (said,) = differences(found)
@@ -194,7 +194,7 @@ def test_full_frame_lattice_has_no_cut_cells() -> None:
 
 
 def test_lattice_plot_marks_lit_dark_outside_and_cut_lenslets(reference: Path) -> None:
-    found = calibrate(reference, dark=None, bench=load_bench(str(BENCH), ("sensor.lenslet_rows=12",)))
+    found = find_lattice(reference, dark=None, bench=load_bench(str(BENCH), ("sensor.lenslet_rows=12",)))
     figure = lattice_figure(found.reference, found.survey)
     labels = [str(text.get_text()) for text in figure.legends[0].get_texts()]
     count = {label.partition(" ")[2]: int(label.partition(" ")[0]) for label in labels if label[0].isdigit()}

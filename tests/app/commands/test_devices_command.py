@@ -21,8 +21,8 @@ from app.acquisition.device_kinds import KINDS, DeviceKind
 from app.acquisition.devices import open_camera, open_light
 from app.bench.config import load_bench, write_bench
 from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
-from app.commands import devices as device_report
-from app.commands.device_trace import Trace, serial_numbers
+from app.commands.device_check import Trace, check_and_print, identifying_texts
+from app.commands.devices import print_devices
 from app.errors import InputError, RunError
 from drivers.device import DiscoveredDevice, Property
 from drivers.errors import BadValue, Disconnected, Unsupported
@@ -67,7 +67,7 @@ class _Module:
 
 def test_devices_lists_bench_sections(bench: SimulatedBench, capsys: pytest.CaptureFixture[str]) -> None:
     bench.change(is_light_on=False)
-    device_report.print_devices()
+    print_devices()
     output = capsys.readouterr().out
     assert 'dcam:S/N 1   C9100-23B S/N 1\n      [camera]\n      driver = "dcam"\n      device = "S/N 1"\n' in output
     assert "coolled:COM7   perhaps a CoolLED\n    cannot be used yet: a cable\n" in output
@@ -82,7 +82,7 @@ def test_failed_search_reports_reason(monkeypatch: pytest.MonkeyPatch, capsys: p
     monkeypatch.setattr(
         "app.acquisition.device_kinds.import_module", lambda _: type("Module", (), {"discover": staticmethod(fail)})
     )
-    device_report.print_devices()
+    print_devices()
     assert capsys.readouterr().out.count("  not searched: the library is missing: install it\n") == len(KINDS)
 
 
@@ -100,7 +100,7 @@ def test_every_searched_driver_exists_in_bench() -> None:
 
 @pytest.mark.usefixtures("bench")
 def test_good_camera_passes(capsys: pytest.CaptureFixture[str]) -> None:
-    device_report.check_and_print("dcam:S/N 1")
+    check_and_print("dcam:S/N 1")
     output = capsys.readouterr().out
     assert "Simulated C9100-23B" in output
     assert "dcam:(serial number) passes all 15 checks" in output
@@ -111,7 +111,7 @@ def test_good_camera_passes(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.usefixtures("bench")
 def test_report_names_versions_and_settings(capsys: pytest.CaptureFixture[str]) -> None:
-    device_report.check_and_print("coolled:COM7")
+    check_and_print("coolled:COM7")
     first, second, third = capsys.readouterr().out.splitlines()[:3]
     assert first == f"svwfs {version('svwfs')}, Python {platform.python_version()}, {platform.platform()}"
     assert second == f"driver coolled, pyserial {version('pyserial')}"
@@ -131,7 +131,7 @@ def test_serial_numbers_are_hidden_unless_asked_for(capsys: pytest.CaptureFixtur
     with PtyServer(lamp) as server:
         light = DC4100Settings(port=server.port, channel=1)
         bench = replace(load_bench("live_demo"), camera=GenicamSettings(), light=light)
-        device_report.check_and_print("light", bench, serial_numbers=shows)
+        check_and_print("light", bench, serial_numbers=shows)
     output = capsys.readouterr().out
     assert ("M00266001" in output) == shows
     assert ("DC4100 (serial number) LED2" in output) == (not shows)
@@ -146,7 +146,7 @@ def test_lost_light_hides_its_serial_number(monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr("app.commands.device_check.open_camera", lose)
     with pytest.raises(RunError, match=r"^the camera \(serial number\) is gone; see ~/log$"):
-        device_report.check_and_print("dcam:S/N 1")
+        check_and_print("dcam:S/N 1")
 
 
 def test_only_serial_numbers_count_as_such() -> None:
@@ -160,10 +160,10 @@ def test_only_serial_numbers_count_as_such() -> None:
         "CCD": 65536,
         "model": "C9100-23B",
     }
-    found = serial_numbers("Hamamatsu C9100-23B, serial 000123", {"device": "0", "exposure_s": 0.01}, properties)
+    found = identifying_texts("Hamamatsu C9100-23B, serial 000123", {"device": "0", "exposure_s": 0.01}, properties)
     assert found == {"21735912", "bench of Ann", "M00412345", "000123"}
-    assert serial_numbers("", {"device": "S/N 1"}, {}) == {"S/N 1"}
-    assert not serial_numbers("", {"adapter": "DemoCamera", "device": "DCam"}, {})  # a model
+    assert identifying_texts("", {"device": "S/N 1"}, {}) == {"S/N 1"}
+    assert not identifying_texts("", {"adapter": "DemoCamera", "device": "DCam"}, {})  # a model
 
 
 def test_trace_notes_last_calls_and_answers() -> None:
@@ -212,7 +212,7 @@ def test_good_light_passes_within_announced_current(
             brightest_a.append(bench.condition.current_a)
 
     monkeypatch.setattr(bench, "change", watch)
-    device_report.check_and_print("coolled:COM7")
+    check_and_print("coolled:COM7")
     output = capsys.readouterr()
     assert "passes all 6 checks" in output.out
     assert output.err == "the light will shine with up to 50 mA, 5% of its range\n"
@@ -226,9 +226,9 @@ def test_device_is_checked_with_bench_settings(capsys: pytest.CaptureFixture[str
     with PtyServer(lamp) as server:
         light = DC4100Settings(port=server.port, channel=1, current_a=0.15)
         bench = replace(load_bench("live_demo"), camera=GenicamSettings(), light=light)
-        device_report.check_and_print("light", bench)
+        check_and_print("light", bench)
         with pytest.raises(InputError, match="--check takes camera or light"):
-            device_report.check_and_print("thorlabs_dc4100", bench)
+            check_and_print("thorlabs_dc4100", bench)
     output = capsys.readouterr()
     assert "DC4100 (serial number) LED2" in output.out
     assert "light passes all 6 checks" in output.out
@@ -249,7 +249,7 @@ def test_camera_behind_micro_manager_is_checked(tmp_path: Path, capsys: pytest.C
     written.write_text(write_bench(replace(load_bench("live_demo"), camera=camera, light=DC4100Settings(port="none"))))
     bench = load_bench(str(written))
     assert bench.camera == camera
-    device_report.check_and_print("camera", bench)
+    check_and_print("camera", bench)
     assert "camera passes all 15 checks" in capsys.readouterr().out
 
 
@@ -259,7 +259,7 @@ def test_contract_breaking_camera_fails(capsys: pytest.CaptureFixture[str], monk
         SimulatedCamera, "_set_em_gain", lambda self, em_gain: em_gain
     )  # acknowledges without setting it
     with pytest.raises(RunError, match=r"dcam:\(serial number\) fails 1 of 15 checks"):
-        device_report.check_and_print("dcam:S/N 1")
+        check_and_print("dcam:S/N 1")
     output = capsys.readouterr().out
     assert re.search(r"  FAILED +\d\.\d\d s  It accepts gains in its range; a refused one changes nothing\n", output)
     assert re.search(r"\n +set_em_gain\([\d.]+\) -> [\d.]+, \d\.\d{3} s\n", output)  # what was tried and answered
@@ -274,19 +274,19 @@ def test_lost_light_ends_check(bench: SimulatedBench, monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(SimulatedLight, "_switch", lose)
     with pytest.raises(RunError, match="the light is gone"):
-        device_report.check_and_print("coolled:COM7")
+        check_and_print("coolled:COM7")
 
 
 @pytest.mark.usefixtures("bench")
 def test_unconnected_device_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RunError, match=r"dcam:2 is not connected; `svwfs devices` shows what is"):
-        device_report.check_and_print("dcam:2")
+        check_and_print("dcam:2")
     with pytest.raises(InputError, match="it begins with one of dcam, genicam"):
-        device_report.check_and_print("/dev/ttyUSB0")
+        check_and_print("/dev/ttyUSB0")
 
     def fail(_: object) -> Camera:
         raise Unsupported("no library")
 
     monkeypatch.setattr("app.commands.device_check.open_camera", fail)
     with pytest.raises(RunError, match="no library"):
-        device_report.check_and_print("dcam:S/N 1")
+        check_and_print("dcam:S/N 1")

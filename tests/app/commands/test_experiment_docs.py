@@ -19,7 +19,7 @@ from support.pictures import assert_drawn
 import app.bench.presets
 from app.acquisition.start_up import FRAMES
 from app.bench.config import load_bench, parse_bench
-from app.commands.measure import measure
+from app.commands.measure import measure_bench
 from app.errors import Interrupted
 from app.recording.reader import Recording
 from drivers.stage import ManualStage
@@ -63,7 +63,7 @@ def test_every_documented_command_runs(
         is_refused = after.startswith("svwfs: ")
         words = shlex.split(command if is_refused else quick(command))
         if command.startswith("report") and "--set" in command:  # drawn before already
-            monkeypatch.setattr("app.results.report.run.one_page", lambda _: Figure())
+            monkeypatch.setattr("app.results.report.one_page", lambda _: Figure())
         assert run(monkeypatch, *words) == (2 if is_refused else 0), command
         shown = capsys.readouterr()
         if is_refused:
@@ -117,10 +117,10 @@ def test_prompts_match_documentation(
     camera = FakeCamera()
     camera.stage = ManualStage("stars")
     monkeypatch.setattr("sys.stdin", Person(camera, presses=2))
-    monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
+    monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
     source = replace(MANUAL.simulation.source, mask="stars")
     bench = replace(MANUAL, simulation=replace(MANUAL.simulation, source=source))
-    measure(bench, 1, tmp_path / "m", lambda *_: None, average=4)
+    measure_bench(bench, 1, tmp_path / "m", lambda *_: None, average=4)
     asked = capsys.readouterr().err.splitlines()
     assert len(asked) == 2
     assert all(f"    {line}\n" in TEXT for line in asked)
@@ -169,7 +169,7 @@ def test_used_folder_is_refused_before_opening_devices(
     def opened(*_: object) -> None:
         raise Interrupted("a device was opened")
 
-    monkeypatch.setattr("app.commands.measure.Acquisition", opened)
+    monkeypatch.setattr("app.acquisition.worker.Acquisition", opened)
     (tmp_path / "run.json").write_text("{}")
     words = ("measure", "--bench", "paper_experiment", "--frames", "1", "--out", tmp_path)
     assert run(monkeypatch, *words) == 2

@@ -13,7 +13,7 @@ from support.command_line import run
 
 from app.acquisition.devices import open_camera
 from app.bench.config import Bench, load_bench, write_bench
-from app.commands.trust import confirm_libraries
+from app.commands.terminal import confirm_libraries
 from app.errors import InputError
 from drivers.errors import Unsupported
 from drivers.settings import CoolLEDSettings, DcamSettings, MicroManagerSettings

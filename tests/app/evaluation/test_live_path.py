@@ -21,12 +21,12 @@ from PyQt6.QtCore import QTimer
 from PyQt6.QtWidgets import QApplication
 from support.gui_bench import BENCH, FakeCamera, make_measurement, opener
 
-import app.commands.acquisition_benchmark
+import app.commands.benchmark
 from app import cli
 from app.acquisition.devices import open_devices
 from app.bench.config import Bench, load_bench
 from app.bench.settings import RecordingSettings
-from app.commands.acquisition_benchmark import benchmark_acquisition
+from app.commands.benchmark import benchmark_acquisition
 from app.errors import InputError, Interrupted, RunError
 from app.evaluation.benchmark.live_path import course
 from app.evaluation.benchmark.live_path.course import Course, Span
@@ -463,7 +463,7 @@ def test_command_measures_70_hz_prints_writes_and_checks(
         plans.append(planned)
         return figures_of(span_of(late_s=late_s))
 
-    monkeypatch.setattr(app.commands.acquisition_benchmark, "benchmark_acquisition", measured)
+    monkeypatch.setattr(app.commands.benchmark, "benchmark_acquisition", measured)
     options = ["--live", "60", "--record-in", str(tmp_path), "--json", str(tmp_path / "live.json"), "--check"]
     monkeypatch.setattr(sys, "argv", ["svwfs", "benchmark", *options, "--set", "camera.em_gain=8"])
     with pytest.raises(SystemExit) as ended:

@@ -19,7 +19,7 @@ from support.recordings import edit_line, record
 from app.acquisition.devices import open_camera, open_devices
 from app.bench.config import load_bench, parse_bench, write_bench
 from app.bench.settings import Pace, RecordingSettings
-from app.commands.measure import measure
+from app.commands.measure import measure_bench
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement
@@ -444,9 +444,9 @@ def test_unusable_recording_is_refused_on_opening(small_toml: Path, steady: Reco
 
 def test_measuring_a_recording_reproduces_its_frames(small_toml: Path, tmp_path: Path) -> None:
     """Dark and reference agree exactly, the displacements within the noise of the averages."""
-    measure(load_bench(small_toml), 12, tmp_path / "run", ignore)
+    measure_bench(load_bench(small_toml), 12, tmp_path / "run", ignore)
     again = parse_bench(bench_text(small_toml, tmp_path / "run", pace="fastest"), "bench")
-    made = measure(again, 12, tmp_path / "again", ignore)
+    made = measure_bench(again, 12, tmp_path / "again", ignore)
     assert (made.recorded, made.reconstructed) == (12, 12)
     then, now = Recording(tmp_path / "run"), Recording(tmp_path / "again")
     for name in ("dark", "reference"):
@@ -470,7 +470,7 @@ def test_measuring_a_recording_reproduces_its_frames(small_toml: Path, tmp_path:
 def test_measuring_beyond_the_end_keeps_all_frames(small_toml: Path, steady: Recording, tmp_path: Path) -> None:
     bench = parse_bench(bench_text(small_toml, steady.folder), "bench")
     with pytest.raises(RunError, match=f"recording run has ended: all {FRAMES} frames were played"):
-        measure(bench, FRAMES + 1, tmp_path / "again", ignore)
+        measure_bench(bench, FRAMES + 1, tmp_path / "again", ignore)
     made = Recording(tmp_path / "again")
     assert made.is_complete
     assert len(made) == FRAMES

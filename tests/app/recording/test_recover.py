@@ -16,7 +16,7 @@ import zarr
 from support.optics import SmallBench
 from support.records import RANDOM, SHAPE, make_chain, make_record, noisy_calibration, write
 
-from app.cli.tables import print_recovered
+from app.commands.recover import print_recovered
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.recording.reader import Recording

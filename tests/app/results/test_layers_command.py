@@ -19,12 +19,19 @@ from app.results.corrector import (
     compare_correctors,
     correction_dataset,
     correction_figure,
-    in_words,
+    correction_sentence,
     wrapped,
     write_phase,
 )
-from app.results.layers import centred, distance_m, layers_dataset, layers_figure, ratio_at, shown_range_m
-from app.results.layers_run import summary
+from app.results.layers import (
+    centred,
+    distance_m,
+    layers_dataset,
+    layers_figure,
+    layers_sentences,
+    ratio_at,
+    shown_range_m,
+)
 from reconstruction.layers.corrector import Corrector
 from reconstruction.layers.layer_search import find_layers
 from simulated_devices.sample import make_sample
@@ -50,10 +57,10 @@ def test_layer_is_found(recording: Path, tmp_path: Path, monkeypatch: pytest.Mon
         assert found["distance_m"].values == pytest.approx([DISTANCE_M], rel=0.02)
         assert 1e-4 < found["distance_sigma_m"].item() < 0.01
         assert (found.attrs["verdict"], found.attrs["doubt"]) == ("one layer", "")
-        assert summary(found)[-1] == "verdict: one layer"
-        tiny = summary(found.assign(model_chi_square=0 * found["model_chi_square"] + 0.001))
+        assert layers_sentences(found)[-1] == "verdict: one layer"
+        tiny = layers_sentences(found.assign(model_chi_square=0 * found["model_chi_square"] + 0.001))
         assert tiny[-2].endswith("reduced chi-square below 0.01")
-        assert summary(found.assign_attrs(doubt="nothing fits"))[-1] == "verdict: one layer; but nothing fits"
+        assert layers_sentences(found.assign_attrs(doubt="nothing fits"))[-1] == "verdict: one layer; but nothing fits"
         best_m = found["distance"][int(found["misfit"].argmin("distance"))]
         assert abs(best_m - DISTANCE_M) < 0.02
         assert found["chi_square"].dims == ("distance",)
@@ -103,13 +110,13 @@ def test_layer_behind_the_lenslets_has_no_distance_from_the_mask() -> None:
     found = layers_dataset(find_layers(reconstruct.layers(wavefront)), bench, "mask")
     assert found.attrs["distances_from"] == "lenslets"
     assert found["distance_m"].item() == pytest.approx(-0.1, rel=0.1)
-    assert summary(found)[0].endswith(" mm behind the lenslets")
+    assert layers_sentences(found)[0].endswith(" mm behind the lenslets")
     low_mm, high_mm = layers_figure(found).axes[0].get_xlim()
     assert (low_mm, high_mm) == pytest.approx((-300, 150))
     made = compare_correctors(wavefront.at, bench.sensor, bench.field, Corrector("zernike", 45))
     corrector = correction_dataset(made, bench, "mask")
     assert corrector["corrector_distance_m"].item() == pytest.approx(-0.1, rel=0.2)
-    assert " mm behind the lenslets, " in in_words(corrector)
+    assert " mm behind the lenslets, " in correction_sentence(corrector)
 
 
 def test_distance_axis_shows_what_was_found() -> None:

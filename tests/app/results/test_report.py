@@ -29,9 +29,9 @@ from app.errors import InputError, RunError
 from app.recording.reader import Recording
 from app.results.export import export
 from app.results.replay import change_of
+from app.results.report import report_pages
 from app.results.report.facts import facts
 from app.results.report.pages import Page, draw_certainty, draw_comparison, draw_overview, one_page
-from app.results.report.run import report_pages
 from app.results.report.summary import Summary, residual_of, summarise
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
@@ -304,7 +304,7 @@ def test_report_is_written_atomically_and_replaces_only_on_request(
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("app.results.report.run.draw_certainty", fail)
+    monkeypatch.setattr("app.results.report.draw_certainty", fail)
     with pytest.raises(RunError, match="No space left"):
         reported(recording.folder, out, overwrite=True)
     assert out.read_bytes() == first

@@ -1,0 +1,81 @@
+"""`svwfs batch`: many recordings reconstructed in parallel into one store."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from app.commands.options import FOLDER, DashboardOption, FramesOption, SchedulerOption, SetOption, WorkersOption
+from app.commands.terminal import print_sentence, print_version_notice, print_warning, progress_bar
+from app.errors import RunError
+from app.progress import counted
+
+if TYPE_CHECKING:
+    from app.batch.run import Batch
+
+
+def batch(
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Folders of recordings.")],
+    *,
+    out: Annotated[
+        Path, typer.Option(metavar=FOLDER, help="Zarr store for the results; one that exists is continued.")
+    ],
+    bench: Annotated[
+        str | None, typer.Option("--bench", "-b", metavar="TOML", help="Another bench than the recorded ones.")
+    ] = None,
+    setting: SetOption = None,
+    frames: FramesOption = None,
+    refine: Annotated[
+        int, typer.Option(min=0, max=100, help="Maximum rounds of refinement of each frame, instead of the recorded.")
+    ] = 0,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    dashboard: DashboardOption = False,
+) -> None:
+    """Reconstruct many recordings in parallel into one Zarr store.
+
+    The wavefronts are those of svwfs replay --out, bit by bit, whatever the number of workers; by default there is one
+    for each core. The same command again does only what is missing: after Ctrl-C, a power failure, or with more
+    recordings. A recording or a frame that cannot be used is named at the end. xarray.open_zarr opens the store, see
+    docs/many_machines.md, also for clusters.
+
+    Example: svwfs batch run1 run2 run3 --out results.zarr
+
+    Example: svwfs batch run1 --refine 3 --scheduler tcp://node1:8786 --out refined.zarr
+    """
+    from app.batch.job import Job
+    from app.batch.run import check_store, run_batch
+    from app.batch.workers import workers as start
+    from app.bench.config import load_bench, write_bench
+
+    settings = tuple(setting or ())
+    other = "" if bench is None else write_bench(load_bench(bench, settings))
+    job = Job(bench=other, settings=() if other else settings, rounds=refine, frames=frames or "")
+    check_store(recordings, out, job)
+    with start(workers, scheduler, dashboard=dashboard) as evaluate, progress_bar() as progress:
+        if evaluate.dashboard:
+            typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
+        done = run_batch(recordings, out, job, evaluate, progress)
+    print_batch(done, out)
+    if bench is None:
+        print_version_notice(*recordings, settings=settings)
+    if done.failed:
+        raise RunError(f"{len(done.failed)} of {done.recordings} recordings failed")
+
+
+def print_batch(batch: Batch, out: Path) -> None:
+    """Print why recordings and frames failed, and the number of frames in the store."""
+    for reason in batch.failed.values():
+        print_warning(reason)
+    for copy, original in batch.copies.items():
+        print_warning(f"{copy}: is a copy of {original}, whose results are in the store under one name")
+    for folder, reasons in batch.damaged.items():
+        print_warning(f"{folder}: {counted(len(reasons))} damaged and left out: {reasons[0]}")
+    without = batch.frames - batch.wavefronts
+    why = f" ({batch.problem})" if batch.problem else ""
+    missing = f"; {without} have no wavefront{why}" if without else ""
+    done = batch.recordings - len(batch.failed)
+    before = f", {batch.frames - batch.computed} of them from before" if batch.frames > batch.computed else ""
+    print_sentence(f"{counted(done, 'recording')} with {counted(batch.frames)}{before} are in {out}{missing}")

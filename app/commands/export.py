@@ -1,0 +1,47 @@
+"""`svwfs export`: a recording in the formats of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from app.commands.options import FramesOption, OverwriteOption, RecordingArgument
+from app.commands.terminal import print_version_notice, progress_bar, warn_of_missing
+from app.progress import counted
+
+
+def export(
+    recording: RecordingArgument,
+    *,
+    to: Annotated[
+        Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"],
+        typer.Option(
+            help="tiff: frames; csv: RMS and coefficients; netcdf: all results; psf: point-spread functions;"
+            " double-zernike: for GalSim; zernike-table: Zernike coefficients of each view."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="File to write.")],
+    frames: FramesOption = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Convert a recording for other programs.
+
+    tiff: one BigTIFF for ImageJ with times and settings. csv: one row per frame for pandas or a spreadsheet. netcdf:
+    the results as written by svwfs measure. psf: one point-spread function per view, mean of the frames, sum 1, for
+    deconvolution. double-zernike: NetCDF, one array of coefficients per frame. zernike-table: CSV, one row per frame
+    and view. See docs/export.md.
+
+    Example: svwfs export run1 --to csv --out run1.csv
+
+    Example: svwfs export run1 --to double-zernike --out run1.nc
+    """
+    from app.results.export import export as run
+
+    with progress_bar() as progress:
+        count = run(recording, to, out, frames=frames, overwrite=overwrite, progress=progress)
+    typer.echo(f"{out} holds {counted(count)} of {recording}")
+    if to != "tiff":  # nothing is reconstructed
+        print_version_notice(recording)
+    warn_of_missing(recording)

@@ -1,0 +1,126 @@
+"""Options that several commands share, and what is made of them before the work: benches and checked files."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+from typer.core import TyperCommand, TyperOption
+
+from app.bench.presets import PRESETS
+from app.errors import InputError
+from app.files import check_outputs, check_readable, check_suffix
+
+if TYPE_CHECKING:
+    from app.bench.config import Bench
+
+FOLDER = "FOLDER"  # in the help, of an option that names a folder
+PICTURES = (".png", ".pdf", ".svg")  # Matplotlib writes others, some by programs that may be missing
+
+BenchOption = Annotated[
+    str, typer.Option("--bench", "-b", metavar="TOML", help=f"Bench TOML file, or a preset: {', '.join(PRESETS)}.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the bench, as registration.warp=affine."),
+]
+FramesOption = Annotated[
+    str | None, typer.Option(metavar="FIRST:END", help="Only these frames, counted from 0; END is excluded.")
+]
+FrameOption = Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")]
+RecordingArgument = Annotated[Path, typer.Argument(help="Folder of a recording.")]
+SourceArgument = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]
+OriginOption = Annotated[
+    Literal["lenslets", "mask"],
+    typer.Option("--from", help="Where distances are measured from: lenslets, in the collimated beam, or mask."),
+]
+PlotOption = Annotated[Path | None, typer.Option(help="Picture of the result: PNG, PDF or SVG.")]
+SeedsOption = Annotated[int, typer.Option(min=1, max=1000, help="Number of screens, starting at the bench's seed.")]
+
+WorkersOption = Annotated[
+    int | None, typer.Option(min=1, max=1024, help="Number of worker processes on this computer (extra: batch).")
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Use the workers of a running Dask scheduler, as tcp://node1:8786."),
+]
+DashboardOption = Annotated[
+    bool, typer.Option("--dashboard", help="Serve Dask's dashboard of these workers, readable by all users here.")
+]
+
+TrustOption = Annotated[
+    bool, typer.Option("--trust-library", help="Load the program library that the bench names, now and later.")
+]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing files, except inputs.")]
+
+
+def load(bench: str, setting: list[str] | None) -> Bench:
+    """Load a bench with the changes given by --set."""
+    from app.bench.config import load_bench
+
+    return load_bench(bench, tuple(setting or ()))
+
+
+def files_of_bench(bench: str, loaded: Bench) -> tuple[Path, ...]:
+    """Return the file of a bench and those that it names: inputs that no output may replace."""
+    from app.bench.bench_files import bench_file
+
+    return (bench_file(bench), *loaded.files)
+
+
+def files_of_sources(*sources: Path) -> list[Path]:
+    """Return the files of recordings and results, which no output may replace."""
+    from app.recording.folder import parts_of
+
+    return [part for source in sources for part in (parts_of(source) if source.is_dir() else [source])]
+
+
+def check_images(*images: Path | None) -> None:
+    """Raise `InputError` if one of these files cannot be read."""
+    for image in filter(None, images):
+        check_readable(image)
+
+
+def check_files(
+    out: Path | None,
+    *suffixes: str,
+    reads: Iterable[Path | None],
+    plot: Path | None = None,
+    more: Path | None = None,
+    overwrite: bool,
+) -> None:
+    """Check the files of a command before its work: `out` in a format with these suffixes, `plot` a picture.
+
+    `reads` are its inputs, `more` another output. `InputError` says what is wrong.
+    """
+    check_outputs([out, plot, more], inputs=reads, overwrite=overwrite)
+    if suffixes:
+        check_suffix(out, *suffixes)
+    if plot is not None:
+        require_suffix(plot, *PICTURES, kind="picture's name")
+
+
+def require_suffix(path: Path, *suffixes: str, kind: str = "name") -> None:
+    """Raise `InputError` if a name ends in none of these."""
+    if path.suffix.lower() not in suffixes:
+        raise InputError(f"{path}: give a {kind} that ends in one of {', '.join(suffixes)}")
+
+
+class OnceCommand(TyperCommand):
+    """Command that refuses a repeated option, and a folder's name for a file."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments; a repeated option would else replace itself, and a final slash be ignored."""
+        values, _, order = self.make_parser(ctx).parse_args(args=list(args))
+        for option, count in Counter(order).items():
+            if not isinstance(option, TyperOption) or option.multiple or option.is_flag:
+                continue
+            if count > 1:
+                ctx.fail(f"{option.opts[0]} is given {count} times: give it once")
+            value = str(values.get(option.name))
+            if value.endswith("/") and option.metavar != FOLDER and not Path(value).is_dir():
+                ctx.fail(f"{option.opts[0]} {value}: no such folder; leave the slash out of a file's name")
+        return super().parse_args(ctx, args)

@@ -1,0 +1,43 @@
+"""`svwfs recover`: a recording cut short, completed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from app.commands.options import RecordingArgument
+from app.commands.terminal import printable, progress_bar
+from app.errors import RunError
+
+if TYPE_CHECKING:
+    from app.recording.recover import Recovered
+
+
+def recover(recording: RecordingArgument) -> None:
+    """Complete a recording cut short by a crash or power failure.
+
+    Any damage is reported. Readable frames are never changed or lost; damaged lines are moved to frames.damaged.jsonl.
+
+    Example: svwfs recover run1
+    """
+    from app.recording.recover import recover as run
+
+    with progress_bar() as progress:
+        recovered = run(recording, lambda fraction: progress("checking the frames", fraction))
+    print_recovered(recovered, recording)
+    if not recovered.whole:
+        raise RunError(f"{recording}: no frame is whole")
+    if not recovered.has_calibration:
+        raise RunError(f"{recording}: no frame can be reconstructed, because no calibration can be read")
+
+
+def print_recovered(recovered: Recovered, folder: Path) -> None:
+    """Print the state of a recording, what was repaired, and its damage."""
+    state = "was complete" if recovered.was_complete else "is complete now"
+    damaged = ", but damaged" if recovered.damage else ""
+    typer.echo(printable(f"{folder}: {state}{damaged}: {recovered.summary}"))
+    for sentence in (*recovered.rebuilt, *recovered.damage, recovered.readable, recovered.put_aside):
+        if sentence:
+            typer.echo(printable(f"{folder}: {sentence}"))

@@ -1,0 +1,91 @@
+"""`svwfs replay`: a recording reconstructed again, to verify it or to compare another bench with its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from app.commands.options import FramesOption, OverwriteOption, RecordingArgument, SetOption
+from app.commands.terminal import (
+    print_by_view,
+    print_quality,
+    print_sentence,
+    print_version_notice,
+    print_warning,
+    progress_bar,
+    warn_of_missing,
+)
+from app.progress import counted
+
+if TYPE_CHECKING:
+    from app.results.replay import Replay
+
+
+def replay(
+    recording: RecordingArgument,
+    *,
+    verify: Annotated[bool, typer.Option("--verify", help="Fail unless every frame is reproduced bit by bit.")] = False,
+    bench: Annotated[
+        str | None,
+        typer.Option("--bench", "-b", metavar="TOML", help="Another bench to compare with the recorded one."),
+    ] = None,
+    setting: SetOption = None,
+    frames: FramesOption = None,
+    out: Annotated[Path | None, typer.Option(help="NetCDF file for the results.")] = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Reconstruct the frames of a recording again.
+
+    They keep their own dark, reference, lattice and refinement: the same software reproduces the results bit by bit.
+    With another --bench, or the recorded one changed by --set, the wavefronts are compared with the recorded ones view
+    by view.
+
+    Example: svwfs replay run1 --verify
+
+    Example: svwfs replay run1 --set reconstruction.method=zonal
+    """
+    from app.results.replay import replay as run
+
+    with progress_bar() as progress:
+        made = run(
+            recording,
+            bench=bench,
+            settings=tuple(setting or ()),
+            frames=frames,
+            out=out,
+            overwrite=overwrite,
+            verify=verify,
+            progress=progress,
+        )
+    print_replay(made)
+    if bench is None:
+        print_version_notice(recording, settings=tuple(setting or ()))
+    warn_of_missing(recording)
+
+
+def print_replay(made: Replay) -> None:
+    """Print whether the frames were reproduced, or how much another bench's wavefronts differ."""
+    compared = made.comparison
+    if compared is not None and compared.field is not None:
+        rows = zip(compared.recorded_rms_rad, compared.rms_rad, compared.difference_rms_rad, strict=True)
+        cells = (
+            (f"{then:.3f} > {now:.3f}\n{apart:.3f} apart" for then, now, apart in zip(*row, strict=True))
+            for row in rows
+        )
+        title = f"RMS (rad) as recorded > with this bench, mean of {counted(compared.frames)}"
+        print_by_view(compared.field, title, cells)
+    elif compared is not None and made.reconstructed:
+        print_sentence("this bench has other views or lenslets than the recorded one: nothing to compare")
+    if made.unrefined:
+        print_sentence(f"{counted(made.unrefined)} refined when recorded, but not with this bench")
+    if made.verification is not None:
+        (print_warning if made.verification.different else print_sentence)(made.verification.sentence)
+    print_quality(made.quality)
+    if made.assumed:
+        print_sentence(f"assumed: {made.assumed}")
+    failed = made.frames - made.reconstructed
+    if failed or made.verification is None:  # else the verification has counted them
+        why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
+        print_sentence(f"{counted(made.frames)}{why}")

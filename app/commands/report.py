@@ -1,0 +1,59 @@
+"""`svwfs report`: a recording summarised on three pages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.commands.options import FramesOption, OverwriteOption, RecordingArgument, SetOption
+from app.commands.terminal import print_by_view, print_sentence, print_version_notice, progress_bar, warn_of_missing
+
+
+def report(
+    recording: RecordingArgument,
+    *,
+    out: Annotated[
+        Path, typer.Option(help="File to write: .pdf with A4 pages, or .png with all pages in one picture.")
+    ],
+    beside: Annotated[
+        Path | None, typer.Option(metavar="RECORDING", help="Another recording of the same sample, to be subtracted.")
+    ] = None,
+    setting: SetOption = None,
+    frames: FramesOption = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Summarise a recording on three pages.
+
+    They show conditions, wavefronts, their uncertainty, lost frames and lenslets, and with the modal method the
+    strongest Zernike coefficients over the field. At most 200 frames, evenly
+    spread, are reconstructed again; --set tries another method on them. --beside adds a page with the difference of the
+    mean wavefronts to another recording, view by view, as in the paper's comparison of the square with the stars.
+
+    Example: svwfs report square --out square.pdf
+
+    Example: svwfs report square --beside stars --set registration.method=correlation --out compared.pdf
+    """
+    from app.results.report import report_pages
+
+    with progress_bar() as progress:
+        summary, residual = report_pages(
+            recording,
+            out,
+            beside=beside,
+            settings=tuple(setting or ()),
+            frames=frames,
+            overwrite=overwrite,
+            progress=progress,
+        )
+    if residual is not None:
+        title = f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames"
+        print_by_view(residual.field, title, ((f"{value:.3f}" for value in row) for row in residual.rms_rad))
+        print_sentence(residual.sentence)
+    typer.echo(f"the report of {summary.sampled_frames} is in {out}")
+    print_version_notice(recording, settings=tuple(setting or ()))
+    warn_of_missing(recording)
+    if beside is not None:
+        print_version_notice(beside)
+        warn_of_missing(beside)

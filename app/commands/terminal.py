@@ -1,0 +1,152 @@
+"""The terminal: progress bar, tables, sentences, warnings, and questions to whoever sits there."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from app.errors import InputError
+from app.progress import LINE_START, LINES
+
+if TYPE_CHECKING:
+    from app.bench.config import Bench
+    from app.results.frame_tallies import QualityTally
+    from reconstruction.geometry import Field
+    from reconstruction.registration.circulation import Circulation
+
+LIGHT_BY_HAND = "the light is manual: make sure that it is off"
+
+
+def printable(text: str) -> str:
+    """Return a text in one line, without control codes that could change the terminal."""
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """Progress bar on standard error, or lines for the program that asked for them; yields its callback."""
+    if os.environ.get(LINES):
+        yield lambda _, fraction: remind(f"{LINE_START}{fraction:.3f}")
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("starting", total=1.0)
+        yield lambda text, fraction: progress.update(task, description=text or "waiting", completed=fraction)
+
+
+def print_sentence(text: str) -> None:
+    """Print text that may come from a file."""
+    from rich.console import Console
+
+    Console().print(printable(text), markup=False, highlight=False, soft_wrap=True)
+
+
+def print_warning(sentence: str) -> None:
+    """Print a warning."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    Console().print(f"[yellow]warning:[/] {escape(printable(sentence))}", highlight=False, soft_wrap=True)
+
+
+def print_by_view(field: Field, title: str, cells: Iterable[Iterable[str]]) -> None:
+    """Print a table with a cell (view_row, view_column) for each view; where it is too wide, break before brackets."""
+    from rich.console import Console
+    from rich.table import Table
+
+    texts, table, console = [list(row) for row in cells], Table(title=title), Console()
+    widest = max(len(line) for row in texts for cell in row for line in cell.splitlines())
+    if 14 + (3 + widest) * field.view_columns > console.width:  # with lines and margins
+        texts = [[cell.replace(" (", "\n(") for cell in row] for row in texts]
+    table.add_column("y \\ x (mm)", justify="right")
+    for x_m in field.view_x_m:
+        table.add_column(f"{x_m * 1e3:+.2f}", justify="right")
+    inside = field.contains(field.view_x_m / field.half_width_m, field.view_y_m[:, None] / field.half_width_m)
+    for y_m, row, is_inside in zip(field.view_y_m, texts, inside, strict=True):
+        shown = (cell if lies else "outside" for cell, lies in zip(row, is_inside, strict=True))
+        table.add_row(f"{y_m * 1e3:+.2f}", *shown)
+    console.print(table)
+    if not inside.all():
+        console.print("outside: these views lie outside the circular field")
+
+
+def print_rotation(rotation: Circulation, *, rotates: bool) -> None:
+    """Print the rotation of the subimages, and a warning if it contradicts layers."""
+    from app.results.frame_tallies import ROTATES, rotation_sentence
+
+    print_sentence(rotation_sentence(rotation))
+    if rotates:
+        print_warning(ROTATES)
+
+
+def print_quality(quality: QualityTally) -> None:
+    """Print a warning for each fault of the frames, and a note of what could not be judged."""
+    for sentence in quality.sentences:
+        print_warning(f"doubtful: {sentence}")
+    if quality.unjudged:
+        print_sentence(f"note: {quality.unjudged}")
+
+
+def print_version_notice(*sources: Path, settings: tuple[str, ...] = ()) -> None:
+    """Print of recordings or results whose version neglected the propagation of light that this is done again."""
+    from app.results.sources import version_notice
+
+    for source in sources:
+        with suppress(InputError):  # of a source that the command has refused
+            if notice := version_notice(source, settings):
+                print_sentence(f"{source}: {notice}")
+
+
+def warn_of_missing(folder: Path) -> None:
+    """Warn if a complete recording has fewer lines than frames."""
+    from app.recording.reader import Recording
+
+    recording = Recording(folder)
+    missing = (recording.recorded_frames or 0) - len(recording)
+    if recording.is_complete and missing > 0:
+        print_warning(
+            f"{folder}: {missing} of {recording.recorded_frames} frames have no line; svwfs recover lists them"
+        )
+
+
+def remind(sentence: str) -> None:
+    """Print what a person must not forget."""
+    sys.stderr.write(f"{sentence}\n")
+
+
+def ask(request: str) -> None:
+    """Print a request for what only a person at the bench can do, and wait for Enter; `InputError` without terminal."""
+    if not sys.stdin.isatty():
+        raise InputError(f"this bench has no motors: run the command in a terminal, to be asked to {request}")
+    remind(f"{request}, then press Enter")
+    if not sys.stdin.readline():
+        raise InputError(f"the terminal was closed before this was done: {request}")
+
+
+def confirm_libraries(bench: Bench, *, trust: bool) -> None:
+    """Ask once for each library that a bench names whether it may be loaded; with `trust`, remember it without asking.
+
+    A changed library is asked for again. `InputError` if it is refused, or no terminal is attached.
+    """
+    from app.bench.trusted_libraries import unconfirmed
+
+    for library in unconfirmed(bench):
+        setting = f"{library.key} = {library.named}"
+        if not trust:
+            if not sys.stdin.isatty():
+                raise InputError(
+                    f"{setting} would run code: add --trust-library once if you trust it, or start the command in a"
+                    " terminal to be asked"
+                )
+            sys.stderr.write(f"the bench runs code: {setting}\nType yes if you trust it: ")
+            if sys.stdin.readline().strip().lower() != "yes":
+                raise InputError(f"{setting} is not trusted: change the bench")
+        library.trust()
