@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.commands.options import FOLDER, DashboardOption, FramesOption, SchedulerOption, SetOption, WorkersOption
-from app.commands.terminal import print_sentence, print_version_notice, print_warning, progress_bar
+from app.commands import options, terminal
 from app.errors import RunError
 from app.progress import counted
 
@@ -20,19 +19,19 @@ def batch(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Folders of recordings.")],
     *,
     out: Annotated[
-        Path, typer.Option(metavar=FOLDER, help="Zarr store for the results; one that exists is continued.")
+        Path, typer.Option(metavar=options.FOLDER, help="Zarr store for the results; one that exists is continued.")
     ],
     bench: Annotated[
         str | None, typer.Option("--bench", "-b", metavar="TOML", help="Another bench than the recorded ones.")
     ] = None,
-    setting: SetOption = None,
-    frames: FramesOption = None,
+    setting: options.Set = None,
+    frames: options.Frames = None,
     refine: Annotated[
         int, typer.Option(min=0, max=100, help="Maximum rounds of refinement of each frame, instead of the recorded.")
     ] = 0,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    dashboard: DashboardOption = False,
+    workers: options.Workers = None,
+    scheduler: options.Scheduler = None,
+    dashboard: options.Dashboard = False,
 ) -> None:
     """Reconstruct many recordings in parallel into one Zarr store.
 
@@ -54,13 +53,13 @@ def batch(
     other = "" if bench is None else write_bench(load_bench(bench, settings))
     job = Job(bench=other, settings=() if other else settings, rounds=refine, frames=frames or "")
     check_store(recordings, out, job)
-    with start(workers, scheduler, dashboard=dashboard) as evaluate, progress_bar() as progress:
+    with start(workers, scheduler, dashboard=dashboard) as evaluate, terminal.progress_bar() as progress:
         if evaluate.dashboard:
             typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
         done = run_batch(recordings, out, job, evaluate, progress)
     print_batch(done, out)
     if bench is None:
-        print_version_notice(*recordings, settings=settings)
+        terminal.print_version_notice(*recordings, settings=settings)
     if done.failed:
         raise RunError(f"{len(done.failed)} of {done.recordings} recordings failed")
 
@@ -68,14 +67,14 @@ def batch(
 def print_batch(batch: Batch, out: Path) -> None:
     """Print why recordings and frames failed, and the number of frames in the store."""
     for reason in batch.failed.values():
-        print_warning(reason)
+        terminal.print_warning(reason)
     for copy, original in batch.copies.items():
-        print_warning(f"{copy}: is a copy of {original}, whose results are in the store under one name")
+        terminal.print_warning(f"{copy}: is a copy of {original}, whose results are in the store under one name")
     for folder, reasons in batch.damaged.items():
-        print_warning(f"{folder}: {counted(len(reasons))} damaged and left out: {reasons[0]}")
+        terminal.print_warning(f"{folder}: {counted(len(reasons))} damaged and left out: {reasons[0]}")
     without = batch.frames - batch.wavefronts
     why = f" ({batch.problem})" if batch.problem else ""
     missing = f"; {without} have no wavefront{why}" if without else ""
     done = batch.recordings - len(batch.failed)
     before = f", {batch.frames - batch.computed} of them from before" if batch.frames > batch.computed else ""
-    print_sentence(f"{counted(done, 'recording')} with {counted(batch.frames)}{before} are in {out}{missing}")
+    terminal.print_sentence(f"{counted(done, 'recording')} with {counted(batch.frames)}{before} are in {out}{missing}")

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.commands.options import FOLDER, OverwriteOption, SetOption, load
-from app.commands.terminal import progress_bar
+from app.commands import options, terminal
 from app.errors import InputError, RunError
 from app.files import check_outputs, check_suffix
 from app.progress import Progress, between, named
@@ -45,7 +44,7 @@ def benchmark(
         ),
     ] = None,
     record_in: Annotated[
-        Path | None, typer.Option(metavar=FOLDER, help="With --live: folder of the temporary recording.")
+        Path | None, typer.Option(metavar=options.FOLDER, help="With --live: folder of the temporary recording.")
     ] = None,
     no_record: Annotated[bool, typer.Option("--no-record", help="With --live: do not record.")] = False,
     panels: Annotated[
@@ -55,8 +54,8 @@ def benchmark(
         str | None,
         typer.Option("--bench", "-b", metavar="TOML", help=f"With --live: simulated bench [default: {_LIVE_BENCH}]."),
     ] = None,
-    overwrite: OverwriteOption = False,
-    setting: SetOption = None,
+    overwrite: options.Overwrite = False,
+    setting: options.Set = None,
 ) -> None:
     """Measure the speed beside other libraries.
 
@@ -70,7 +69,7 @@ def benchmark(
     check_suffix(json, ".json")
     if live is not None:
         settings = (f"camera.exposure_s={_LIVE_EXPOSURE_S}", "reconstruction.refine=false", *(setting or ()))
-        loaded = load(bench or _LIVE_BENCH, list(settings))
+        loaded = options.load(bench or _LIVE_BENCH, list(settings))
         folder = None if no_record else record_in or Path(gettempdir())
         _benchmark_live(loaded, live, folder, with_panels=panels, json=json, check=check)
         return
@@ -83,8 +82,8 @@ def benchmark(
     from app.evaluation.benchmark.run_benchmark import BenchmarkPlan, run_benchmark
     from app.evaluation.study_files import write_json
 
-    plan = BenchmarkPlan(bench=load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
-    with progress_bar() as progress:
+    plan = BenchmarkPlan(bench=options.load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
+    with terminal.progress_bar() as progress:
         result = run_benchmark(plan, progress)
     if json is not None:
         write_json(json, result)
@@ -102,7 +101,7 @@ def _benchmark_live(
     from app.evaluation.study_files import write_json
 
     plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in, with_panels=with_panels)
-    with progress_bar() as progress:
+    with terminal.progress_bar() as progress:
         figures = benchmark_acquisition(plan, progress)
     print_figures(figures)
     if json is not None:

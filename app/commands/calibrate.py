@@ -12,16 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from app.commands.options import (
-    BenchOption,
-    OverwriteOption,
-    SetOption,
-    check_files,
-    check_images,
-    files_of_bench,
-    load,
-)
-from app.commands.terminal import progress_bar, remind
+from app.commands import options, terminal
 from app.errors import InputError
 from app.files import atomic_write
 from app.images import FORMATS
@@ -41,13 +32,13 @@ _LATTICE_SECTION = re.compile(r"^\[lattice\][^\n]*\n(?:(?!\[)[^\n]*\n)*", re.MUL
 def calibrate(
     reference: Annotated[Path, typer.Argument(help=f"Frame without the sample: {FORMATS}.")],
     *,
-    bench: BenchOption,
+    bench: options.Bench,
     out: Annotated[Path | None, typer.Option(help="Bench TOML file to write, with the lattice.")] = None,
     dark: Annotated[Path | None, typer.Option(help="Frame with the light off.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture of the frame with its lenslets: PNG, PDF or SVG.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON.")] = False,
-    overwrite: OverwriteOption = False,
-    setting: SetOption = None,
+    overwrite: options.Overwrite = False,
+    setting: options.Set = None,
 ) -> None:
     """Find the lenslet lattice in a reference frame.
 
@@ -56,11 +47,11 @@ def calibrate(
 
     Example: svwfs calibrate reference.tif --bench paper_experiment --out bench.toml --plot lattice.png
     """
-    loaded = load(bench, setting)
-    check_images(reference, dark)
-    reads = (reference, dark, *files_of_bench(bench, loaded))
-    check_files(out, ".toml", reads=reads, plot=plot, overwrite=overwrite)
-    with progress_bar() as progress:
+    loaded = options.load(bench, setting)
+    options.check_images(reference, dark)
+    reads = (reference, dark, *options.files_of_bench(bench, loaded))
+    options.check_files(out, ".toml", reads=reads, plot=plot, overwrite=overwrite)
+    with terminal.progress_bar() as progress:
         calibrated = find_lattice(reference, dark=dark, bench=loaded, progress=progress)
     if plot is not None:
         from app.results.figures import lattice_figure, save_figure
@@ -73,7 +64,7 @@ def calibrate(
         return
     typer.echo("\n".join(summary(calibrated)))
     for difference in differences(calibrated):
-        remind(f"note: {difference}")
+        terminal.remind(f"note: {difference}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

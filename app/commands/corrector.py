@@ -5,21 +5,12 @@ from typing import Annotated, Literal
 
 import typer
 
-from app.commands.options import (
-    FramesOption,
-    OriginOption,
-    OverwriteOption,
-    PlotOption,
-    SourceArgument,
-    check_files,
-    files_of_sources,
-    require_suffix,
-)
+from app.commands import options, terminal
 from app.errors import InputError
 
 
 def corrector(
-    source: SourceArgument,
+    source: options.Source,
     *,
     out: Annotated[Path, typer.Option(help="NetCDF file for residuals and command.")],
     influence: Annotated[
@@ -29,15 +20,15 @@ def corrector(
     distance: Annotated[
         float | None, typer.Option(metavar="M", help="Distance of the corrector (m); the best one if omitted.")
     ] = None,
-    origin: OriginOption = "lenslets",
+    origin: options.Origin = "lenslets",
     command: Annotated[
         Path | None,
         typer.Option(help="Phase map of the best command: .npy or .fits in rad, or .png wrapped at 2 pi, 8 bit."),
     ] = None,
     pixels: Annotated[int, typer.Option(min=2, max=8192, help="Pixels of the map's longer side.")] = 512,
-    frames: FramesOption = None,
-    plot: PlotOption = None,
-    overwrite: OverwriteOption = False,
+    frames: options.Frames = None,
+    plot: options.Plot = None,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Tell what one corrector could do, over its distance.
 
@@ -49,7 +40,6 @@ def corrector(
 
     Example: svwfs corrector result.nc --distance 0.195 --out c.nc --command slm.png --pixels 1024
     """
-    from app.commands.terminal import print_version_notice, progress_bar
     from app.progress import between
     from app.results.corrector import (
         PHASE_FORMATS,
@@ -69,10 +59,12 @@ def corrector(
         shapes = Corrector(influence, count)
     except ValueError as error:
         raise InputError(f"--count: {error}") from error
-    check_files(out, ".nc", reads=files_of_sources(source), plot=plot, more=command, overwrite=overwrite)
+    options.check_files(
+        out, ".nc", reads=options.files_of_sources(source), plot=plot, more=command, overwrite=overwrite
+    )
     if command is not None:
-        require_suffix(command, *PHASE_FORMATS)
-    with progress_bar() as progress:
+        options.require_suffix(command, *PHASE_FORMATS)
+    with terminal.progress_bar() as progress:
         bench = read_bench_of(source)
         ratio = None if distance is None else ratio_at(distance, origin, bench)
         phase_at = mean_wavefront(source, bench, frames, between(progress, 0, 0.7))
@@ -88,4 +80,4 @@ def corrector(
         if plot is not None:
             save_figure(correction_figure(found), plot)
     typer.echo(correction_sentence(found))
-    print_version_notice(source)
+    terminal.print_version_notice(source)

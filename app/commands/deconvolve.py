@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from app.commands.options import FramesOption, OverwriteOption, SetOption, check_files, check_images, files_of_sources
-from app.commands.terminal import print_version_notice, progress_bar
+from app.commands import options, terminal
 from app.errors import InputError, Interrupted
 from app.files import atomic_write, in_words
 from app.images import FORMATS
@@ -44,9 +43,9 @@ def deconvolve(
     iterations: Annotated[
         int, typer.Option(min=1, max=10_000, help="At most; it ends earlier when only noise is left.")
     ] = 50,
-    frames: FramesOption = None,
-    overwrite: OverwriteOption = False,
-    setting: SetOption = None,
+    frames: options.Frames = None,
+    overwrite: options.Overwrite = False,
+    setting: options.Set = None,
 ) -> None:
     """Deconvolve an image by the measured aberration of each field position.
 
@@ -69,12 +68,12 @@ def deconvolve(
 
     settings = [*_section(imaging), *(() if scale is None else (f"imaging.pixel_m={scale!r}",)), *(setting or ())]
     loaded = read_bench_of(source, tuple(settings))
-    check_images(image)
-    reads = [image, imaging, *files_of_sources(source), *loaded.files]
-    check_files(out, ".tif", ".tiff", reads=reads, overwrite=overwrite)
+    options.check_images(image)
+    reads = [image, imaging, *options.files_of_sources(source), *loaded.files]
+    options.check_files(out, ".tif", ".tiff", reads=reads, overwrite=overwrite)
     pixels = read_image(image)
     try:
-        with progress_bar() as progress:
+        with terminal.progress_bar() as progress:
             phase_at = mean_wavefront(source, loaded, frames, between(progress, 0, _READING))
             more = between(progress, _READING, 1)
             made = correct(pixels, phase_at, loaded, method, iterations, more, name=str(image))
@@ -85,7 +84,7 @@ def deconvolve(
     noise = "noise unknown" if math.isnan(made.chi_square) else f"chi-square {made.chi_square:.2f}"
     share = f"{100 * made.inside.mean():.0f} % of the pixels lie in the measured field"
     typer.echo(f"{counted(made.iterations, 'iteration')}, {noise}; {share}; the image is in {out}")
-    print_version_notice(source)
+    terminal.print_version_notice(source)
 
 
 def correct(

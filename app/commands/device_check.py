@@ -20,7 +20,7 @@ from app.acquisition.device_kinds import KINDS
 from app.acquisition.devices import open_camera, open_light
 from app.bench.config import Bench
 from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
-from app.commands.terminal import ask, remind
+from app.commands import terminal
 from app.errors import InputError, RunError
 from app.run_facts import versions
 from drivers.camera import Camera
@@ -265,9 +265,9 @@ class _Report:
 def _warn(sentence: str) -> None:
     """Print a warning before the light shines; on a terminal wait for Enter."""
     if sys.stdin.isatty():
-        ask(f"{sentence}: make sure that no one looks into it")
+        terminal.ask(f"{sentence}: make sure that no one looks into it")
     else:
-        remind(sentence)
+        terminal.remind(sentence)
 
 
 def _configured(bench: Bench, name: str) -> CameraSettings | LightSettings:

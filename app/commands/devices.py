@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from app.commands.options import SetOption, TrustOption, load
+from app.commands import options, terminal
 from app.errors import InputError
 
 
@@ -30,11 +30,11 @@ def devices(
             help="With --check camera or --check light: that device of this bench, with its settings.",
         ),
     ] = None,
-    trust_library: TrustOption = False,
+    trust_library: options.Trust = False,
     serial_numbers: Annotated[
         bool, typer.Option("--serial-numbers", help="With --check: do not hide serial numbers in the report.")
     ] = False,
-    setting: SetOption = None,
+    setting: options.Set = None,
 ) -> None:
     """List the connected cameras and lights.
 
@@ -46,16 +46,15 @@ def devices(
     Example: svwfs devices --check light --bench bench.toml
     """
     from app.commands.device_check import check_and_print
-    from app.commands.terminal import confirm_libraries
 
     if check is None and bench is None:
         print_devices()
     elif check is None:
         raise InputError("--bench needs --check camera or --check light")
     else:
-        loaded = None if bench is None else load(bench, setting)
+        loaded = None if bench is None else options.load(bench, setting)
         if loaded is not None:
-            confirm_libraries(loaded, trust=trust_library)
+            terminal.confirm_libraries(loaded, trust=trust_library)
         check_and_print(check, loaded, serial_numbers=serial_numbers)
 
 

@@ -7,13 +7,12 @@ from typing import Annotated, Literal
 
 import typer
 
-from app.commands.options import FramesOption, OverwriteOption, RecordingArgument
-from app.commands.terminal import print_version_notice, progress_bar, warn_of_missing
+from app.commands import options, terminal
 from app.progress import counted
 
 
 def export(
-    recording: RecordingArgument,
+    recording: options.Recording,
     *,
     to: Annotated[
         Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"],
@@ -23,8 +22,8 @@ def export(
         ),
     ],
     out: Annotated[Path, typer.Option(help="File to write.")],
-    frames: FramesOption = None,
-    overwrite: OverwriteOption = False,
+    frames: options.Frames = None,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Convert a recording for other programs.
 
@@ -39,9 +38,9 @@ def export(
     """
     from app.results.export import export as run
 
-    with progress_bar() as progress:
+    with terminal.progress_bar() as progress:
         count = run(recording, to, out, frames=frames, overwrite=overwrite, progress=progress)
     typer.echo(f"{out} holds {counted(count)} of {recording}")
     if to != "tiff":  # nothing is reconstructed
-        print_version_notice(recording)
-    warn_of_missing(recording)
+        terminal.print_version_notice(recording)
+    terminal.warn_of_missing(recording)

@@ -5,20 +5,12 @@ from typing import Annotated, Literal
 
 import typer
 
-from app.commands.options import (
-    FrameOption,
-    OverwriteOption,
-    PlotOption,
-    SourceArgument,
-    check_files,
-    files_of_sources,
-    require_suffix,
-)
+from app.commands import options, terminal
 from app.errors import InputError
 
 
 def field(
-    source: SourceArgument,
+    source: options.Source,
     *,
     out: Annotated[
         Path, typer.Option(help="NetCDF file for maps and double Zernikes, or .csv for a table of field positions.")
@@ -34,12 +26,12 @@ def field(
         int | None, typer.Option(min=0, help="Highest order of double Zernikes over the field; all if omitted.")
     ] = None,
     positions: Annotated[int, typer.Option(min=1, max=501, help="Field positions along each side.")] = 21,
-    frame: FrameOption = 0,
+    frame: options.Frame = 0,
     mode: Annotated[
         list[int] | None, typer.Option(metavar="N", help="Mode in the picture, repeatable; the strongest if omitted.")
     ] = None,
-    plot: PlotOption = None,
-    overwrite: OverwriteOption = False,
+    plot: options.Plot = None,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Map the coefficients of a wavefront over the field, with errors.
 
@@ -53,7 +45,6 @@ def field(
 
     Example: svwfs field result.nc --mode 5 --mode 6 --out field.nc --plot astigmatism.png
     """
-    from app.commands.terminal import print_version_notice, progress_bar
     from app.results.field_coefficients import (
         field_dataset,
         field_figure,
@@ -70,11 +61,11 @@ def field(
     from reconstruction.field_coefficients import field_coefficients
     from reconstruction.runtime.threads import one_blas_thread
 
-    check_files(out, reads=files_of_sources(source), plot=plot, overwrite=overwrite)
-    require_suffix(out, ".nc", ".csv")
+    options.check_files(out, reads=options.files_of_sources(source), plot=plot, overwrite=overwrite)
+    options.require_suffix(out, ".nc", ".csv")
     if field_order is not None and basis != "zernike":
         raise InputError("--field-order is that of double Zernikes: leave it out with --basis legendre")
-    with progress_bar() as progress, one_blas_thread():
+    with terminal.progress_bar() as progress, one_blas_thread():
         progress("reconstructing the frame", 0.0)
         bench, fit = read_fit(source, frame)
         try:
@@ -95,4 +86,4 @@ def field(
         if plot is not None:
             save_figure(field_figure(maps, mode or strongest(maps)), plot, dpi=130)
     typer.echo("\n".join(field_sentences(maps)))
-    print_version_notice(source)
+    terminal.print_version_notice(source)

@@ -5,32 +5,24 @@ from typing import Annotated
 
 import typer
 
-from app.commands.options import (
-    FrameOption,
-    OriginOption,
-    OverwriteOption,
-    PlotOption,
-    SourceArgument,
-    check_files,
-    files_of_sources,
-)
+from app.commands import options, terminal
 from app.errors import InputError
 
 _MOST = 2
 
 
 def layers(
-    source: SourceArgument,
+    source: options.Source,
     *,
     out: Annotated[Path, typer.Option(help="NetCDF file for distances, phase maps and misfit.")],
     count: Annotated[int, typer.Option("--layers", min=1, max=_MOST, help="Number of layers to look for.")] = 1,
     distance: Annotated[
         list[float] | None, typer.Option(metavar="M", help="Known distance of a layer (m); repeat it for two layers.")
     ] = None,
-    origin: OriginOption = "lenslets",
-    frame: FrameOption = 0,
-    plot: PlotOption = None,
-    overwrite: OverwriteOption = False,
+    origin: options.Origin = "lenslets",
+    frame: options.Frame = 0,
+    plot: options.Plot = None,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Find at which distance the aberration originates.
 
@@ -43,7 +35,6 @@ def layers(
 
     Example: svwfs layers run1 --layers 2 --from mask --out layers.nc
     """
-    from app.commands.terminal import print_version_notice, progress_bar
     from app.results.figures import save_figure
     from app.results.layers import layers_dataset, layers_figure, layers_sentences, ratio_at
     from app.results.result_file import write_results
@@ -58,8 +49,8 @@ def layers(
         raise InputError("two layers need two different distances")
     if count == _MOST and len(distances_m) == 1:
         raise InputError("two layers need two distances, or none")
-    check_files(out, ".nc", reads=files_of_sources(source), plot=plot, overwrite=overwrite)
-    with progress_bar() as progress, one_blas_thread():
+    options.check_files(out, ".nc", reads=options.files_of_sources(source), plot=plot, overwrite=overwrite)
+    with terminal.progress_bar() as progress, one_blas_thread():
         progress("reconstructing the frame", 0.0)
         bench, equations = measured_frame(source, frame)
         ratios = tuple(ratio_at(distance_m, origin, bench) for distance_m in distances_m)
@@ -70,4 +61,4 @@ def layers(
         if plot is not None:
             save_figure(layers_figure(found), plot)
     typer.echo(f"frame {frame}: " + "\n".join(layers_sentences(found)))
-    print_version_notice(source)
+    terminal.print_version_notice(source)

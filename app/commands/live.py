@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from app.commands.options import FOLDER, FramesOption, OverwriteOption, SetOption, TrustOption, load
-from app.commands.terminal import LIGHT_BY_HAND, confirm_libraries, remind
+from app.commands import options, terminal
 from app.errors import InputError, RunError
 from app.files import check_outputs, make_folder
 
@@ -34,11 +33,11 @@ def live(
         str | None,
         typer.Option("--bench", "-b", metavar="TOML", help=f"Bench TOML file or preset [default: {_LIVE_BENCH}]."),
     ] = None,
-    setting: SetOption = None,
+    setting: options.Set = None,
     replay: Annotated[
         Path | None, typer.Option(metavar="RECORDING", help="Play a recording repeatedly at its own rate.")
     ] = None,
-    frames: FramesOption = None,
+    frames: options.Frames = None,
     seconds: Annotated[
         float | None,
         typer.Option(
@@ -49,10 +48,10 @@ def live(
         ),
     ] = None,
     out: Annotated[
-        Path, typer.Option(metavar=FOLDER, help="For screenshot, results and timings of such a run.")
+        Path, typer.Option(metavar=options.FOLDER, help="For screenshot, results and timings of such a run.")
     ] = _LIVE_OUT,
-    overwrite: OverwriteOption = False,
-    trust_library: TrustOption = False,
+    overwrite: options.Overwrite = False,
+    trust_library: options.Trust = False,
 ) -> None:
     """Open the window with live wavefronts at every field position.
 
@@ -71,8 +70,8 @@ def live(
             offers_last = bench is None and not setting
             source, overrides = bench or _LIVE_BENCH, tuple(setting or ())
             raise typer.Exit(bench_window(source, overrides, trust=trust_library, offers_last=offers_last))
-        loaded = load(bench or _LIVE_BENCH, setting)
-        confirm_libraries(loaded, trust=trust_library)
+        loaded = options.load(bench or _LIVE_BENCH, setting)
+        terminal.confirm_libraries(loaded, trust=trust_library)
         raise typer.Exit(unattended_window(loaded, seconds=seconds, out=out, overwrite=overwrite))
     from app.results.player import Player
 
@@ -132,7 +131,7 @@ def bench_window(source: str, overrides: tuple[str, ...], *, trust: bool, offers
 
         status = run_window(None, make_for=publishing, open_first=open_first)
         if publishing.bench is not None and publishing.bench.has_manual_light:
-            remind(LIGHT_BY_HAND)
+            terminal.remind(terminal.LIGHT_BY_HAND)
     return status
 
 

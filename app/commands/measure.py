@@ -10,18 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from app.commands.options import FOLDER, BenchOption, OverwriteOption, SetOption, TrustOption, load
-from app.commands.terminal import (
-    LIGHT_BY_HAND,
-    ask,
-    confirm_libraries,
-    print_by_view,
-    print_quality,
-    print_rotation,
-    print_sentence,
-    progress_bar,
-    remind,
-)
+from app.commands import options, terminal
 from app.errors import InputError, Interrupted, RunError
 from app.files import check_outputs
 from app.progress import Progress, counted
@@ -37,10 +26,11 @@ _POLL_S = 0.05
 
 def measure(
     *,
-    bench: BenchOption,
+    bench: options.Bench,
     frames: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of frames to measure.")],
     out: Annotated[
-        Path, typer.Option(metavar=FOLDER, help="New folder for the recording, with results.nc beside the frames.")
+        Path,
+        typer.Option(metavar=options.FOLDER, help="New folder for the recording, with results.nc beside the frames."),
     ],
     mask: Annotated[
         str | None, typer.Option(metavar="NAME", help="Mask in the beam, as simulation.source.mask: square, stars, ...")
@@ -52,9 +42,9 @@ def measure(
     auto_expose: Annotated[
         bool, typer.Option("--auto-expose", help="Find the exposure first, without the sample: bright, not saturated.")
     ] = False,
-    overwrite: OverwriteOption = False,
-    trust_library: TrustOption = False,
-    setting: SetOption = None,
+    overwrite: options.Overwrite = False,
+    trust_library: options.Trust = False,
+    setting: options.Set = None,
 ) -> None:
     """Measure without a window: dark, reference, frames, results.
 
@@ -69,9 +59,9 @@ def measure(
     reconstruction.method=zonal --set camera.amplifier=normal --set camera.readout_speed=1 --set camera.exposure_s=3.8
     --average 4 --frames 10 --out stars
     """
-    loaded = load(bench, [*(setting or []), *([] if mask is None else [f"simulation.source.mask={mask}"])])
-    confirm_libraries(loaded, trust=trust_library)
-    with progress_bar() as progress:
+    loaded = options.load(bench, [*(setting or []), *([] if mask is None else [f"simulation.source.mask={mask}"])])
+    terminal.confirm_libraries(loaded, trust=trust_library)
+    with terminal.progress_bar() as progress:
         measured = measure_bench(
             loaded, frames, out, progress, average=average, auto_expose=auto_expose, overwrite=overwrite
         )
@@ -120,7 +110,7 @@ def measure_bench(
         finally:
             acquisition.close()
             if bench.has_manual_light:
-                remind(LIGHT_BY_HAND)
+                terminal.remind(terminal.LIGHT_BY_HAND)
     if isinstance(acquisition.error, InputError):
         raise acquisition.error
     state = acquisition.recording
@@ -155,7 +145,7 @@ def _calibrate(acquisition: Acquisition, bench: Bench, average: int, progress: P
     from app.acquisition.start_up import calibrate
 
     if bench.has_manual_stage:
-        ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
+        terminal.ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
     if bench.has_manual_light:
         _calibrate_by_hand(acquisition, average, progress, auto_expose=auto_expose)
     else:
@@ -164,17 +154,17 @@ def _calibrate(acquisition: Acquisition, bench: Bench, average: int, progress: P
         sentence = f"the reference is unusable: {problem}"
         if not bench.has_manual_stage:
             raise RunError(sentence)
-        ask(f"{sentence}; check light, mask and focus, the sample out of the beam")
+        terminal.ask(f"{sentence}; check light, mask and focus, the sample out of the beam")
         _wait([acquisition.take_reference(average)], acquisition, progress)
     if bench.has_manual_stage:
-        ask("put the sample into the beam")
+        terminal.ask("put the sample into the beam")
 
 
 def _calibrate_by_hand(acquisition: Acquisition, average: int, progress: Progress, *, auto_expose: bool) -> None:
     """Take dark and reference while the user switches the light."""
 
     def switch(word: str) -> None:
-        ask(f"switch the light {word}")
+        terminal.ask(f"switch the light {word}")
         acquisition.submit(lambda instrument: instrument.devices.light.note_light(word == "on")).result()
 
     if auto_expose:
@@ -244,16 +234,18 @@ def print_measurement(measured: Measured, out: Path) -> None:
         )
         for row in rows
     )
-    print_by_view(measured.bench.field, f"RMS (rad) of the wavefront{of}", cells)
-    print_sentence(f"error bar of one frame: {np.nanmean(measured.noise_rad):.3f} rad; assumed: {measured.assumed}")
+    terminal.print_by_view(measured.bench.field, f"RMS (rad) of the wavefront{of}", cells)
+    terminal.print_sentence(
+        f"error bar of one frame: {np.nanmean(measured.noise_rad):.3f} rad; assumed: {measured.assumed}"
+    )
     light = "" if measured.light_current_a is None else f", light current {measured.light_current_a:.4g} A"
-    print_sentence(f"exposure {measured.exposure_s * 1e3:.4g} ms{light}")
+    terminal.print_sentence(f"exposure {measured.exposure_s * 1e3:.4g} ms{light}")
     if measured.mask_note:
-        print_sentence(measured.mask_note)
+        terminal.print_sentence(measured.mask_note)
     failed = measured.recorded - measured.reconstructed
     why = f", {failed} not reconstructed ({measured.problem})" if failed else ""
     if measured.rotation is not None:
-        print_rotation(measured.rotation, rotates=2 * measured.rotating > measured.reconstructed)
-    print_quality(measured.quality)
+        terminal.print_rotation(measured.rotation, rotates=2 * measured.rotating > measured.reconstructed)
+    terminal.print_quality(measured.quality)
     counts = f"{counted(measured.recorded)}{why}, {measured.lost} lost by the camera; all is in {out}"
-    print_sentence(counts)
+    terminal.print_sentence(counts)

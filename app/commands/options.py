@@ -15,56 +15,56 @@ from app.errors import InputError
 from app.files import check_outputs, check_readable, check_suffix
 
 if TYPE_CHECKING:
-    from app.bench.config import Bench
+    from app.bench import config
 
 FOLDER = "FOLDER"  # in the help, of an option that names a folder
 PICTURES = (".png", ".pdf", ".svg")  # Matplotlib writes others, some by programs that may be missing
 
-BenchOption = Annotated[
+Bench = Annotated[
     str, typer.Option("--bench", "-b", metavar="TOML", help=f"Bench TOML file, or a preset: {', '.join(PRESETS)}.")
 ]
-SetOption = Annotated[
+Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the bench, as registration.warp=affine."),
 ]
-FramesOption = Annotated[
+Frames = Annotated[
     str | None, typer.Option(metavar="FIRST:END", help="Only these frames, counted from 0; END is excluded.")
 ]
-FrameOption = Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")]
-RecordingArgument = Annotated[Path, typer.Argument(help="Folder of a recording.")]
-SourceArgument = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]
-OriginOption = Annotated[
+Frame = Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")]
+Recording = Annotated[Path, typer.Argument(help="Folder of a recording.")]
+Source = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]
+Origin = Annotated[
     Literal["lenslets", "mask"],
     typer.Option("--from", help="Where distances are measured from: lenslets, in the collimated beam, or mask."),
 ]
-PlotOption = Annotated[Path | None, typer.Option(help="Picture of the result: PNG, PDF or SVG.")]
-SeedsOption = Annotated[int, typer.Option(min=1, max=1000, help="Number of screens, starting at the bench's seed.")]
+Plot = Annotated[Path | None, typer.Option(help="Picture of the result: PNG, PDF or SVG.")]
+Seeds = Annotated[int, typer.Option(min=1, max=1000, help="Number of screens, starting at the bench's seed.")]
 
-WorkersOption = Annotated[
+Workers = Annotated[
     int | None, typer.Option(min=1, max=1024, help="Number of worker processes on this computer (extra: batch).")
 ]
-SchedulerOption = Annotated[
+Scheduler = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="Use the workers of a running Dask scheduler, as tcp://node1:8786."),
 ]
-DashboardOption = Annotated[
+Dashboard = Annotated[
     bool, typer.Option("--dashboard", help="Serve Dask's dashboard of these workers, readable by all users here.")
 ]
 
-TrustOption = Annotated[
+Trust = Annotated[
     bool, typer.Option("--trust-library", help="Load the program library that the bench names, now and later.")
 ]
-OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing files, except inputs.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files, except inputs.")]
 
 
-def load(bench: str, setting: list[str] | None) -> Bench:
+def load(bench: str, setting: list[str] | None) -> config.Bench:
     """Load a bench with the changes given by --set."""
     from app.bench.config import load_bench
 
     return load_bench(bench, tuple(setting or ()))
 
 
-def files_of_bench(bench: str, loaded: Bench) -> tuple[Path, ...]:
+def files_of_bench(bench: str, loaded: config.Bench) -> tuple[Path, ...]:
     """Return the file of a bench and those that it names: inputs that no output may replace."""
     from app.bench.bench_files import bench_file
 

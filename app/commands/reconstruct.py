@@ -9,16 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from app.commands.options import (
-    BenchOption,
-    OverwriteOption,
-    SetOption,
-    check_files,
-    check_images,
-    files_of_bench,
-    load,
-)
-from app.commands.terminal import print_by_view, print_quality, print_rotation, print_sentence, progress_bar, remind
+from app.commands import options, terminal
 from app.errors import InputError
 from app.images import FORMATS
 from app.progress import Progress, counted
@@ -39,15 +30,15 @@ def reconstruct(
     frame: Annotated[Path, typer.Argument(help=f"Frame with the sample: {FORMATS}.")],
     *,
     reference: Annotated[Path, typer.Option(help="Frame without the sample.")],
-    bench: BenchOption,
+    bench: options.Bench,
     out: Annotated[Path, typer.Option(help="NetCDF file to write.")],
     dark: Annotated[Path | None, typer.Option(help="Frame with the light off.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture of the views: PNG, PDF or SVG.")] = None,
     refine: Annotated[
         int, typer.Option(min=0, max=100, help="Maximum rounds of refinement with the forward model.")
     ] = 0,
-    overwrite: OverwriteOption = False,
-    setting: SetOption = None,
+    overwrite: options.Overwrite = False,
+    setting: options.Set = None,
 ) -> None:
     """Reconstruct the wavefronts of one frame from image files.
 
@@ -58,11 +49,11 @@ def reconstruct(
     from app.results.frame_tallies import QualityTally
     from app.results.result_file import write_results
 
-    loaded = load(bench, setting)
-    check_images(frame, reference, dark)
-    reads = (frame, reference, dark, *files_of_bench(bench, loaded))
-    check_files(out, ".nc", reads=reads, plot=plot, overwrite=overwrite)
-    with progress_bar() if refine else nullcontext(lambda *_: None) as progress:
+    loaded = options.load(bench, setting)
+    options.check_images(frame, reference, dark)
+    reads = (frame, reference, dark, *options.files_of_bench(bench, loaded))
+    options.check_files(out, ".nc", reads=reads, plot=plot, overwrite=overwrite)
+    with terminal.progress_bar() if refine else nullcontext(lambda *_: None) as progress:
         made = reconstruct_files(frame, reference=reference, dark=dark, bench=loaded, refine=refine, progress=progress)
     names = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}
     dataset = result_dataset(made.wavefront, made.quality, with_psf=True)
@@ -71,16 +62,16 @@ def reconstruct(
     if plot is not None:
         save_figure(views_figure(made.wavefront), plot)
     for note in made.notes:
-        remind(f"note: {note}")
+        terminal.remind(f"note: {note}")
     print_views(made.wavefront)
     if refine:
         changes = ", ".join(f"{change_rad:.4f}" for change_rad in made.changes_rad)
         rounds = counted(len(made.changes_rad), "round")
         refined = f"refined in {rounds}, changing the wavefront by {changes} rad RMS"
-        print_sentence(refined if changes else "not refined: it would not improve")
+        terminal.print_sentence(refined if changes else "not refined: it would not improve")
     tally = QualityTally()
     tally.take(made.quality)
-    print_quality(tally)
+    terminal.print_quality(tally)
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,12 +165,14 @@ def print_views(wavefront: Wavefront) -> None:
 
     noise_rad = rms_noise(wavefront)
     cells = ((cell(*each) for each in zip(*row, strict=True)) for row in zip(wavefront.views, noise_rad, strict=True))
-    print_by_view(wavefront.field, "RMS +- error bar and PV (rad) of the wavefront at each field position", cells)
-    print_sentence(lenslet_summary(wavefront))
-    print_sentence(f"assumed: {sample_sentence(wavefront.sample, wavefront.field)}")
+    terminal.print_by_view(
+        wavefront.field, "RMS +- error bar and PV (rad) of the wavefront at each field position", cells
+    )
+    terminal.print_sentence(lenslet_summary(wavefront))
+    terminal.print_sentence(f"assumed: {sample_sentence(wavefront.sample, wavefront.field)}")
     rotation = rotation_of(wavefront)
     if rotation is not None:
-        print_rotation(rotation, rotates=rotation.contradicts_layers)
+        terminal.print_rotation(rotation, rotates=rotation.contradicts_layers)
 
 
 def lenslet_summary(wavefront: Wavefront) -> str:

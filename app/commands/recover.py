@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from app.commands.options import RecordingArgument
-from app.commands.terminal import printable, progress_bar
+from app.commands import options, terminal
 from app.errors import RunError
 
 if TYPE_CHECKING:
     from app.recording.recover import Recovered
 
 
-def recover(recording: RecordingArgument) -> None:
+def recover(recording: options.Recording) -> None:
     """Complete a recording cut short by a crash or power failure.
 
     Any damage is reported. Readable frames are never changed or lost; damaged lines are moved to frames.damaged.jsonl.
@@ -24,7 +23,7 @@ def recover(recording: RecordingArgument) -> None:
     """
     from app.recording.recover import recover as run
 
-    with progress_bar() as progress:
+    with terminal.progress_bar() as progress:
         recovered = run(recording, lambda fraction: progress("checking the frames", fraction))
     print_recovered(recovered, recording)
     if not recovered.whole:
@@ -37,7 +36,7 @@ def print_recovered(recovered: Recovered, folder: Path) -> None:
     """Print the state of a recording, what was repaired, and its damage."""
     state = "was complete" if recovered.was_complete else "is complete now"
     damaged = ", but damaged" if recovered.damage else ""
-    typer.echo(printable(f"{folder}: {state}{damaged}: {recovered.summary}"))
+    typer.echo(terminal.printable(f"{folder}: {state}{damaged}: {recovered.summary}"))
     for sentence in (*recovered.rebuilt, *recovered.damage, recovered.readable, recovered.put_aside):
         if sentence:
-            typer.echo(printable(f"{folder}: {sentence}"))
+            typer.echo(terminal.printable(f"{folder}: {sentence}"))

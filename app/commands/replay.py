@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.commands.options import FramesOption, OverwriteOption, RecordingArgument, SetOption
-from app.commands.terminal import (
-    print_by_view,
-    print_quality,
-    print_sentence,
-    print_version_notice,
-    print_warning,
-    progress_bar,
-    warn_of_missing,
-)
+from app.commands import options, terminal
 from app.progress import counted
 
 if TYPE_CHECKING:
@@ -24,17 +15,17 @@ if TYPE_CHECKING:
 
 
 def replay(
-    recording: RecordingArgument,
+    recording: options.Recording,
     *,
     verify: Annotated[bool, typer.Option("--verify", help="Fail unless every frame is reproduced bit by bit.")] = False,
     bench: Annotated[
         str | None,
         typer.Option("--bench", "-b", metavar="TOML", help="Another bench to compare with the recorded one."),
     ] = None,
-    setting: SetOption = None,
-    frames: FramesOption = None,
+    setting: options.Set = None,
+    frames: options.Frames = None,
     out: Annotated[Path | None, typer.Option(help="NetCDF file for the results.")] = None,
-    overwrite: OverwriteOption = False,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Reconstruct the frames of a recording again.
 
@@ -48,7 +39,7 @@ def replay(
     """
     from app.results.replay import replay as run
 
-    with progress_bar() as progress:
+    with terminal.progress_bar() as progress:
         made = run(
             recording,
             bench=bench,
@@ -61,8 +52,8 @@ def replay(
         )
     print_replay(made)
     if bench is None:
-        print_version_notice(recording, settings=tuple(setting or ()))
-    warn_of_missing(recording)
+        terminal.print_version_notice(recording, settings=tuple(setting or ()))
+    terminal.warn_of_missing(recording)
 
 
 def print_replay(made: Replay) -> None:
@@ -75,17 +66,17 @@ def print_replay(made: Replay) -> None:
             for row in rows
         )
         title = f"RMS (rad) as recorded > with this bench, mean of {counted(compared.frames)}"
-        print_by_view(compared.field, title, cells)
+        terminal.print_by_view(compared.field, title, cells)
     elif compared is not None and made.reconstructed:
-        print_sentence("this bench has other views or lenslets than the recorded one: nothing to compare")
+        terminal.print_sentence("this bench has other views or lenslets than the recorded one: nothing to compare")
     if made.unrefined:
-        print_sentence(f"{counted(made.unrefined)} refined when recorded, but not with this bench")
+        terminal.print_sentence(f"{counted(made.unrefined)} refined when recorded, but not with this bench")
     if made.verification is not None:
-        (print_warning if made.verification.different else print_sentence)(made.verification.sentence)
-    print_quality(made.quality)
+        (terminal.print_warning if made.verification.different else terminal.print_sentence)(made.verification.sentence)
+    terminal.print_quality(made.quality)
     if made.assumed:
-        print_sentence(f"assumed: {made.assumed}")
+        terminal.print_sentence(f"assumed: {made.assumed}")
     failed = made.frames - made.reconstructed
     if failed or made.verification is None:  # else the verification has counted them
         why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
-        print_sentence(f"{counted(made.frames)}{why}")
+        terminal.print_sentence(f"{counted(made.frames)}{why}")

@@ -7,12 +7,11 @@ from typing import Annotated
 
 import typer
 
-from app.commands.options import FramesOption, OverwriteOption, RecordingArgument, SetOption
-from app.commands.terminal import print_by_view, print_sentence, print_version_notice, progress_bar, warn_of_missing
+from app.commands import options, terminal
 
 
 def report(
-    recording: RecordingArgument,
+    recording: options.Recording,
     *,
     out: Annotated[
         Path, typer.Option(help="File to write: .pdf with A4 pages, or .png with all pages in one picture.")
@@ -20,9 +19,9 @@ def report(
     beside: Annotated[
         Path | None, typer.Option(metavar="RECORDING", help="Another recording of the same sample, to be subtracted.")
     ] = None,
-    setting: SetOption = None,
-    frames: FramesOption = None,
-    overwrite: OverwriteOption = False,
+    setting: options.Set = None,
+    frames: options.Frames = None,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Summarise a recording on three pages.
 
@@ -37,7 +36,7 @@ def report(
     """
     from app.results.report import report_pages
 
-    with progress_bar() as progress:
+    with terminal.progress_bar() as progress:
         summary, residual = report_pages(
             recording,
             out,
@@ -49,11 +48,11 @@ def report(
         )
     if residual is not None:
         title = f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames"
-        print_by_view(residual.field, title, ((f"{value:.3f}" for value in row) for row in residual.rms_rad))
-        print_sentence(residual.sentence)
+        terminal.print_by_view(residual.field, title, ((f"{value:.3f}" for value in row) for row in residual.rms_rad))
+        terminal.print_sentence(residual.sentence)
     typer.echo(f"the report of {summary.sampled_frames} is in {out}")
-    print_version_notice(recording, settings=tuple(setting or ()))
-    warn_of_missing(recording)
+    terminal.print_version_notice(recording, settings=tuple(setting or ()))
+    terminal.warn_of_missing(recording)
     if beside is not None:
-        print_version_notice(beside)
-        warn_of_missing(beside)
+        terminal.print_version_notice(beside)
+        terminal.warn_of_missing(beside)

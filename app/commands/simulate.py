@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from app.commands.options import FOLDER, BenchOption, OverwriteOption, SetOption, files_of_bench, load
-from app.commands.terminal import progress_bar
+from app.commands import options, terminal
 from app.files import check_outputs
 from app.progress import Progress
 
@@ -27,27 +26,27 @@ _TRUTH = "truth.nc"
 
 def simulate(
     *,
-    bench: BenchOption,
+    bench: options.Bench,
     out: Annotated[
-        Path, typer.Option(metavar=FOLDER, help="Folder for dark.tif, reference.tif, frame.tif and truth.nc.")
+        Path, typer.Option(metavar=options.FOLDER, help="Folder for dark.tif, reference.tif, frame.tif and truth.nc.")
     ],
-    setting: SetOption = None,
+    setting: options.Set = None,
     noise_free: Annotated[
         bool, typer.Option("--noise-free", help="Write mean photons instead of the camera's counts.")
     ] = False,
-    overwrite: OverwriteOption = False,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Simulate dark, reference and frame, with the true wavefronts.
 
     Example: svwfs simulate --bench paper_simulation --out simulated
     """
-    loaded = load(bench, setting)
+    loaded = options.load(bench, setting)
     check_outputs(
         [out / name for name in (*(f"{name}.tif" for name in _CONDITIONS), _TRUTH)],
-        inputs=files_of_bench(bench, loaded),
+        inputs=options.files_of_bench(bench, loaded),
         overwrite=overwrite,
     )
-    with progress_bar() as progress:
+    with terminal.progress_bar() as progress:
         scintillation = _render(loaded, out, noise_free=noise_free, progress=progress)
     typer.echo(f"dark.tif, reference.tif, frame.tif and truth.nc are in {out}")
     typer.echo(f"light at the lenslets: {100 * scintillation:.1f} % RMS from that without the sample")

@@ -8,20 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.commands.options import (
-    FOLDER,
-    BenchOption,
-    DashboardOption,
-    OnceCommand,
-    OverwriteOption,
-    SchedulerOption,
-    SeedsOption,
-    SetOption,
-    WorkersOption,
-    files_of_bench,
-    load,
-)
-from app.commands.terminal import progress_bar
+from app.commands import options, terminal
 from app.errors import RunError
 from app.files import check_outputs
 
@@ -61,20 +48,22 @@ def study(
         ),
     ] = None,
     *,
-    out: Annotated[Path, typer.Option(metavar=FOLDER, help="Folder for tables and figures: JSON, CSV and PNG.")],
-    seeds: SeedsOption = 3,
+    out: Annotated[
+        Path, typer.Option(metavar=options.FOLDER, help="Folder for tables and figures: JSON, CSV and PNG.")
+    ],
+    seeds: options.Seeds = 3,
     frames: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR", help="With calibration: add the *_reference.tif in DIR, taken with its bench.toml."
         ),
     ] = None,
-    bench: BenchOption = "paper_simulation",
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    dashboard: DashboardOption = False,
-    overwrite: OverwriteOption = False,
-    setting: SetOption = None,
+    bench: options.Bench = "paper_simulation",
+    workers: options.Workers = None,
+    scheduler: options.Scheduler = None,
+    dashboard: options.Dashboard = False,
+    overwrite: options.Overwrite = False,
+    setting: options.Set = None,
 ) -> None:
     """Measure the estimator's error against the truth.
 
@@ -92,8 +81,8 @@ def study(
     from app.evaluation.study.catalogue import chosen_studies
 
     studies = chosen_studies(names or [], frames)
-    loaded = load(bench, setting)
-    inputs = [*files_of_bench(bench, loaded), *(Path(name) for name in names or [])]
+    loaded = options.load(bench, setting)
+    inputs = [*options.files_of_bench(bench, loaded), *(Path(name) for name in names or [])]
     if workers is None and scheduler is None:
         _run(studies, loaded, seeds, out, inputs=inputs, overwrite=overwrite)
         return
@@ -121,7 +110,7 @@ def _run(
     from app.evaluation.study_tables import print_results
 
     check_outputs(files_of(studies, out), inputs=[*inputs, *bench.files], overwrite=overwrite)
-    with progress_bar() as progress:
+    with terminal.progress_bar() as progress:
         results = run_studies(bench, studies, seeds, out, progress, evaluate)
     print_results(results)
 
@@ -129,19 +118,21 @@ def _run(
 paper = typer.Typer(
     help="Reproduce the paper's tables beside its own numbers.", no_args_is_help=True, rich_markup_mode=None
 )
-OutOption = Annotated[Path, typer.Option(metavar=FOLDER, help="Folder for the table (JSON, CSV) and its figure.")]
+OutOption = Annotated[
+    Path, typer.Option(metavar=options.FOLDER, help="Folder for the table (JSON, CSV) and its figure.")
+]
 PeersOption = Annotated[bool, typer.Option(help="Include the slow methods of SimpleITK (extra: peers).")]
 
 
-@paper.command(cls=OnceCommand)
+@paper.command(cls=options.OnceCommand)
 def table1(
     *,
     out: OutOption,
-    seeds: SeedsOption = 1,
+    seeds: options.Seeds = 1,
     peers: PeersOption = False,
-    overwrite: OverwriteOption = False,
-    bench: BenchOption = "paper_simulation",
-    setting: SetOption = None,
+    overwrite: options.Overwrite = False,
+    bench: options.Bench = "paper_simulation",
+    setting: options.Set = None,
 ) -> None:
     """Table 1: every method on the simulated bench, against the truth.
 
@@ -149,18 +140,18 @@ def table1(
     """
     from app.evaluation.paper import paper_tables
 
-    _run([paper_tables.table1(peers=peers)], load(bench, setting), seeds, out, overwrite=overwrite)
+    _run([paper_tables.table1(peers=peers)], options.load(bench, setting), seeds, out, overwrite=overwrite)
 
 
-@paper.command(cls=OnceCommand)
+@paper.command(cls=options.OnceCommand)
 def table2(
     *,
     out: OutOption,
-    seeds: SeedsOption = 1,
+    seeds: options.Seeds = 1,
     peers: PeersOption = False,
-    overwrite: OverwriteOption = False,
-    bench: BenchOption = "paper_experiment",
-    setting: SetOption = None,
+    overwrite: options.Overwrite = False,
+    bench: options.Bench = "paper_experiment",
+    setting: options.Set = None,
 ) -> None:
     """Table 2: every method on noisy frames of the experiment, against the stars.
 
@@ -168,17 +159,17 @@ def table2(
     """
     from app.evaluation.paper import paper_tables
 
-    _run([paper_tables.table2(peers=peers)], load(bench, setting), seeds, out, overwrite=overwrite)
+    _run([paper_tables.table2(peers=peers)], options.load(bench, setting), seeds, out, overwrite=overwrite)
 
 
-@paper.command(cls=OnceCommand)
+@paper.command(cls=options.OnceCommand)
 def sources(
     *,
     out: OutOption,
-    seeds: SeedsOption = 1,
-    overwrite: OverwriteOption = False,
-    bench: BenchOption = "paper_simulation",
-    setting: SetOption = None,
+    seeds: options.Seeds = 1,
+    overwrite: options.Overwrite = False,
+    bench: options.Bench = "paper_simulation",
+    setting: options.Set = None,
 ) -> None:
     """The supplement's study of other source shapes.
 
@@ -186,4 +177,4 @@ def sources(
     """
     from app.evaluation.paper import paper_tables
 
-    _run([paper_tables.sources()], load(bench, setting), seeds, out, overwrite=overwrite)
+    _run([paper_tables.sources()], options.load(bench, setting), seeds, out, overwrite=overwrite)
