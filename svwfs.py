@@ -675,7 +675,7 @@ def open_result(path: str | Path) -> xr.Dataset:
     """
     from pathlib import Path
 
-    from app.batch.store_folder import open_store
+    from app.batch.store import open_store
     from app.results.result_file import open_results
 
     return open_store(Path(path)) if Path(path).is_dir() else open_results(path)

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import repeat
 from pathlib import Path
 from typing import Any
 
-from app.batch.job import Job
-from app.batch.sources import Source, find_sources
-from app.batch.store import ResultStore
-from app.batch.store_folder import check_free, is_store, only_writer
+from app.batch.job import Job, Source, find_sources
+from app.batch.store import ResultStore, is_store, store_attributes
 from app.batch.work import Block, DoneBlock, first_result, reconstruct_block
 from app.errors import InputError, Interrupted, RunError
-from app.files import in_words, remove_partial
+from app.files import check_writable, in_words, make_folder, remove_partial
 from app.progress import Progress
+from app.recording.folder import lock
 from app.tasks import Evaluate
 
 
@@ -167,3 +167,28 @@ class _Filling:
 def _reason(error: Exception) -> str:
     """Say why a recording cannot be reconstructed; an unexpected error with its kind."""
     return in_words(error) if isinstance(error, InputError) else f"{type(error).__name__}: {in_words(error)}"
+
+
+@contextmanager
+def only_writer(folder: Path) -> Iterator[None]:
+    """Check the folder of a store, and keep other runs out; `InputError` if one writes into it already."""
+    check_free(folder)
+    make_folder(folder.parent)
+    with folder.with_name(f".{folder.name}.lock").open("ab") as file:
+        try:
+            lock(file)
+        except InputError as error:
+            raise InputError(f"{folder}: another svwfs batch is writing into it") from error
+        yield
+
+
+def check_free(folder: Path) -> None:
+    """Raise `InputError` if a folder cannot hold a store."""
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"{folder}: is a file; the results need a folder")
+        if folder.is_dir() and not store_attributes(folder) and any(folder.iterdir()):
+            raise InputError(f"{folder}: exists already and holds no results of svwfs batch")
+        check_writable(folder)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be used: {in_words(error)}") from error

@@ -22,14 +22,14 @@ from zarr.core.buffer import Buffer
 from zarr.errors import ZarrUserWarning
 from zarr.storage import LocalStore
 
-from app.batch.job import Job
-from app.batch.sources import Source, unique_names
-from app.batch.store_folder import FORMAT
+from app.batch.job import Job, Source, unique_names
 from app.errors import InputError
 from app.files import atomic_write, in_words
+from app.recording.frame_array import METADATA
 from app.recording.reprocess import BLOCK_FRAMES
 from app.results.dataset import about
 
+FORMAT = "svwfs batch 1"
 STATE = "state"
 WAVEFRONT, NO_WAVEFRONT, DAMAGED = 1, 2, 3  # values of `state`; 0: not done
 
@@ -264,3 +264,28 @@ def _make(
 
 def _dimensions(array: zarr.Array[Any]) -> tuple[str, ...]:
     return tuple(map(str, array.metadata.dimension_names or ()))  # type: ignore[union-attr] # always of version 3
+
+
+def is_store(folder: Path) -> bool:
+    """True if a folder holds a whole store; a run may have been killed while it made one."""
+    return "job" in store_attributes(folder)
+
+
+def store_attributes(folder: Path) -> dict[str, Any]:
+    """Attributes of a store; empty if the folder holds none."""
+    try:
+        attributes = json.loads((folder / METADATA).read_text("utf-8"))["attributes"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return {}
+    return attributes if isinstance(attributes, dict) and attributes.get("format") == FORMAT else {}
+
+
+def open_store(folder: Path) -> xr.Dataset:
+    """Open a store for reading; arrays are read when they are used. `InputError` if the folder holds none."""
+    if not is_store(folder):
+        raise InputError(f"{folder}: holds no results of svwfs batch; svwfs.open_recording opens a recording")
+    try:
+        results: xr.Dataset = xr.open_zarr(folder, consolidated=True)
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{folder}: cannot be read as results of svwfs batch: {in_words(error)}") from error
+    return results

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,8 +11,7 @@ from typing import Any
 
 import xarray as xr
 
-from app.batch.job import Job
-from app.batch.sources import Source
+from app.batch.job import Job, Source
 from app.batch.store import ResultStore
 from app.bench.config import write_bench
 from app.errors import InputError, RunError
@@ -80,3 +80,11 @@ def _prepared(source: Source, job: Job) -> Reprocessing:
             " lists them"
         )
     return Reprocessing(recording, job.change, rounds=job.rounds)
+
+
+def dask_setup(_worker: object) -> None:
+    """Ignore Ctrl-C, which a terminal sends to all processes: Dask calls this as a worker process starts.
+
+    The command stops its workers. They load this module while they start, rather than with the first block.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -123,7 +123,7 @@ def workers(count: int | None, scheduler: str | None, *, dashboard: bool = False
                 dashboard_address="127.0.0.1:0",
                 scheduler_kwargs={"dashboard": dashboard},
                 silence_logs=logging.CRITICAL,
-                preload="app.batch.worker_setup",
+                preload="app.batch.work",
             )
             stack.callback(_close, cluster)
         try:
