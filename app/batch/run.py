@@ -47,27 +47,9 @@ def check_store(folders: Sequence[Path], out: Path, job: Job) -> None:
 def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, progress: Progress) -> Batch:
     """Reconstruct the blocks of recordings that are missing in the store `out`, which is made if necessary.
 
-    Parameters
-    ----------
-    folders
-        The recordings.
-    out
-        Folder of the store.
-    job
-        Settings; those of an existing store must be the same.
-    evaluate
-        Calls a function with each block, here or on workers that see the same folders.
-    progress
-        Gets the number of finished frames.
-
-    Raises
-    ------
-    InputError
-        If no recording can be used, or the store is of another job.
-    RunError
-        If nothing can be written, or the workers are lost. Everything that was finished stays.
-    Interrupted
-        On Ctrl-C; the text says how many frames are in the store.
+    `evaluate` calls a function with each block, here or on workers that see the same folders. `InputError` if no
+    recording can be used, or the store is of another job; `RunError` if nothing can be written, or the workers are
+    lost; `Interrupted` on Ctrl-C. What was finished stays, and the text says how much that is.
     """
     check_store(folders, out, job)
     sources, failed, copies = find_sources(folders, job.frames)

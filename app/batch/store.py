@@ -27,7 +27,7 @@ from app.errors import InputError
 from app.files import atomic_write, in_words
 from app.recording.frame_array import METADATA
 from app.recording.reprocess import BLOCK_FRAMES
-from app.results.dataset import about
+from app.results.result_file import about
 
 FORMAT = "svwfs batch 1"
 STATE = "state"

@@ -94,14 +94,8 @@ def workers(count: int | None, scheduler: str | None, *, dashboard: bool = False
     """Start `count` worker processes, by default one for each core, or connect to the scheduler at an address.
 
     Processes started here accept only connections with a certificate of this run (TLS), and serve a dashboard on this
-    computer only if `dashboard` asks for it.
-
-    Raises
-    ------
-    InputError
-        If Dask is not installed, or both are given.
-    RunError
-        If there is no scheduler at the address.
+    computer only if `dashboard` asks for it. `InputError` if Dask is not installed, or both are given, `RunError` if
+    there is no scheduler at the address.
     """
     if count is not None and scheduler is not None:
         raise InputError("--workers starts processes here, --scheduler uses those of a cluster: give one of them")

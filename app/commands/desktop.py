@@ -48,17 +48,8 @@ def desktop(
 def add_entry(bench: str | None) -> Path:
     """Add the entry for the present user, replacing an older one, and return its file.
 
-    Parameters
-    ----------
-    bench
-        Bench file or preset that the entry opens; None for the command's own default.
-
-    Raises
-    ------
-    InputError
-        The bench cannot be used, or this is not Linux.
-    RunError
-        `svwfs-window` is not installed, or the entry cannot be written.
+    It opens a bench file or preset; None is the command's own default. `InputError` if that cannot be used, or this is
+    not Linux, `RunError` if `svwfs-window` is not installed, or the entry cannot be written.
     """
     from app.bench.bench_files import bench_file
     from app.bench.config import load_bench

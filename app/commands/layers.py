@@ -35,7 +35,6 @@ def layers(
 
     Example: svwfs layers run1 --layers 2 --from mask --out layers.nc
     """
-    from app.results.figures import save_figure
     from app.results.layers import layers_dataset, layers_figure, layers_sentences, ratio_at
     from app.results.result_file import write_results
     from app.results.sources import measured_frame
@@ -59,6 +58,8 @@ def layers(
         progress("writing", 0.9)
         write_results(out, found, bench=bench, inputs={"source": source.name, "frame": str(frame)})
         if plot is not None:
+            from app.results.figures import save_figure
+
             save_figure(layers_figure(found), plot)
     typer.echo(f"frame {frame}: " + "\n".join(layers_sentences(found)))
     terminal.print_version_notice(source)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.files import atomic_write
-from app.results.dataset import about
 from app.results.layers import (
     MAP_POINTS,
     Origin,
@@ -25,6 +24,7 @@ from app.results.layers import (
     possible_origin,
     shown_range_m,
 )
+from app.results.result_file import about
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m

@@ -7,16 +7,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.errors import SETTINGS_CHANGED, InputError
 from app.recording.reprocess import Reprocessed
-from app.results.result_file import FRAME, LENSLET, PIECE, require_alike, write_results
+from app.results.result_file import FRAME, LENSLET, PIECE, Variable, about, require_alike, write_results
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
 from reconstruction.layers.layered_wavefront import AssumedSample
@@ -27,8 +25,6 @@ from reconstruction.registration.circulation import Circulation, measure_circula
 from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
-Variable = tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]  # dimensions, values, attributes
-
 _VIEW = ("view_row", "view_column")
 _PSF_REACH = 16  # half width of the map in diffraction widths (wavelength / pupil width), equal for all frames
 _RANGE = "displacement of the field's edge over what the cell allows; above 1 it has left the cell"
@@ -36,28 +32,23 @@ _CHI_SQUARE = "reduced chi-square of the registered subimage; NaN where the came
 _MOST_LAYERS = 2  # layers of a sample; the same for all frames, so that they can be stacked
 
 
-def about(units: str, long_name: str) -> dict[str, str]:
-    """Attributes of a variable."""
-    return {"units": units, "long_name": long_name}
-
-
-def transfer(wavefront: Wavefront) -> tuple[dict[str, Variable], dict[str, Variable]]:
-    """Modulation transfer of every view: variables and coordinates."""
+def transfer(wavefront: Wavefront) -> dict[str, Variable]:
+    """Modulation transfer of every view, over the frequency along x and y."""
     found = mtf(wavefront.views, wavefront.sensor)
     variables: dict[str, Variable] = {}
-    for axis, values, limit in (("x", found.along_x, found.limit_x), ("y", found.along_y, found.limit_y)):
-        dimensions, name = (*_VIEW, f"frequency_{axis}"), f"modulation transfer along {axis}"
-        variables[f"mtf_{axis}"] = dimensions, values, about("1", name)
-        variables[f"mtf_limit_{axis}"] = dimensions, limit, about("1", f"{name} without aberration")
-    frequency = about("1/rad", "cycles per radian of field angle")
-    return variables, {
-        "frequency_x": (("frequency_x",), found.frequency_x_per_rad, frequency),
-        "frequency_y": (("frequency_y",), found.frequency_y_per_rad, frequency),
-    }
+    for axis, values, limit, frequency_per_rad in (
+        ("x", found.along_x, found.limit_x, found.frequency_x_per_rad),
+        ("y", found.along_y, found.limit_y, found.frequency_y_per_rad),
+    ):
+        along, name = f"frequency_{axis}", f"modulation transfer along {axis}"
+        variables[f"mtf_{axis}"] = (*_VIEW, along), values, about("1", name)
+        variables[f"mtf_limit_{axis}"] = (*_VIEW, along), limit, about("1", f"{name} without aberration")
+        variables[along] = (along,), frequency_per_rad, about("1/rad", "cycles per radian of field angle")
+    return variables
 
 
-def structure(wavefront: Wavefront) -> tuple[dict[str, Variable], dict[str, Variable]]:
-    """Differences of wavefronts over the field: variables and coordinates."""
+def structure(wavefront: Wavefront) -> dict[str, Variable]:
+    """Differences of wavefronts over the field, over the separation of two positions."""
     found = isoplanatism(wavefront)
     error, without_tilt = np.array(found.error_rad), np.array(found.error_without_tilt_rad)
     at_views = about("rad", "RMS error of that one wavefront at each view")
@@ -65,6 +56,7 @@ def structure(wavefront: Wavefront) -> tuple[dict[str, Variable], dict[str, Vari
         "global_error": ((), error, about("rad", "RMS error of one wavefront for the whole field")),
         "global_error_without_tilt": ((), without_tilt, about("rad", "the same, but for tip and tilt")),
         "global_error_view": (_VIEW, found.view_error_rad, at_views),
+        "separation": (("separation",), found.curve.separation_m, about("m", "of two positions in the field")),
     }
     for suffix, curve in (("", found.curve), ("_without_tilt", found.curve_without_tilt)):
         note = ", without tip and tilt" * bool(suffix)
@@ -76,17 +68,17 @@ def structure(wavefront: Wavefront) -> tuple[dict[str, Variable], dict[str, Vari
         ):
             variables[f"structure_{name}{suffix}"] = ("separation",), values, about("rad", long_name + note)
         variables[f"isoplanatic_patch{suffix}"] = (), np.array(curve.patch_m), about("m", patch)
-    separation = (("separation",), found.curve.separation_m, about("m", "of two positions in the field"))
-    return variables, {"separation": separation}
+    return variables
 
 
-def point_spread(wavefront: Wavefront) -> tuple[dict[str, Variable], dict[str, Variable]]:
-    """Point-spread function of every view on a fixed grid of angles: variables and coordinates."""
+def point_spread(wavefront: Wavefront) -> dict[str, Variable]:
+    """Point-spread function of every view on a fixed grid of angles."""
     sensor = wavefront.sensor
     angle_rad = psf_angles_rad(sensor, _PSF_REACH * diffraction_rad(sensor))
-    values = psf(wavefront.views, sensor, angle_rad=angle_rad).astype(np.float32)
     ideal = about("1", "point-spread function over its peak when unaberrated")
-    return {"psf": ((*_VIEW, "angle_y", "angle_x"), values, ideal)}, {
+    values = psf(wavefront.views, sensor, angle_rad=angle_rad).astype(np.float32)
+    return {
+        "psf": ((*_VIEW, "angle_y", "angle_x"), values, ideal),
         "angle_x": (("angle_x",), angle_rad, about("rad", "field angle along x")),
         "angle_y": (("angle_y",), angle_rad, about("rad", "field angle along y")),
     }
@@ -118,11 +110,10 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
     variables |= rotation_variables(wavefront) | sample_variables(wavefront.sample, wavefront.field)
     if quality is not None:
         variables["quality"] = quality_variable(quality)
+    variables |= transfer(wavefront) | structure(wavefront)
+    if with_psf:
+        variables |= point_spread(wavefront)
     coordinates = _coordinates(wavefront.sensor, wavefront.field)
-    for qualities in (transfer, structure, point_spread)[: 3 if with_psf else 2]:
-        more, along = qualities(wavefront)
-        variables |= more
-        coordinates |= along
     attributes = propagation(wavefront.field)
     return xr.Dataset({**variables, "xy": ("xy", ["x", "y"])}, coords=coordinates, attrs=attributes)
 
@@ -130,14 +121,8 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
 def truth_dataset(views: Floats, light: Floats, bench: Bench) -> xr.Dataset:
     """Return a true wavefront and the light at the lenslets in the form of results.
 
-    Parameters
-    ----------
-    views
-        Wavefront, (view_row, view_column, lenslet_row, lenslet_column), rad.
-    light
-        Intensity relative to that without the sample, of the same shape.
-    bench
-        The bench that was simulated.
+    `views` has the wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column), `light` the intensity relative
+    to that without the sample.
     """
     variables = {
         **_wavefront_variables(views, bench.sensor),

@@ -39,24 +39,10 @@ def write_stack(
     pixel_um: float,
     interval_s: float | None = None,
 ) -> None:
-    """Write images (row, column) of one size and type as BigTIFF, one in memory at a time.
+    """Write as many images (row, column) of one size and type as there are labels, as BigTIFF, one in memory at a time.
 
-    tifffile's own ImageJ mode ends at 4 GB; this writes the same description and tags into a BigTIFF.
-
-    Parameters
-    ----------
-    path
-        The file.
-    images
-        As many images as `labels`.
-    labels
-        Text that ImageJ shows above each image.
-    information
-        Text under Image > Show Info.
-    pixel_um
-        Size of a pixel.
-    interval_s
-        Time between frames; with it the images are a film.
+    tifffile's own ImageJ mode ends at 4 GB; this writes the same description and tags into a BigTIFF. ImageJ shows
+    `labels` above the images, and `information` under Image > Show Info. With an interval they are a film.
     """
     remaining = iter(images)
     first = next(remaining)

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure, FigureBase
 
 from app.errors import SETTINGS_CHANGED, InputError
 from app.files import atomic_write
-from app.results.dataset import Variable, about
 from app.results.mode_coefficients import mode_names
+from app.results.result_file import Variable, about
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_coefficients import FieldCoefficients, ModalFit, field_coefficients

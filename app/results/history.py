@@ -64,13 +64,7 @@ class History:
         return self._time_s[at] - self._time_s[at[-1]], self._series[name][at]
 
     def write_csv(self, path: Path) -> None:
-        """Write all series: seconds since the first sample, and a column for each; phases in rad, gaps empty.
-
-        Raises
-        ------
-        RunError
-            If the file cannot be written.
-        """
+        """Write all series as CSV: seconds since the first sample, and a column for each; phases in rad, gaps empty."""
         at = np.arange(max(self._count - self._capacity, 0), self._count) % self._capacity
         time_s = self._time_s[at] - self._time_s[at[:1]]
         columns = [time_s, *(series[at] for series in self._series.values())]

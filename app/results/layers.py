@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from app.bench.config import Bench
 from app.errors import InputError
-from app.results.dataset import about
+from app.results.result_file import about
 from reconstruction.arrays import Floats
 from reconstruction.layers.layer_fit import Layer
 from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch

@@ -155,18 +155,8 @@ class Surface:
 def project_surface(values: Floats, limit: float, *, azimuth_rad: float, elevation_rad: float) -> Surface:
     """Project a map (row, column) as a surface of height values / (4 limit) over a base of width 1.
 
-    Faces with an unknown corner are left out.
-
-    Parameters
-    ----------
-    values : (row, column)
-        NaN where unknown.
-    limit : float
-        Value a quarter of the base's width high.
-    azimuth_rad : float
-        Turn of the base; at 0 columns run to the right and rows towards the viewer.
-    elevation_rad : float
-        Of the viewer above the base: pi/2 looks straight down.
+    Faces with an unknown corner, NaN, are left out. At azimuth 0 columns run to the right and rows towards the viewer;
+    a viewer at the elevation pi/2 looks straight down.
     """
     rows, columns = values.shape
     width = max(rows, columns) - 1

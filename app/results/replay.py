@@ -19,9 +19,9 @@ from app.progress import Progress, counted
 from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, Reprocessed, reprocess
-from app.results.dataset import Variable, about, results_in_pieces
+from app.results.dataset import results_in_pieces
 from app.results.frame_tallies import QualityTally, SampleTally
-from app.results.result_file import write_pieces
+from app.results.result_file import Variable, about, write_pieces
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field

@@ -16,6 +16,7 @@ import h5netcdf
 import h5py
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from app.bench.config import Bench, write_bench
 from app.errors import SETTINGS_CHANGED, InputError, RunError
@@ -242,3 +243,11 @@ class HdfFile(io.RawIOBase):
             super().close()
             if self._error is not None:
                 raise self._error
+
+
+Variable = tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]  # dimensions, values, attributes
+
+
+def about(units: str, long_name: str) -> dict[str, str]:
+    """Attributes of a variable."""
+    return {"units": units, "long_name": long_name}

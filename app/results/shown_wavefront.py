@@ -12,10 +12,10 @@ import numpy as np
 from app.bench.config import parse_bench
 from app.errors import InputError
 from app.results.result_file import reading_results
+from app.results.sources import modes_of
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
-from reconstruction.modes.field_modes import FieldModes, LegendreModes, ZernikeModes
-from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.modes.field_modes import FieldModes
 from reconstruction.quality.low_orders import without_low_orders
 from reconstruction.wavefront import Wavefront, without_piston
 
@@ -67,11 +67,9 @@ class StoredWavefront:
         if lenslets not in {None, views.shape[2:]}:
             raise InputError("{}: has {} x {} lenslets, the bench {} x {}".format(path, *views.shape[2:], *lenslets))
         unknown = np.isnan(views).all(axis=(0, 1))
-        values = pupil_modes(bench.sensor, bench.reconstruction.basis, len(coefficients)).values
-        by_mode = np.tensordot(coefficients.T, values, axes=1)
+        pupil, modes = modes_of(bench, coefficients)
+        by_mode = np.tensordot(coefficients.T, pupil.values, axes=1)
         by_mode[:, unknown] = np.nan
-        count = coefficients.shape[1]
-        modes = LegendreModes(count) if bench.field.shape == "square" else ZernikeModes(count)
         stored = cls(path.name, bench.field, modes, without_piston(by_mode))
         if np.nanmax(np.abs(stored.at(bench.field) - views), initial=0) > _SAME_RAD:  # displacements at stars, say
             raise InputError(f"{path}: its wavefront cannot be evaluated between its views")

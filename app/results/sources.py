@@ -1,7 +1,10 @@
 """Bench, wavefronts and coefficients from a recording or a file of results."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -10,29 +13,33 @@ from scipy.interpolate import make_interp_spline
 from app.bench.config import Bench, parse_bench
 from app.bench.earlier_versions import neglected_propagation
 from app.errors import SETTINGS_CHANGED, InputError
-from app.measurement.calibration import Calibration
 from app.progress import Progress
-from app.recording.reader import Recording, selected
-from app.recording.reprocess import reprocess
 from app.results.result_file import reading_results
 from reconstruction.arrays import Floats
-from reconstruction.deconvolution.corrected_image import PhaseAt
 from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
 from reconstruction.errors import ReconstructionError
-from reconstruction.field_coefficients import ModalFit
 from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes, gradient_basis
 from reconstruction.modes.layered_modes import layered_wavefronts
-from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.solve.modal import ModalSolver
 from reconstruction.solve.sensitivity import MeanGradients
-from reconstruction.wavefront import Wavefront, without_piston
+from reconstruction.wavefront import without_piston
+
+if TYPE_CHECKING:
+    from app.measurement.calibration import Calibration
+    from reconstruction.deconvolution.corrected_image import PhaseAt
+    from reconstruction.field_coefficients import ModalFit
+    from reconstruction.wavefront import Wavefront
 
 _LARGEST_RAD = 1e6  # of a coefficient: displacements of thousands of pixels
 
 
 def recorded_frame(folder: Path, frame: int) -> tuple[Calibration, Wavefront]:
     """Reconstruct one frame of a recording, counted from 0; `InputError` if there is none, or it has no wavefront."""
+    from app.recording.reader import Recording
+    from app.recording.reprocess import reprocess
+
     recording = Recording(folder)
     _require_frame(folder, frame, len(recording))
     (made,) = reprocess(recording, [frame])
@@ -85,7 +92,9 @@ def version_notice(source: Path, settings: tuple[str, ...] = ()) -> str:
 
 def _text_of(source: Path) -> str:
     if source.is_dir():
-        return str(Recording(source).run["bench"])
+        from app.recording.folder import read_run
+
+        return str(read_run(source)["bench"])
     with reading_results(source) as results:
         return str(results.attrs.get("bench", ""))
 
@@ -96,95 +105,90 @@ def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:
     A results file has the standard deviations of e_pq without their covariance: they are taken as uncorrelated. Raises
     `InputError` if there is no such frame, or it has no coefficients.
     """
-    return _recorded_fit(source, frame) if source.is_dir() else _stored_fit(source, frame)
+    from reconstruction.field_coefficients import ModalFit
 
-
-def _recorded_fit(folder: Path, frame: int) -> tuple[Bench, ModalFit]:
-    calibration, wavefront = recorded_frame(folder, frame)
     try:
-        return calibration.bench, ModalFit.of(wavefront)
+        if source.is_dir():
+            calibration, wavefront = recorded_frame(source, frame)
+            return calibration.bench, ModalFit.of(wavefront)
     except ReconstructionError as error:
-        raise InputError(f"{folder}: {error}") from error
-
-
-def _stored_fit(path: Path, frame: int) -> tuple[Bench, ModalFit]:
-    bench, results = stored_frame(path, frame, "coefficients_sigma", "wavefront")
+        raise InputError(f"{source}: {error}") from error
+    bench, results = stored_frame(source, frame, "coefficients_sigma", "wavefront")
     rad, sigma = (
         results[name].transpose("pupil_mode", "field_mode").values for name in ("coefficients", "coefficients_sigma")
     )
     views = results["wavefront"].transpose("view_row", "view_column", ...).values
     if bench.registration.method != "gauss_newton":
-        raise InputError(f"{path}: its wavefront is known at its views alone: reconstruct with method gauss_newton")
-    modes = pupil_modes(bench.sensor, bench.reconstruction.basis, len(rad))
-    field_modes = (ZernikeModes if bench.field.shape == "circle" else LegendreModes)(rad.shape[1])
+        raise InputError(f"{source}: its wavefront is known at its views alone: reconstruct with method gauss_newton")
     uncorrelated = np.diag(sigma[1:].ravel()).reshape(*sigma[1:].shape, -1)
     known = np.isfinite(views).any(axis=(0, 1))
-    return bench, ModalFit(bench.sensor, modes, field_modes, rad, uncorrelated, known)
+    return bench, ModalFit(bench.sensor, *modes_of(bench, rad), rad, uncorrelated, known)
 
 
-_Frame = tuple[Floats | None, Floats]  # e_pq (pupil_mode, field_mode), and the wavefronts of the views, rad
+def modes_of(bench: Bench, coefficients: Floats) -> tuple[PupilModes, PolynomialModes]:
+    """Return the pupil modes and field modes of coefficients e_pq of a bench, (pupil_mode, field_mode)."""
+    pupil, field = coefficients.shape
+    field_modes = (ZernikeModes if bench.field.shape == "circle" else LegendreModes)(field)
+    return pupil_modes(bench.sensor, bench.reconstruction.basis, pupil), field_modes
+
+
+_Frame = tuple[Floats, Floats]  # e_pq (pupil_mode, field_mode), empty without any, and the wavefronts of the views, rad
 
 
 def mean_wavefront(source: Path, bench: Bench, frames: str | None, progress: Progress) -> PhaseAt:
     """Return the mean wavefront of the frames FIRST:END of results or of a recording.
 
     Modal results hold it for every position of the field. Others are interpolated between their views, by splines of
-    the third degree if there are at least four along a side.
-
-    Raises
-    ------
-    InputError
-        If the source cannot be read, or has neither coefficients nor several views.
+    the third degree if there are at least four along a side. `InputError` if the source cannot be read, or has neither
+    coefficients nor several views.
     """
     read = _recorded_frames if source.is_dir() else _stored_frames
-    coefficients: Floats | None = None
-    views, count = np.zeros(()), 0
+    coefficients, views, count = np.zeros(()), np.zeros(()), 0
     for of_frame, views_of_frame in read(source, frames, progress):
-        if count and (views_of_frame.shape != views.shape or _shape(of_frame) != _shape(coefficients)):
+        if count and (views_of_frame.shape != views.shape or of_frame.shape != coefficients.shape):
             raise InputError(f"{source}: {SETTINGS_CHANGED}")
-        views, count = views + views_of_frame, count + 1
-        coefficients = of_frame if coefficients is None or of_frame is None else coefficients + of_frame
+        coefficients, views, count = coefficients + of_frame, views + views_of_frame, count + 1
     if not count:
         raise InputError(f"{source}: has no frame with a wavefront")
-    if coefficients is not None and bench.registration.method == "gauss_newton":
+    if coefficients.size and bench.registration.method == "gauss_newton":
         return _of_modes(bench, coefficients / count, views / count)
     return _between_views(source, bench, views / count)
 
 
-def _shape(values: Floats | None) -> tuple[int, ...]:
-    return () if values is None else values.shape
-
-
 def _stored_frames(source: Path, frames: str | None, progress: Progress) -> Iterator[_Frame]:
+    from app.recording.reader import selected
+
     with reading_results(source) as results:
         stacked = results if "frame" in results.dims else results.expand_dims("frame")
         chosen = selected(frames, stacked.sizes["frame"], source)
         for done, index in enumerate(chosen, 1):
             frame = stacked.isel(frame=index)
-            coefficients = frame["coefficients"].values if "coefficients" in frame else None
-            if coefficients is not None:
-                require_plausible(source, coefficients)
+            coefficients = frame["coefficients"].values if "coefficients" in frame else np.zeros(0)
+            require_plausible(source, coefficients)
             yield coefficients, frame["wavefront"].values
             progress("reading wavefronts", done / len(chosen))
 
 
 def _recorded_frames(source: Path, frames: str | None, progress: Progress) -> Iterator[_Frame]:
+    from app.recording.reader import Recording
+    from app.recording.reprocess import reprocess
+
     recording = Recording(source)
     chosen = recording.select(frames)
     for done, frame in enumerate(reprocess(recording, chosen), 1):
         if frame.wavefront is not None:
-            yield frame.wavefront.coefficients, frame.wavefront.views
+            coefficients = frame.wavefront.coefficients
+            yield np.zeros(0) if coefficients is None else coefficients, frame.wavefront.views
         progress("reconstructing frames", done / len(chosen))
 
 
 def _of_modes(bench: Bench, coefficients: Floats, views: Floats) -> PhaseAt:
     """Evaluate e_pq; lenslets that are unknown at every view stay unknown."""
-    modes = (ZernikeModes if bench.field.shape == "circle" else LegendreModes)(coefficients.shape[1])
-    values = pupil_modes(bench.sensor, bench.reconstruction.basis, len(coefficients)).values
+    pupil, modes = modes_of(bench, coefficients)
     known, half_m = np.isfinite(views).any(axis=(0, 1)), bench.field.half_width_m
 
     def phase_at(x_m: float, y_m: float) -> Floats:
-        phase = np.tensordot(coefficients @ modes.values(x_m / half_m, y_m / half_m), values, axes=1)
+        phase = np.tensordot(coefficients @ modes.values(x_m / half_m, y_m / half_m), pupil.values, axes=1)
         return without_piston(np.where(known, phase, np.nan))
 
     return phase_at
@@ -219,32 +223,25 @@ def measured_frame(source: Path, frame: int) -> tuple[Bench, FrameEquations]:
     Raises `InputError` if there is no such frame, or it cannot tell of layers.
     """
     try:
-        return _recorded_equations(source, frame) if source.is_dir() else _stored_equations(source, frame)
+        if source.is_dir():
+            calibration, wavefront = recorded_frame(source, frame)
+            return calibration.bench, calibration.reconstructor().layers(wavefront.displacement)
+        bench, results = stored_frame(source, frame, "displacement", "displacement_sigma", "valid")
+        sigma_px = results["displacement_sigma"].values[results["valid"].values.astype(bool)]
+        if not ((sigma_px > 0) & np.isfinite(sigma_px)).all():
+            raise InputError(f"{source}: is damaged: the error of a displacement must be above 0 px and finite")
+        return bench, _equations(results, bench)
     except ReconstructionError as error:
         raise InputError(f"{source}: {error}") from error
 
 
-def _recorded_equations(folder: Path, frame: int) -> tuple[Bench, FrameEquations]:
-    calibration, wavefront = recorded_frame(folder, frame)
-    return calibration.bench, calibration.reconstructor().layers(wavefront.displacement)
-
-
-def _stored_equations(path: Path, frame: int) -> tuple[Bench, FrameEquations]:
-    """Equations of the mean slopes of the modal wavefront, which no longer have the registration's bias."""
-    bench, results = stored_frame(path, frame, "displacement", "displacement_sigma", "valid")
-    sigma_px = results["displacement_sigma"].values[results["valid"].values.astype(bool)]
-    if not ((sigma_px > 0) & np.isfinite(sigma_px)).all():
-        raise InputError(f"{path}: is damaged: the error of a displacement must be above 0 px and finite")
-    return bench, _equations(results, bench)
-
-
 def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
+    """Equations of the mean slopes of the modal wavefront, which no longer have the registration's bias."""
     sensor, coefficients = bench.sensor, results["coefficients"].values
-    modes: PolynomialModes = (ZernikeModes if bench.field.shape == "circle" else LegendreModes)(coefficients.shape[1])
+    basis, modes = modes_of(bench, coefficients)
     gradients = gradient_basis(modes)
     parameters = _shown(results, gradients)
     sensitivity = MeanGradients(sensor, parameters)
-    basis = pupil_modes(sensor, bench.reconstruction.basis, len(coefficients))
     of_lenslets = np.einsum("lkpq,pq->lk", sensitivity(basis, slice(None)), coefficients[1:]) @ parameters
     shape = sensor.lenslet_rows, sensor.lenslet_columns
     variance = diagonal_covariance(results["displacement_sigma"].values ** 2)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -45,6 +47,16 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as monkeypatch:
         assert run(monkeypatch, "measure", "--bench", "small_demo", "--frames", "1", "--out", folder) == 0
     return folder
+
+
+def test_command_loads_only_what_it_needs(recording: Path, tmp_path: Path) -> None:
+    rooms = ("app", "drivers", "reconstruction", "simulated_devices")
+    count = f"len([name for name in sys.modules if name.split('.')[0] in {rooms}])"
+    program = f"import atexit, sys; from app.cli import main; atexit.register(lambda: print({count})); main()"
+    for arguments in (("layers", recording / "results.nc", "--out", tmp_path / "l.nc"), ("recover", "--help")):
+        command = [sys.executable, "-c", program, *map(str, arguments)]
+        finished = subprocess.run(command, check=True, capture_output=True, text=True)  # noqa: S603 - our own program
+        assert int(finished.stdout.splitlines()[-1]) <= 100, arguments
 
 
 @pytest.mark.parametrize("kind", ["recording", "result"])
