@@ -168,14 +168,14 @@ def print_views(wavefront: Wavefront) -> None:
     terminal.print_by_view(
         wavefront.field, "RMS +- error bar and PV (rad) of the wavefront at each field position", cells
     )
-    terminal.print_sentence(lenslet_summary(wavefront))
+    terminal.print_sentence(lenslet_sentence(wavefront))
     terminal.print_sentence(f"assumed: {sample_sentence(wavefront.sample, wavefront.field)}")
     rotation = rotation_of(wavefront)
     if rotation is not None:
         terminal.print_rotation(rotation, rotates=rotation.contradicts_layers)
 
 
-def lenslet_summary(wavefront: Wavefront) -> str:
+def lenslet_sentence(wavefront: Wavefront) -> str:
     """Summarise the lenslets, as "223 of 225 lenslets valid; 2 dark; 40 % of the dynamic range used"."""
     import numpy as np
 

@@ -1,14 +1,16 @@
 """Recordings in the formats of other programs: BigTIFF, CSV, NetCDF, point-spread functions, Zernike coefficients."""
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 import tifffile
+import xarray as xr
 from numpy.typing import NDArray
 
 from app.bench.config import write_bench
@@ -18,16 +20,23 @@ from app.progress import Progress
 from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed, reprocess
-from app.results.dataset import results_in_pieces
+from app.results.dataset import result_dataset, results_in_pieces
 from app.results.field_coefficients import double_zernikes, write_table, zernike_names, zernike_rows
 from app.results.replay import first_bench
 from app.results.result_file import write_pieces
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
 from reconstruction.quality.image_quality import psf, psf_angles_rad, psf_reach_rad
+from reconstruction.quality.verdict import Quality
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
+
+T = TypeVar("T")
+
+Format = Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"]
+
+_REACH_FRAMES = 50  # evenly spaced frames that set the angular range of the point-spread functions
 
 
 def write_stack(
@@ -106,14 +115,9 @@ def write_psf_grid(path: Path, grid: PsfGrid, field: Field, about: dict[str, Any
     step_rad = float(grid.angle_rad[1] - grid.angle_rad[0])
     pixel_m = step_rad * field.collimator_focal_length_m
     places = [
-        {
-            "view_row": row,
-            "view_column": column,
-            "x_m": float(field.view_x_m[column]),
-            "y_m": float(field.view_y_m[row]),
-            "light": float(grid.light[row, column]),
-        }
+        {"view_row": row, "view_column": column, "x_m": x_m, "y_m": y_m, "light": float(grid.light[row, column])}
         for row, column in known
+        for x_m, y_m in [(float(field.view_x_m[column]), float(field.view_y_m[row]))]
     ]
     information = {"pixel_rad": step_rad, "pixel_m": pixel_m, "views": places, **about}
     write_stack(
@@ -125,21 +129,15 @@ def write_psf_grid(path: Path, grid: PsfGrid, field: Field, about: dict[str, Any
     )
 
 
-T = TypeVar("T")
-
-Format = Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"]
-
-_REACH_FRAMES = 50  # evenly spaced frames that set the angular range of the point-spread functions
-
-
 def export(folder: Path, to: Format, out: Path, *, frames: str | None, overwrite: bool, progress: Progress) -> int:
     """Write the frames FIRST:END of a recording, or their results, to a file; return their number."""
+    write, *suffixes = _FORMATS[to]
     check_outputs([out], inputs=parts_of(folder), overwrite=overwrite)
-    check_suffix(out, *_SUFFIXES[to])
+    check_suffix(out, *suffixes)
     recording = Recording(folder)
     chosen = recording.select(frames)
     with one_blas_thread():
-        _WRITERS[to](recording, chosen, out, progress)
+        write(recording, chosen, out, progress)
     return len(chosen)
 
 
@@ -167,7 +165,7 @@ def _write_csv(recording: Recording, chosen: range, out: Path, progress: Progres
     `rms_R_C_rad` is the RMS at view row R, view column C; `e_P_Q_rad` the coefficient of pupil mode P and field mode
     Q, and `e_P_Q_sigma_rad` its standard deviation (modal method only).
     """
-    remaining = _counted(reprocess(recording, chosen), len(chosen), progress, "reconstructing frames")
+    remaining = _reconstructed(recording, chosen, progress)
     before: list[Reprocessed] = []  # up to the first with a wavefront, which decides the columns
     for frame in remaining:
         before.append(frame)
@@ -200,22 +198,20 @@ def _values(wavefront: Wavefront) -> dict[str, float]:
     return values
 
 
-def _write_netcdf(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
-    frames = _counted(reprocess(recording, chosen), len(chosen), progress, "reconstructing frames")
-    bench, inputs = first_bench(recording, chosen), {"recording": recording.folder.name}
-    write_pieces(out, results_in_pieces((frame, {}) for frame in frames), bench=bench, inputs=inputs)
-
-
-def _write_double_zernike(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
-    frames = _counted(reprocess(recording, chosen), len(chosen), progress, "reconstructing frames")
-    bench, inputs = first_bench(recording, chosen), {"recording": recording.folder.name}
-    pieces = results_in_pieces(((frame, {}) for frame in frames), double_zernikes)
-    write_pieces(out, pieces, bench=bench, inputs=inputs)
+def _write_results(
+    recording: Recording,
+    chosen: range,
+    out: Path,
+    progress: Progress,
+    results_of: Callable[[Wavefront, Quality], xr.Dataset] = result_dataset,
+) -> None:
+    pieces = results_in_pieces(((frame, {}) for frame in _reconstructed(recording, chosen, progress)), results_of)
+    write_pieces(out, pieces, bench=first_bench(recording, chosen), inputs={"recording": recording.folder.name})
 
 
 def _write_zernike_table(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
     """Write one row of numbers for each frame with a wavefront, and view inside the field."""
-    frames = _counted(reprocess(recording, chosen), len(chosen), progress, "reconstructing frames")
+    frames = _reconstructed(recording, chosen, progress)
     found = ((frame.line.index, frame.wavefront) for frame in frames if frame.wavefront is not None)
     first = next(found, None)
     if first is None:
@@ -237,9 +233,14 @@ def _write_psf(recording: Recording, chosen: range, out: Path, progress: Progres
 
 def _views(recording: Recording, chosen: range, progress: Progress, text: str) -> Iterator[Floats]:
     """Wavefronts of the frames that have one."""
-    for frame in _counted(reprocess(recording, chosen), len(chosen), progress, text):
-        if frame.wavefront is not None:
-            yield frame.wavefront.views
+    frames = _reconstructed(recording, chosen, progress, text)
+    return (frame.wavefront.views for frame in frames if frame.wavefront is not None)
+
+
+def _reconstructed(
+    recording: Recording, chosen: range, progress: Progress, text: str = "reconstructing frames"
+) -> Iterator[Reprocessed]:
+    return _counted(reprocess(recording, chosen), len(chosen), progress, text)
 
 
 def _counted(items: Iterable[T], count: int, progress: Progress, text: str) -> Iterator[T]:
@@ -248,19 +249,11 @@ def _counted(items: Iterable[T], count: int, progress: Progress, text: str) -> I
         progress(text, done / count)
 
 
-_SUFFIXES = {
-    "tiff": (".tif", ".tiff"),
-    "csv": (".csv",),
-    "netcdf": (".nc",),
-    "psf": (".tif", ".tiff"),
-    "double-zernike": (".nc",),
-    "zernike-table": (".csv",),
-}
-_WRITERS = {
-    "tiff": _write_tiff,
-    "csv": _write_csv,
-    "netcdf": _write_netcdf,
-    "psf": _write_psf,
-    "double-zernike": _write_double_zernike,
-    "zernike-table": _write_zernike_table,
+_FORMATS: dict[str, tuple[Any, ...]] = {  # what writes each, and its suffixes
+    "tiff": (_write_tiff, ".tif", ".tiff"),
+    "csv": (_write_csv, ".csv"),
+    "netcdf": (_write_results, ".nc"),
+    "psf": (_write_psf, ".tif", ".tiff"),
+    "double-zernike": (partial(_write_results, results_of=double_zernikes), ".nc"),
+    "zernike-table": (_write_zernike_table, ".csv"),
 }

@@ -45,7 +45,7 @@ def views_figure(wavefront: Wavefront) -> Figure:
     _draw_psf(right, wavefront)
     middle = field.view_rows // 2, field.view_columns // 2
     axes = curves.subplots(1, 2)
-    draw_transfer(axes[0], mtf(views[middle], sensor), place(field, *middle))
+    draw_transfer(axes[0], mtf(views[middle], sensor), place_of_view(field, *middle))
     draw_structure(axes[1], isoplanatism(wavefront))
     return figure
 
@@ -115,14 +115,14 @@ def draw_structure(axis: Axes, found: Isoplanatism) -> None:
     axis.legend(fontsize=8)
 
 
-def place(field: Field, row: int, column: int) -> str:
+def place_of_view(field: Field, row: int, column: int) -> str:
     """Return the position of a view in words."""
     return f"({field.view_x_m[column] * 1e3:+.2f}, {field.view_y_m[row] * 1e3:+.2f}) mm"
 
 
 def _with_places(field: Field, captions: list[list[str]]) -> list[list[str]]:
     return [
-        [f"{place(field, row, column)}\n{caption}" for column, caption in enumerate(line)]
+        [f"{place_of_view(field, row, column)}\n{caption}" for column, caption in enumerate(line)]
         for row, line in enumerate(captions)
     ]
 

@@ -22,7 +22,6 @@ from app.recording.reprocess import Change, Reprocessed, reprocess
 from app.results.dataset import results_in_pieces
 from app.results.frame_tallies import QualityTally, SampleTally
 from app.results.result_file import Variable, about, write_pieces
-from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.refinement import mean_rms
@@ -101,39 +100,30 @@ def _difference(then: NDArray[Any] | None, now: NDArray[Any], what: str, unit: s
 
 
 class Comparison:
-    """Means over the frames that have a wavefront with both benches."""
+    """RMS of the wavefronts with both benches, and of their difference without piston, (view_row, view_column).
+
+    They are means over the frames that have a wavefront with both.
+    """
 
     def __init__(self) -> None:
         self.frames = 0
         self.field: Field | None = None
-        self._sums: list[Floats] = []
+        self.recorded_rms_rad = self.rms_rad = self.difference_rms_rad = np.zeros(())
 
     def take(self, then: Reprocessed, now: Reprocessed) -> dict[str, Variable]:
         """Add a frame; return additional variables for its results."""
         if then.wavefront is None or now.wavefront is None or not are_alike(then.wavefront, now.wavefront):
             return {}
-        values = [rms(then.wavefront.views), rms(now.wavefront.views), rms(now.wavefront.views - then.wavefront.views)]
-        self._sums = [total + value for total, value in zip(self._sums or [np.zeros(1)] * 3, values, strict=True)]
         self.frames, self.field = self.frames + 1, now.wavefront.field
+        recorded, again = rms(then.wavefront.views), rms(now.wavefront.views)
+        difference = rms(now.wavefront.views - then.wavefront.views)
+        self.recorded_rms_rad = self.recorded_rms_rad + (recorded - self.recorded_rms_rad) / self.frames
+        self.rms_rad = self.rms_rad + (again - self.rms_rad) / self.frames
+        self.difference_rms_rad = self.difference_rms_rad + (difference - self.difference_rms_rad) / self.frames
         return {
-            "recorded_rms": (_VIEW, values[0], about("rad", "RMS of each view's wavefront with the recorded bench")),
-            "difference_rms": (_VIEW, values[2], about("rad", "RMS difference of each view's wavefront from it")),
+            "recorded_rms": (_VIEW, recorded, about("rad", "RMS of each view's wavefront with the recorded bench")),
+            "difference_rms": (_VIEW, difference, about("rad", "RMS difference of each view's wavefront from it")),
         }
-
-    @property
-    def recorded_rms_rad(self) -> Floats:
-        """RMS with the recorded bench, (view_row, view_column)."""
-        return self._sums[0] / self.frames
-
-    @property
-    def rms_rad(self) -> Floats:
-        """RMS with the other bench, (view_row, view_column)."""
-        return self._sums[1] / self.frames
-
-    @property
-    def difference_rms_rad(self) -> Floats:
-        """RMS of the difference where both wavefronts are known, without piston, (view_row, view_column)."""
-        return self._sums[2] / self.frames
 
 
 def are_alike(one: Wavefront, other: Wavefront) -> bool:

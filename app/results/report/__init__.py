@@ -11,16 +11,7 @@ from app.progress import Progress, between, part
 from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.results.replay import change_of
-from app.results.report.pages import (
-    Page,
-    all_pages,
-    draw_certainty,
-    draw_comparison,
-    draw_over_field,
-    draw_overview,
-    one_page,
-    over_field,
-)
+from app.results.report import pages
 from app.results.report.summary import Residual, Summary, residual_of, summarise
 
 _PNG_DPI = 110
@@ -54,24 +45,24 @@ def report_pages(
     return summary, residual
 
 
-def write_pages(out: Path, pages: list[Page], progress: Progress = lambda *_: None) -> None:
+def write_pages(out: Path, drawn: list[pages.Page], progress: Progress = lambda *_: None) -> None:
     """Write pages as PDF, or one below the other as PNG (atomic)."""
     with atomic_write(out) as temporary:
         if out.suffix.lower() == ".png":
-            all_pages(pages).savefig(temporary, dpi=_PNG_DPI)
+            pages.all_pages(drawn).savefig(temporary, dpi=_PNG_DPI)
             return
         with PdfPages(temporary) as file:
-            for index, page in enumerate(pages):
-                progress("drawing the pages", index / len(pages))
-                file.savefig(one_page(page))
+            for index, page in enumerate(drawn):
+                progress("drawing the pages", index / len(drawn))
+                file.savefig(pages.one_page(page))
 
 
-def _pages(summary: Summary, residual: Residual | None) -> list[Page]:
-    pages: list[Page] = [partial(draw_overview, summary=summary)]
-    if summary.statistics is not None:
-        pages.append(partial(draw_certainty, summary=summary, stats=summary.statistics))
-        if (found := over_field(summary.statistics)) is not None:
-            pages.append(partial(draw_over_field, summary=summary, stats=summary.statistics, found=found))
+def _pages(summary: Summary, residual: Residual | None) -> list[pages.Page]:
+    drawn: list[pages.Page] = [partial(pages.draw_overview, summary=summary)]
+    if (stats := summary.statistics) is not None:
+        drawn.append(partial(pages.draw_certainty, summary=summary, stats=stats))
+        if (found := pages.over_field(stats)) is not None:
+            drawn.append(partial(pages.draw_over_field, summary=summary, stats=stats, found=found))
     if residual is not None:
-        pages.append(partial(draw_comparison, residual=residual))
-    return pages
+        drawn.append(partial(pages.draw_comparison, residual=residual))
+    return drawn

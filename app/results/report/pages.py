@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from app.results.field_coefficients import coefficient_maps, draw_field, strongest
-from app.results.figures import draw_maps, draw_structure, draw_transfer, place
+from app.results.figures import draw_maps, draw_structure, draw_transfer, place_of_view
 from app.results.report.facts import facts
 from app.results.report.summary import Residual, Statistics, Summary
 from reconstruction.arrays import Floats
@@ -105,7 +105,7 @@ def draw_views(
     scale = limit or float(np.nanmax(np.abs(views), initial=0)) or 1.0
     captions = [
         [
-            f"{place(field, row, column)}\n" * with_places
+            f"{place_of_view(field, row, column)}\n" * with_places
             + f"{rms(views[row, column]):.3f} / {peak_to_valley(views[row, column]):.2f}"
             for column in columns
         ]
@@ -179,7 +179,7 @@ def draw_certainty(figure: FigureBase, summary: Summary, stats: Statistics) -> N
     field, views = stats.wavefront.field, stats.wavefront.views
     middle = field.view_rows // 2, field.view_columns // 2
     transfer, structure = curves.subplots(1, 2)
-    draw_transfer(transfer, mtf(views[middle], summary.bench.sensor), place(field, *middle))
+    draw_transfer(transfer, mtf(views[middle], summary.bench.sensor), place_of_view(field, *middle))
     draw_structure(structure, isoplanatism(stats.wavefront))
     for axis in (*trend.axes, *maps.axes, *curves.axes):
         axis.title.set_fontsize(8.5)

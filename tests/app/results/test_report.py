@@ -304,7 +304,7 @@ def test_report_is_written_atomically_and_replaces_only_on_request(
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("app.results.report.draw_certainty", fail)
+    monkeypatch.setattr("app.results.report.pages.draw_certainty", fail)
     with pytest.raises(RunError, match="No space left"):
         reported(recording.folder, out, overwrite=True)
     assert out.read_bytes() == first
