@@ -16,7 +16,6 @@ from app.files import check_outputs
 from app.progress import Progress, counted
 
 if TYPE_CHECKING:
-    from app.acquisition.instrument import Instrument
     from app.acquisition.worker import Acquisition
     from app.bench.config import Bench
     from app.results.frame_tallies import Measured
@@ -150,7 +149,7 @@ def _calibrate(acquisition: Acquisition, bench: Bench, average: int, progress: P
         _calibrate_by_hand(acquisition, average, progress, auto_expose=auto_expose)
     else:
         _wait(calibrate(acquisition, average, auto_expose=auto_expose), acquisition, progress)
-    while problem := acquisition.submit(_problem).result():
+    while problem := acquisition.submit(lambda made: "" if made.calibration else made.status().warning).result():
         sentence = f"the reference is unusable: {problem}"
         if not bench.has_manual_stage:
             raise RunError(sentence)
@@ -176,16 +175,6 @@ def _calibrate_by_hand(acquisition: Acquisition, average: int, progress: Progres
     _wait([acquisition.take_reference(average)], acquisition, progress)
 
 
-def _problem(instrument: Instrument) -> str:
-    """Why frames cannot be reconstructed with dark and reference; empty if they can."""
-    return "" if instrument.calibration is not None else instrument.status().warning
-
-
-def _prepares(instrument: Instrument) -> bool:
-    """True if the first frames show what is assumed of later ones."""
-    return instrument.prepares
-
-
 def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, progress: Progress) -> None:
     """Record from the first frame of which sample and correction are known; of played frames from the first one."""
     from app.acquisition.start_up import knows_sample, move_sample_in, start_camera
@@ -196,7 +185,7 @@ def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, prog
         return acquisition.start_recording(out, command="measure", limit=Limit(frames=frames))
 
     moved = move_sample_in(acquisition)
-    if isinstance(bench.camera, RecordingSettings) or not acquisition.submit(_prepares).result():
+    if isinstance(bench.camera, RecordingSettings) or not acquisition.submit(lambda made: made.prepares).result():
         _wait([moved, begin(), start_camera(acquisition)], acquisition, progress)  # no frame comes before it records
     else:
         _wait([moved, start_camera(acquisition)], acquisition, progress)

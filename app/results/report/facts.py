@@ -21,11 +21,12 @@ def facts(summary: Summary) -> list[Fact]:
     """Return the facts of a recording, without those that it does not contain."""
     run, lines, bench = summary.recording.run, summary.lines, summary.bench
     camera, light, stage = (_section(run, "devices", name) for name in ("camera", "light", "stage"))
+    doubts = [] if summary.statistics is None else summary.statistics.quality.sentences
     said = [
         ("recorded", _when(summary)),
         ("frames", _counts(summary)),
         *[("", f"{count} of them: {problem}") for problem, count in summary.problems.most_common(2)],
-        *[("doubtful", sentence) for sentence in _doubts(summary)],
+        *[("doubtful", sentence) for sentence in doubts[:_MOST_DOUBTS]],
         ("camera", _camera(summary, camera, bench)),
         ("exposure", _exposure(lines, camera)),
         ("light", _light(lines, light)),
@@ -45,10 +46,6 @@ def _section(tree: dict[str, Any], *names: str) -> dict[str, Any]:
         if not isinstance(tree, dict):
             return {}
     return tree
-
-
-def _doubts(summary: Summary) -> list[str]:
-    return [] if summary.statistics is None else summary.statistics.quality.sentences[:_MOST_DOUBTS]
 
 
 def _when(summary: Summary) -> str:
