@@ -116,7 +116,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     The light is turned off and the recording removed, also on an error or Ctrl-C.
     """
     from app.acquisition.streams.publisher import stream_sinks
-    from app.commands.display import use_display
+    from app.commands.live import use_display
     from app.evaluation.benchmark.live_path.course import Course
     from app.evaluation.benchmark.live_path.figures import LiveFigures
     from app.evaluation.benchmark.live_path.plan import recording_folder

@@ -41,14 +41,7 @@ def corrector(
     Example: svwfs corrector result.nc --distance 0.195 --out c.nc --command slm.png --pixels 1024
     """
     from app.progress import between
-    from app.results.corrector import (
-        PHASE_FORMATS,
-        compare_correctors,
-        correction_dataset,
-        correction_figure,
-        correction_sentence,
-        write_phase,
-    )
+    from app.results import corrector as analysis
     from app.results.figures import save_figure
     from app.results.layers import ratio_at
     from app.results.result_file import write_results
@@ -63,21 +56,21 @@ def corrector(
         out, ".nc", reads=options.files_of_sources(source), plot=plot, more=command, overwrite=overwrite
     )
     if command is not None:
-        options.require_suffix(command, *PHASE_FORMATS)
+        options.require_suffix(command, *analysis.PHASE_FORMATS)
     with terminal.progress_bar() as progress:
         bench = read_bench_of(source)
         ratio = None if distance is None else ratio_at(distance, origin, bench)
         phase_at = mean_wavefront(source, bench, frames, between(progress, 0, 0.7))
         try:
-            made = compare_correctors(phase_at, bench.sensor, bench.field, shapes, ratio)
+            made = analysis.compare_correctors(phase_at, bench.sensor, bench.field, shapes, ratio)
         except ValueError as error:
             raise InputError(f"{source}: {error}") from error
         progress("writing", 0.9)
-        found = correction_dataset(made, bench, origin)
+        found = analysis.correction_dataset(made, bench, origin)
         write_results(out, found, bench=bench, inputs={"source": source.name})
         if command is not None:
-            write_phase(command, made.chosen.phase_map(pixels)[2])
+            analysis.write_phase(command, made.chosen.phase_map(pixels)[2])
         if plot is not None:
-            save_figure(correction_figure(found), plot)
-    typer.echo(correction_sentence(found))
+            save_figure(analysis.correction_figure(found), plot)
+    typer.echo(analysis.correction_sentence(found))
     terminal.print_version_notice(source)

@@ -28,7 +28,8 @@ def field(
     positions: Annotated[int, typer.Option(min=1, max=501, help="Field positions along each side.")] = 21,
     frame: options.Frame = 0,
     mode: Annotated[
-        list[int] | None, typer.Option(metavar="N", help="Mode in the picture, repeatable; the strongest if omitted.")
+        list[int] | None,
+        typer.Option(metavar="N", help="Mode in the picture, repeatable; the analysis.strongest if omitted."),
     ] = None,
     plot: options.Plot = None,
     overwrite: options.Overwrite = False,
@@ -45,15 +46,7 @@ def field(
 
     Example: svwfs field result.nc --mode 5 --mode 6 --out field.nc --plot astigmatism.png
     """
-    from app.results.field_coefficients import (
-        field_dataset,
-        field_figure,
-        field_sentences,
-        strongest,
-        table_names,
-        table_rows,
-        write_table,
-    )
+    from app.results import field_coefficients as analysis
     from app.results.figures import save_figure
     from app.results.result_file import write_results
     from app.results.sources import read_fit
@@ -70,7 +63,7 @@ def field(
         bench, fit = read_fit(source, frame)
         try:
             found = field_coefficients(fit, basis, order)
-            maps = field_dataset(found, bench.sensor, bench.field, positions, field_order)
+            maps = analysis.field_dataset(found, bench.sensor, bench.field, positions, field_order)
         except ReconstructionError as error:
             raise InputError(f"{source}: {error}") from error
         first, last = (int(maps["mode"].values[at]) for at in (0, -1))
@@ -80,10 +73,10 @@ def field(
         progress("writing", 0.9)
         if out.suffix.lower() == ".csv":
             x_m = maps["x"].values
-            write_table(out, table_names(found), table_rows(found, bench.field, x_m, x_m))
+            analysis.write_table(out, analysis.table_names(found), analysis.table_rows(found, bench.field, x_m, x_m))
         else:
             write_results(out, maps, bench=bench, inputs={"source": source.name, "frame": str(frame)})
         if plot is not None:
-            save_figure(field_figure(maps, mode or strongest(maps)), plot, dpi=130)
-    typer.echo("\n".join(field_sentences(maps)))
+            save_figure(analysis.field_figure(maps, mode or analysis.strongest(maps)), plot, dpi=130)
+    typer.echo("\n".join(analysis.field_sentences(maps)))
     terminal.print_version_notice(source)

@@ -1,7 +1,10 @@
-"""`svwfs live`: the window on a bench or a recording, attended or not."""
+"""`svwfs live`: the window on a bench or a recording, attended or not, and whether there is a display for it."""
 
 from __future__ import annotations
 
+import os
+import re
+import socket
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -22,9 +25,12 @@ if TYPE_CHECKING:
     from app.gui.main_window import MainWindow
     from app.results.player import Player
 
+
 _LIVE_OUT = Path("svwfs-output")
 _LIVE_BENCH = "live_demo"
 _UNATTENDED_S = 5.0
+_PLATFORM = "QT_QPA_PLATFORM"
+_LOCAL_X = re.compile(r"(?:unix)?:(\d+)(?:\.\d+)?")
 
 
 def live(
@@ -60,8 +66,6 @@ def live(
 
     Example: svwfs live --bench live_demo --set registration.warp=affine
     """
-    from app.commands.display import use_display
-
     is_attended = use_display() and seconds is None
     if replay is None:
         if frames is not None:
@@ -218,3 +222,44 @@ def _write_run(path: Path, acquisition: Acquisition) -> None:
         **software_facts(),
     }
     write_record(path, record)
+
+
+def use_display() -> bool:
+    """Return whether windows can be seen; if not, make Qt, which is not loaded yet, draw offscreen."""
+    has_display = _has_display()
+    if not has_display:
+        os.environ[_PLATFORM] = "offscreen"
+    return has_display
+
+
+def _has_display() -> bool:
+    if platform := os.environ.get(_PLATFORM):
+        return platform != "offscreen"
+    if not sys.platform.startswith("linux"):
+        return True
+    if _answers(_wayland()):
+        return True
+    os.environ.pop("WAYLAND_DISPLAY", None)  # left by a session that has ended: Qt would abort
+    local = _LOCAL_X.fullmatch(os.environ.get("DISPLAY", ""))
+    if local is None:
+        return bool(os.environ.get("DISPLAY"))  # on another computer
+    path = f"/tmp/.X11-unix/X{local[1]}"  # noqa: S108 - where X11 has it
+    return _answers(path) or _answers(f"\0{path}")
+
+
+def _wayland() -> str:
+    """Path of the socket of the Wayland display; empty without one."""
+    name = os.environ.get("WAYLAND_DISPLAY", "")
+    return str(Path(os.environ.get("XDG_RUNTIME_DIR", "/"), name)) if name else ""
+
+
+def _answers(path: str) -> bool:
+    """True if something listens at a local socket."""
+    if not path or sys.platform == "win32":
+        return False
+    with socket.socket(socket.AF_UNIX) as client:
+        try:
+            client.connect(path)
+        except OSError:
+            return False
+    return True

@@ -14,16 +14,7 @@ from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.files import atomic_write
-from app.results.layers import (
-    MAP_POINTS,
-    Origin,
-    axis_label,
-    distance_in_words,
-    distance_m,
-    from_where,
-    possible_origin,
-    shown_range_m,
-)
+from app.results import layers
 from app.results.result_file import about
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
@@ -77,27 +68,27 @@ def compare_correctors(
     return CorrectorComparison(tuple(different.values()), chosen, positions_m, uncorrected_rad)
 
 
-def correction_dataset(found: CorrectorComparison, bench: Bench, origin: Origin = "lenslets") -> xr.Dataset:
+def correction_dataset(found: CorrectorComparison, bench: Bench, origin: layers.Origin = "lenslets") -> xr.Dataset:
     """Return residual and Strehl ratio over the distance, and those of the chosen corrector over the field.
 
     Distances are from the lenslets if the corrector lies behind them, see `possible_origin`.
     """
     curve, made = found.curve, found.chosen
-    origin = possible_origin(origin, [made.ratio])
-    distances_m = distance_m(np.array([each.ratio for each in curve]), origin, bench)
+    origin = layers.possible_origin(origin, [made.ratio])
+    distances_m = layers.distance_m(np.array([each.ratio for each in curve]), origin, bench)
     order = np.argsort(distances_m)[: np.count_nonzero(np.isfinite(distances_m))]  # NaN comes last
     residual, strehl = (
         np.array(values)[order]
         for values in ([each.mean_residual_rad for each in curve], [np.nanmean(each.strehl) for each in curve])
     )
-    of_distance = f"of the corrector; {from_where(origin)}"
-    x_m, y_m, phase = made.phase_map(MAP_POINTS)
+    of_distance = f"of the corrector; {layers.from_where(origin)}"
+    x_m, y_m, phase = made.phase_map(layers.MAP_POINTS)
     return xr.Dataset(
         {
             "uncorrected": ((), found.uncorrected_rad, about("rad", "RMS over field and pupil without a corrector")),
             "residual": ("distance", residual, about("rad", "RMS over field and pupil after the best command")),
             "strehl": ("distance", strehl, about("1", "mean over the field")),
-            "corrector_distance_m": ((), distance_m(made.ratio, origin, bench), about("m", of_distance)),
+            "corrector_distance_m": ((), layers.distance_m(made.ratio, origin, bench), about("m", of_distance)),
             "corrector_residual": ((), made.mean_residual_rad, about("rad", "RMS over field and pupil")),
             "field_residual": ("position", made.residual_rad, about("rad", "RMS at a field position")),
             "field_strehl": ("position", made.strehl, about("1", "at a field position")),
@@ -124,7 +115,7 @@ def correction_sentence(found: xr.Dataset) -> str:
     """Residuals of correctors at the pupil and at the chosen distance, and without one."""
     origin, residual = found.attrs["distances_from"], found["residual"].values
     at_pupil = residual[np.argmin(np.abs(found["distance"].values)) if origin == "lenslets" else -1]
-    place = distance_in_words(float(found["corrector_distance_m"]), np.nan, origin)
+    place = layers.distance_in_words(float(found["corrector_distance_m"]), np.nan, origin)
     return (
         f"one corrector at the pupil leaves {at_pupil:.2g} of {float(found['uncorrected']):.2g} rad RMS;"
         f" {place}, {float(found['corrector_residual']):.2g} rad (Strehl {float(found['field_strehl'].mean()):.2f})"
@@ -138,15 +129,15 @@ def correction_figure(found: xr.Dataset) -> Figure:
     left.plot(found["distance"] * 1e3, found["residual"], color="#35739f", marker=".")
     origin, at_m = found.attrs["distances_from"], float(found["corrector_distance_m"])
     residual = float(found["corrector_residual"])
-    label = f"{distance_in_words(at_m, np.nan, origin)}: {residual:.2g} rad"
+    label = f"{layers.distance_in_words(at_m, np.nan, origin)}: {residual:.2g} rad"
     left.plot([at_m * 1e3], [residual], "o", color="#d1495b", label=label)
     uncorrected = float(found["uncorrected"])
     left.axhline(uncorrected, color="0.5", linewidth=0.8, linestyle="--", label=f"uncorrected: {uncorrected:.2g} rad")
-    low_m, high_m = shown_range_m(found["corrector_distance_m"].values, found["distance"].values, origin)
+    low_m, high_m = layers.shown_range_m(found["corrector_distance_m"].values, found["distance"].values, origin)
     left.set(
         xlim=(1e3 * low_m, 1e3 * high_m),
         ylim=(0, None),
-        xlabel=axis_label(origin),
+        xlabel=layers.axis_label(origin),
         ylabel="residual over the field (rad RMS)",
         title=f"Best command of {found.attrs['shapes']} {found.attrs['influence']} shapes",
     )

@@ -37,7 +37,7 @@ def test_last_bench_is_offered_only_if_none_is_named(
         open_first(Window())
         return 0
 
-    monkeypatch.setattr("app.commands.display.use_display", lambda: True)
+    monkeypatch.setattr("app.commands.live.use_display", lambda: True)
     monkeypatch.setattr("app.gui.application.run_window", run_window)
     assert run(monkeypatch, "live", *arguments) == 0
     assert opened == [source, *["last"] * offers_last]

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("qapp", "display", "restored_theme")
 @pytest.fixture
 def display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Windows as on a display, with settings of their own."""
-    monkeypatch.setattr("app.commands.display.use_display", lambda: True)
+    monkeypatch.setattr("app.commands.live.use_display", lambda: True)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.setattr("app.gui.application.settings_file", lambda: None)
 
