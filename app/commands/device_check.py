@@ -1,5 +1,7 @@
 """Check of a connected device against the contract of its kind, for `svwfs devices --check`."""
 
+from __future__ import annotations
+
 import dataclasses
 import platform
 import re
@@ -8,7 +10,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,92 +33,148 @@ from drivers.errors import DeviceError, Disconnected
 from drivers.interface import Frame
 from drivers.light_source import LightSource
 
-Warn = Callable[[str], None]
-
-LIGHT_SHARE = 0.05  # maximum share of the light's range in a check
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """Result of one check."""
-
-    requirement: str
-    problem: str  # how the device fails; empty if it passes
-    took_s: float
-    calls: tuple[str, ...]  # the last ones with their answers
+_LIGHT_SHARE = 0.05  # maximum share of the light's range in a check
+_MOST_CALLS = 10  # kept
+_LONGEST = 100  # characters of an answer
+_SERIAL = re.compile(r"\b(?=\w*\d{5})\w+\b")  # of five digits or more, as M00331234
+_OWN_KEYS = ("serial", "cameraid", "userid")
+_HIDDEN = "(serial number)"
 
 
-def check_device(
-    settings: CameraSettings | LightSettings, warn: Warn, begin: Callable[[str, Mapping[str, Property], float], None]
-) -> Iterator[Verdict]:
-    """Open the device and run all checks; `RunError` if it cannot be opened or is lost.
+def check_and_print(name: str, bench: Bench | None = None, *, serial_numbers: bool = False) -> None:
+    """Check the device of that name against the contract of its kind, and print a report; `RunError` if it fails.
 
-    First `begin` gets its name, its properties and how many seconds the opening took; `warn` gets a sentence on how
-    bright a light will shine.
+    With a bench, the name is "camera" or "light", and the device is opened with the bench's settings. The report can be
+    published: serial numbers are hidden unless asked for.
     """
+    settings = _settings_of(_connected(name)) if bench is None else _configured(bench, name)
+    report = _Report(settings, is_open=serial_numbers)
+    report.print_versions()
     try:
-        if isinstance(settings, CameraSettings):
-            yield from _check_camera(partial(open_camera, settings), begin)
-        else:
-            yield from _check_light(settings, warn, begin)
+        (_check_camera if isinstance(settings, CameraSettings) else _check_light)(settings, report)
     except DeviceError as error:
-        raise RunError(str(error)) from error
+        raise RunError(report.public(str(error))) from error
+    if report.failed:
+        raise RunError(report.public(f"{name} fails {report.failed} of {report.checks} checks"))
+    report.print(f"{name} passes all {report.checks} checks")
 
 
-def settings_of(device: DiscoveredDevice) -> CameraSettings | LightSettings:
+def _check_camera(settings: Any, report: _Report) -> None:
+    reopen = partial(open_camera, settings)
+    start_s = time.perf_counter()
+    with reopen() as camera:
+        report.print_device(camera, start_s)
+        for check in camera_contract.CAMERA_CHECKS:
+            report.check(check, camera)
+            camera.stop()
+        report.check(camera_contract.check_closes, camera)
+    with reopen() as camera:
+        report.check(camera_contract.check_reopens, camera, reopen)
+
+
+def _check_light(settings: Any, report: _Report) -> None:
+    """Check a light with a small share of its current, after a warning, on a terminal when Enter is pressed."""
+    start_s = time.perf_counter()
+    with open_light(settings) as light:
+        report.print_device(light, start_s)
+        allowed = light.current_range_a
+    limit_a = allowed.minimum + _LIGHT_SHARE * (allowed.maximum - allowed.minimum)
+    warning = f"the light will shine with up to {limit_a * 1e3:.3g} mA, {_LIGHT_SHARE:.0%} of its range"
+    if sys.stdin.isatty():
+        terminal.ask(f"{warning}: make sure that no one looks into it")
+    else:
+        terminal.remind(warning)
+    reopen = partial(open_light, dataclasses.replace(settings, current_a=None, limit_a=limit_a))
+    with reopen() as light:
+        for check in light_contract.LIGHT_CHECKS:
+            report.check(check, light)
+            light.set_on(False)
+        report.check(light_contract.check_closes, light)
+    with reopen() as light:
+        report.check(light_contract.check_reopens, light, reopen)
+
+
+class _Report:
+    """Checks a device and prints a report that can be published."""
+
+    def __init__(self, settings: CameraSettings | LightSettings, *, is_open: bool) -> None:
+        """`is_open` shows serial numbers and the home folder."""
+        self._console = Console(soft_wrap=True, highlight=False)
+        self._settings, self._is_open = settings, is_open
+        self._secrets = identifying_texts("", dataclasses.asdict(settings), {})
+        self.checks = self.failed = 0
+
+    def public(self, text: str) -> str:
+        """Return the text without what is to be hidden."""
+        return text if self._is_open else hide(text, self._secrets)
+
+    def print(self, text: str, style: str | None = None) -> None:
+        self._console.print(self.public(text), style=style, markup=False)
+
+    def print_versions(self) -> None:
+        """Print software, computer, and the settings that are no defaults."""
+        driver = self._settings.driver
+        package = next((kind.package for kind in KINDS if kind.driver == driver), "")
+        found = versions(package) if package else versions()
+        self.print(f"svwfs {found.get('svwfs', '')}, Python {found['python']}, {platform.platform()}")
+        self.print(f"driver {driver}" + (f", {package} {found.get(package, 'not installed')}" if package else ""))
+        for field in dataclasses.fields(self._settings):
+            value = getattr(self._settings, field.name)
+            if value not in (field.default, driver) and value:
+                self.print(f"  {field.name} = {value!r}")
+
+    def print_device(self, device: Camera | LightSource, start_s: float) -> None:
+        """Print what a device reports of itself whose opening began at a time of the performance counter."""
+        opened_s, properties = time.perf_counter() - start_s, device.properties()
+        self._secrets = identifying_texts(device.name, dataclasses.asdict(self._settings), properties)
+        self.print(device.name, "bold")
+        for key, value in properties.items():
+            self.print(f"  {key} = {value}")
+        self.print(f"opened in {opened_s:.2f} s")
+
+    def check(self, check: Callable[..., None], device: Camera | LightSource, *more: Any) -> None:
+        """Check a requirement and print the result, for a failure the last calls with their answers."""
+        trace, start_s, problem = Trace(device), time.perf_counter(), ""
+        try:
+            check(trace, *more)
+        except Disconnected:
+            raise
+        except (ContractBroken, DeviceError) as error:
+            problem = str(error)
+        took_s = time.perf_counter() - start_s
+        self.checks, self.failed = self.checks + 1, self.failed + bool(problem)
+        self.print(f"  {'FAILED' if problem else 'ok':7}{took_s:7.2f} s  {describe(check)}")
+        for line in (problem, *(f"  {call}" for call in trace.calls)) if problem else ():
+            self.print(f"         {line}")
+
+
+def _settings_of(device: DiscoveredDevice) -> CameraSettings | LightSettings:
     """Return the settings of a discovered device, the others at their defaults."""
     kind: Any = CameraSettings if device.kind == "camera" else LightSettings
     settings: CameraSettings | LightSettings = cattrs.structure(dict(device.settings), drivers_of(kind)[device.driver])
     return settings
 
 
-def _check_camera(reopen: Callable[[], Camera], begin: Callable[..., None]) -> Iterator[Verdict]:
-    start_s = time.perf_counter()
-    with reopen() as camera:
-        opened_s = time.perf_counter() - start_s
-        begin(camera.name, camera.properties(), opened_s)
-        for check in camera_contract.CAMERA_CHECKS:
-            yield _verdict(check, camera)
-            camera.stop()
-        yield _verdict(camera_contract.check_closes, camera)
-    with reopen() as camera:
-        yield _verdict(camera_contract.check_reopens, camera, reopen)
+def _configured(bench: Bench, name: str) -> CameraSettings | LightSettings:
+    if name == "camera":
+        return bench.camera
+    if name == "light":
+        if bench.has_manual_light:
+            raise InputError("the light of this bench is manual: there is nothing to check")
+        return bench.light
+    raise InputError(f"{name}: with --bench, --check takes camera or light")
 
 
-def _check_light(settings: Any, warn: Warn, begin: Callable[..., None]) -> Iterator[Verdict]:
-    start_s = time.perf_counter()
-    with open_light(settings) as light:
-        opened_s = time.perf_counter() - start_s
-        begin(light.name, light.properties(), opened_s)
-        allowed = light.current_range_a
-    limit_a = allowed.minimum + LIGHT_SHARE * (allowed.maximum - allowed.minimum)
-    warn(f"the light will shine with up to {limit_a * 1e3:.3g} mA, {LIGHT_SHARE:.0%} of its range")
-    reopen = partial(open_light, dataclasses.replace(settings, current_a=None, limit_a=limit_a))
-    with reopen() as light:
-        for check in light_contract.LIGHT_CHECKS:
-            yield _verdict(check, light)
-            light.set_on(False)
-        yield _verdict(light_contract.check_closes, light)
-    with reopen() as light:
-        yield _verdict(light_contract.check_reopens, light, reopen)
-
-
-def _verdict(check: Callable[..., None], device: Camera | LightSource, *more: Any) -> Verdict:
-    trace, start_s, problem = Trace(device), time.perf_counter(), ""
-    try:
-        check(trace, *more)
-    except Disconnected:
-        raise
-    except (ContractBroken, DeviceError) as error:
-        problem = str(error)
-    return Verdict(describe(check), problem, time.perf_counter() - start_s, tuple(trace.calls))
-
-
-_MOST_CALLS = 10  # kept
-_LONGEST = 100  # characters of an answer
-_SERIAL = re.compile(r"\b(?=\w*\d{5})\w+\b")  # of five digits or more, as M00331234
-_OWN_KEYS = ("serial", "cameraid", "userid")
-_HIDDEN = "(serial number)"
+def _connected(name: str) -> DiscoveredDevice:
+    kind = next((kind for kind in KINDS if kind.driver == name.split(":", 1)[0]), None)
+    if kind is None:
+        known = ", ".join(kind.driver for kind in KINDS)
+        raise InputError(f"{name}: not a device's name as `svwfs devices` shows it; it begins with one of {known}")
+    devices, missing = kind.discover()
+    for device in devices:
+        if device.name == name:
+            return device
+    raise RunError(f"{name} is not connected" + (f": {missing}" if missing else "; `svwfs devices` shows what is"))
 
 
 class Trace:
@@ -159,9 +216,7 @@ class Trace:
 
 def identifying_texts(name: str, settings: Mapping[str, object], properties: Mapping[str, Property]) -> frozenset[str]:
     """Texts that identify this one device rather than its model."""
-    keys = (
-        ("serial_number",) if "adapter" in settings else ("device", "serial_number")
-    )  # an adapter's device is a model
+    keys = ("serial_number",) if "adapter" in settings else ("device", "serial_number")  # an adapter's is a model
     found = {str(settings.get(key) or "") for key in keys}
     found |= {str(value) for key, value in properties.items() if any(own in key.lower() for own in _OWN_KEYS)}
     for text in (name, *properties.values()):
@@ -192,101 +247,3 @@ def _short(answer: object) -> str:
         return f"frame {answer.index}, {rows} x {columns}, counts {least} ... {most}, exposed {answer.exposure_s:g} s"
     text = f"{len(answer)} values" if isinstance(answer, Mapping) else str(answer)
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
-
-
-def check_and_print(name: str, bench: Bench | None = None, *, serial_numbers: bool = False) -> None:
-    """Check the device of that name against the contract of its kind, and print a report; `RunError` if it fails.
-
-    With a bench, the name is "camera" or "light", and the device is opened with the bench's settings. The report can be
-    published: serial numbers are hidden unless asked for.
-    """
-    settings = settings_of(_connected(name)) if bench is None else _configured(bench, name)
-    report = _Report(settings, is_open=serial_numbers)
-    report.print_versions()
-    verdicts: list[Verdict] = []
-    try:
-        for verdict in check_device(settings, _warn, report.print_device):
-            verdicts.append(verdict)
-            report.print_verdict(verdict)
-    except RunError as error:
-        raise RunError(report.public(str(error))) from error
-    failed = sum(bool(verdict.problem) for verdict in verdicts)
-    if failed:
-        raise RunError(report.public(f"{name} fails {failed} of {len(verdicts)} checks"))
-    report.print(f"{name} passes all {len(verdicts)} checks")
-
-
-class _Report:
-    """Prints a report that can be published."""
-
-    def __init__(self, settings: CameraSettings | LightSettings, *, is_open: bool) -> None:
-        """`is_open` shows serial numbers and the home folder."""
-        self._console = Console(soft_wrap=True, highlight=False)
-        self._settings, self._is_open = settings, is_open
-        self._secrets = identifying_texts("", dataclasses.asdict(settings), {})
-
-    def public(self, text: str) -> str:
-        """Return the text without what is to be hidden."""
-        return text if self._is_open else hide(text, self._secrets)
-
-    def print(self, text: str, style: str | None = None) -> None:
-        self._console.print(self.public(text), style=style, markup=False)
-
-    def print_versions(self) -> None:
-        """Print software, computer, and the settings that are no defaults."""
-        driver = self._settings.driver
-        package = next((kind.package for kind in KINDS if kind.driver == driver), "")
-        found = versions(package) if package else versions()
-        self.print(f"svwfs {found.get('svwfs', '')}, Python {found['python']}, {platform.platform()}")
-        self.print(f"driver {driver}" + (f", {package} {found.get(package, 'not installed')}" if package else ""))
-        for field in dataclasses.fields(self._settings):
-            value = getattr(self._settings, field.name)
-            if value not in (field.default, driver) and value:
-                self.print(f"  {field.name} = {value!r}")
-
-    def print_device(self, name: str, properties: Mapping[str, Property], opened_s: float) -> None:
-        """Print what the device reports of itself."""
-        settings = dataclasses.asdict(self._settings)
-        self._secrets = identifying_texts(name, settings, properties)
-        self.print(name, "bold")
-        for key, value in properties.items():
-            self.print(f"  {key} = {value}")
-        self.print(f"opened in {opened_s:.2f} s")
-
-    def print_verdict(self, verdict: Verdict) -> None:
-        """Print what was tried, and for a failure the last calls with their answers."""
-        self.print(f"  {'FAILED' if verdict.problem else 'ok':7}{verdict.took_s:7.2f} s  {verdict.requirement}")
-        if verdict.problem:
-            self.print(f"         {verdict.problem}")
-            for call in verdict.calls:
-                self.print(f"           {call}")
-
-
-def _warn(sentence: str) -> None:
-    """Print a warning before the light shines; on a terminal wait for Enter."""
-    if sys.stdin.isatty():
-        terminal.ask(f"{sentence}: make sure that no one looks into it")
-    else:
-        terminal.remind(sentence)
-
-
-def _configured(bench: Bench, name: str) -> CameraSettings | LightSettings:
-    if name == "camera":
-        return bench.camera
-    if name == "light":
-        if bench.has_manual_light:
-            raise InputError("the light of this bench is manual: there is nothing to check")
-        return bench.light
-    raise InputError(f"{name}: with --bench, --check takes camera or light")
-
-
-def _connected(name: str) -> DiscoveredDevice:
-    kind = next((kind for kind in KINDS if kind.driver == name.split(":", 1)[0]), None)
-    if kind is None:
-        known = ", ".join(kind.driver for kind in KINDS)
-        raise InputError(f"{name}: not a device's name as `svwfs devices` shows it; it begins with one of {known}")
-    devices, missing = kind.discover()
-    for device in devices:
-        if device.name == name:
-            return device
-    raise RunError(f"{name} is not connected" + (f": {missing}" if missing else "; `svwfs devices` shows what is"))

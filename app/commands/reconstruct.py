@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,15 +11,13 @@ import typer
 from app.commands import options, terminal
 from app.errors import InputError
 from app.images import FORMATS
-from app.progress import Progress, counted
+from app.progress import counted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from app.bench.config import Bench
     from app.bench.device_settings import CameraSettings
     from reconstruction.arrays import Floats
-    from reconstruction.quality.verdict import Quality
     from reconstruction.wavefront import Wavefront
 
 _PEAK_PERCENT = 99.9  # percentile taken for the peak, so that hot pixels do not count
@@ -44,54 +41,55 @@ def reconstruct(
 
     Example: svwfs reconstruct frame.tif --reference reference.tif --dark dark.tif --bench bench.toml --out result.nc
     """
+    from app.measurement.bench_reconstructor import BenchReconstructor
     from app.results.dataset import result_dataset
     from app.results.figures import save_figure, views_figure
     from app.results.frame_tallies import QualityTally
     from app.results.result_file import write_results
+    from reconstruction.errors import ReconstructionError
 
     loaded = options.load(bench, setting)
     options.check_images(frame, reference, dark)
     reads = (frame, reference, dark, *options.files_of_bench(bench, loaded))
     options.check_files(out, ".nc", reads=reads, plot=plot, overwrite=overwrite)
-    with terminal.progress_bar() if refine else nullcontext(lambda *_: None) as progress:
-        made = reconstruct_files(frame, reference=reference, dark=dark, bench=loaded, refine=refine, progress=progress)
+    image, reference_image, dark_image = _read_images(frame, reference, dark, loaded.camera_model.bits)
+    changes_rad: list[float] = []
+    try:
+        reconstructor = BenchReconstructor(loaded, reference_image, dark=dark_image)
+        wavefront = reconstructor(image)
+        with terminal.progress_bar() if refine else nullcontext(lambda *_: None) as progress:
+            progress("modelling the bench", 0.0)
+            for done, step in enumerate(reconstructor.rounds(image, refine) if refine else (), 1):
+                wavefront = step.wavefront
+                changes_rad.append(step.change_rad)
+                progress("refining", done / refine)
+        quality = reconstructor.quality(image, wavefront)
+        notes = (reconstructor.mask_sentence(wavefront), _size_note(loaded.camera, image))
+    except ReconstructionError as error:
+        paths = {"frame": frame, "dark": dark}
+        raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
     names = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}
-    dataset = result_dataset(made.wavefront, made.quality, with_psf=True)
-    dataset = dataset.assign_attrs(refinement_rounds=len(made.changes_rad))
-    write_results(out, dataset, bench=made.bench, inputs=names)
+    dataset = result_dataset(wavefront, quality, with_psf=True).assign_attrs(refinement_rounds=len(changes_rad))
+    write_results(out, dataset, bench=reconstructor.bench, inputs=names)
     if plot is not None:
-        save_figure(views_figure(made.wavefront), plot)
-    for note in made.notes:
+        save_figure(views_figure(wavefront), plot)
+    for note in filter(None, notes):
         terminal.remind(f"note: {note}")
-    print_views(made.wavefront)
+    print_views(wavefront)
     if refine:
-        changes = ", ".join(f"{change_rad:.4f}" for change_rad in made.changes_rad)
-        rounds = counted(len(made.changes_rad), "round")
-        refined = f"refined in {rounds}, changing the wavefront by {changes} rad RMS"
+        changes = ", ".join(f"{change_rad:.4f}" for change_rad in changes_rad)
+        refined = f"refined in {counted(len(changes_rad), 'round')}, changing the wavefront by {changes} rad RMS"
         terminal.print_sentence(refined if changes else "not refined: it would not improve")
     tally = QualityTally()
-    tally.take(made.quality)
+    tally.take(quality)
     terminal.print_quality(tally)
 
 
-@dataclass(frozen=True, slots=True)
-class Reconstructed:
-    """Wavefront of a frame, and the steps of its refinement."""
-
-    wavefront: Wavefront
-    bench: Bench  # with the lattice in force
-    changes_rad: tuple[float, ...]  # RMS change by each round of refinement, mean over the views
-    quality: Quality
-    notes: tuple[str, ...]  # on what the mask shows, and on a frame whose size is not that of the bench
-
-
-def reconstruct_files(
-    frame: Path, *, reference: Path, dark: Path | None, bench: Bench, refine: int, progress: Progress
-) -> Reconstructed:
-    """Reconstruct one frame from image files, refined in at most `refine` rounds; `InputError` names a bad file."""
+def _read_images(
+    frame: Path, reference: Path, dark: Path | None, bits: int
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any] | None]:
+    """Read frame, reference and dark; `InputError` names one that does not go with the others."""
     from app.images import read_image
-    from app.measurement.bench_reconstructor import BenchReconstructor
-    from reconstruction.errors import ReconstructionError
 
     frame_image, reference_image = read_image(frame), read_image(reference)
     dark_image = None if dark is None else read_image(dark)
@@ -101,24 +99,9 @@ def reconstruct_files(
                 f"{path}: has {_size(image)} pixels (rows x columns), but the reference {reference} has"
                 f" {_size(reference_image)}"
             )
-    paths = {"frame": frame, "reference": reference, "dark": dark}
-    try:
-        _check_scale(frame_image, frame, reference_image, reference, bench.camera_model.bits)
-        _check_scale(reference_image, reference, frame_image, frame, bench.camera_model.bits)
-        reconstructor = BenchReconstructor(bench, reference_image, dark=dark_image)
-        wavefront = reconstructor(frame_image)
-        changes_rad = []
-        if refine:
-            progress("modelling the bench", 0.0)
-            for done, step in enumerate(reconstructor.rounds(frame_image, refine), 1):
-                wavefront = step.wavefront
-                changes_rad.append(step.change_rad)
-                progress("refining", done / refine)
-        quality = reconstructor.quality(frame_image, wavefront)
-        notes = filter(None, (reconstructor.mask_sentence(wavefront), _size_note(bench.camera, frame_image)))
-        return Reconstructed(wavefront, reconstructor.bench, tuple(changes_rad), quality, tuple(notes))
-    except ReconstructionError as error:
-        raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
+    _check_scale(frame_image, frame, reference_image, reference, bits)
+    _check_scale(reference_image, reference, frame_image, frame, bits)
+    return frame_image, reference_image, dark_image
 
 
 def _check_scale(image: NDArray[Any], path: Path, other: NDArray[Any], other_path: Path, bits: int) -> None:
