@@ -1,7 +1,9 @@
 """Numba compilation that releases the interpreter lock and caches on disk."""
 
 import hashlib
+import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -13,7 +15,7 @@ R = TypeVar("R")
 FAST_MATH = ("contract", "reassoc", "nsz")  # what the compiler may change of floating-point operations
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-_SOURCES = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(_PACKAGE.rglob("*.py")))).hexdigest()
+_IMPORTS = re.compile(rf"^from ({_PACKAGE.name}[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -28,5 +30,29 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
         return cast("Callable[P, R]", numba.njit(**options)(function))
     # Numba checks only the function's file for changes, but inlines functions and constants of other files. Its version
     # is checked before the rest of the cache is read, which may name classes that no longer exist.
-    dispatcher._cache._cache_file._version = f"{numba.__version__} {_SOURCES}"  # noqa: SLF001 - there is no public way
+    sources = _digest(Path(function.__code__.co_filename).resolve())
+    dispatcher._cache._cache_file._version = f"{numba.__version__} {sources}"  # noqa: SLF001 - there is no public way
     return cast("Callable[P, R]", dispatcher)
+
+
+@cache
+def _digest(file: Path) -> str:
+    """Hash of a file and of all files of this package that it imports, directly or through others."""
+    waiting, read = [file], dict[Path, bytes]()
+    while waiting:
+        path = waiting.pop()
+        if path not in read and path.is_file():
+            read[path] = path.read_bytes()
+            waiting += _imported(path)
+    return hashlib.sha256(b"".join(read[path] for path in sorted(read))).hexdigest()
+
+
+@cache
+def _imported(path: Path) -> tuple[Path, ...]:
+    """Files of the modules that a file imports from this package; some do not exist: names need not be modules."""
+    found = list[Path]()
+    for module, names in _IMPORTS.findall(path.read_text("utf-8")):
+        place = _PACKAGE.parent.joinpath(*module.split("."))
+        found += [place.with_suffix(".py"), place / "__init__.py"]
+        found += [place / f"{name}.py" for name in re.findall(r"\w+", names)]
+    return tuple(found)
