@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
@@ -35,6 +36,29 @@ _PATIENT = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("random", _PATIENT, derandomize=False)
 settings.register_profile("same", _PATIENT, derandomize=True, database=None)
 settings.load_profile("same")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options of this project."""
+    parser.addoption("--costs", metavar="FOLDER", type=Path, help="write the processor seconds of every test there")
+
+
+def pytest_collection_finish() -> None:
+    """Let no later collection of garbage look at what was loaded: there are hundreds, one after each window."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Note what a test costs with its fixtures and its child processes, in processor seconds."""
+    folder, before = item.config.getoption("--costs"), sum(os.times()[:4])
+    result = yield
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / f"{os.environ.get('PYTEST_XDIST_WORKER', 'main')}.csv").open("a") as file:
+            file.write(f"{sum(os.times()[:4]) - before:.2f},{item.nodeid}\n")
+    return result
 
 
 @pytest.fixture(scope="session", autouse=True)
