@@ -11,7 +11,7 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.venv/cache/numba
 export MPLCONFIGDIR ?= $(CURDIR)/.venv/cache/matplotlib
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run check test soak storms screenshots docs lint lock clean qt-libraries c-compiler
+.PHONY: help setup run check test soak mutants storms screenshots docs lint lock clean qt-libraries c-compiler
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile
@@ -38,6 +38,9 @@ test: setup c-compiler ## every test but the soaks, about ten minutes
 
 soak: setup c-compiler ## the tests that take 10 s or more each
 	$(PYTEST) -m soak
+
+mutants: setup c-compiler ## put known faults into a copy of the source: a test must find each; ROOMS="drivers window" for some
+	.venv/bin/python tests/support/run_mutants.py $(ROOMS)
 
 storms: setup c-compiler ## 10,000 random sequences of commands and faults for every driver, most of an hour
 	SVWFS_SEQUENCES=$${SVWFS_SEQUENCES:-10000} PYTHONPATH=tests .venv/bin/python -m support.run_storms $(DRIVERS)

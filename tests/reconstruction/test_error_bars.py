@@ -119,6 +119,52 @@ def test_scatter_of_coefficients_matches_sigma(checker_bench: SmallBench, is_kno
     assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1 if is_known else 0.5, abs=tolerance)
 
 
+def test_scatter_of_zonal_phase_matches_sigma(checker_bench: SmallBench) -> None:
+    u, v = checker_bench.samples()
+    frame = checker_bench.frame(lambda x, _y: (1500.0 * u + 4e5 * v * x).astype(np.float32))
+    noise = 0.03 * float(frame.max())
+    reconstructor = checker_bench.reconstructor("quadratic", method="zonal", noise=CameraNoise(1e-9 * noise, noise))
+    generator = np.random.default_rng(1)
+    wavefronts = [
+        reconstructor(frame + generator.normal(0, noise, frame.shape).astype(np.float32)) for _ in range(DRAWS // 2)
+    ]
+    scatter = np.array([wavefront.views for wavefront in wavefronts]).std(axis=0, ddof=1)
+    sigma = np.array([wavefront.sigma() for wavefront in wavefronts]).mean(axis=0)
+    known = np.isfinite(sigma) & (sigma > 0)
+    assert known.sum() > 9 * 55
+    assert np.sqrt(np.mean((scatter[known] / sigma[known]) ** 2)) == pytest.approx(1, abs=0.1)
+
+
+def test_unknown_noise_counts_the_parameters_that_fit_it(checker_bench: SmallBench) -> None:
+    """27 of 126 slopes go into the modes: the others show the noise, which the estimate must not divide by 126."""
+    u, v = checker_bench.samples()
+    frame = checker_bench.frame(lambda x, _y: (1500.0 * u + 4e5 * v * x).astype(np.float32))
+    noise, generator = 0.03 * float(frame.max()), np.random.default_rng(2)
+    noisy = [frame + generator.normal(0, noise, frame.shape).astype(np.float32) for _ in range(10)]
+    shares = []  # of the variance, over that of known noise
+    for modes in (10, 28):
+        variance = []
+        for known in (None, CameraNoise(1e-9 * noise, noise)):
+            reconstructor = checker_bench.reconstructor("quadratic", pupil_modes=modes, noise=known)
+            solutions = [reconstructor(each).solution for each in noisy]
+            variance.append(np.mean([solution.coefficients_sigma[1:9] ** 2 for solution in solutions], axis=0))  # type: ignore[attr-defined] # modal
+        shares.append(variance[0] / variance[1])
+    assert float(np.median(shares[1] / shares[0])) == pytest.approx(1, abs=0.08)
+
+
+def test_noise_of_the_reference_falls_with_its_frames(checker_bench: SmallBench) -> None:
+    noise = CameraNoise(1e-9, 0.03 * float(checker_bench.reference.max()))
+    variance = {
+        frames: checker_bench.reconstructor("quadratic", noise=noise, reference_frames=frames)
+        .register(checker_bench.reference)
+        .variance.mean()
+        for frames in (1, 4, 10**6)
+    }
+    of_reference = {frames: variance[frames] - variance[10**6] for frames in (1, 4)}
+    assert of_reference[1] / of_reference[4] == pytest.approx(4, rel=1e-3)
+    assert of_reference[1] / variance[10**6] == pytest.approx(1, abs=0.35)  # interpolation smooths that of the frame
+
+
 def test_interpolated_noise_matches_scipy() -> None:
     noise = np.random.default_rng(0).normal(size=(400, 400))
     y, x = np.meshgrid(np.arange(20, 380), np.arange(20, 380), indexing="ij")

@@ -92,6 +92,30 @@ def test_start_up_yields_wavefronts(running: Running) -> None:
     assert running.acquisition.failure == ""
 
 
+def test_status_does_not_say_on_when_the_light_went_off_meanwhile(
+    running: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    running.begin()
+    acquisition, query = running.acquisition, Instrument.status
+    may_end, queried = threading.Event(), list[Status]()
+
+    def query_slowly(instrument: Instrument) -> Status:
+        if queried:  # what the first one said stays
+            may_end.wait(HANG_S)
+        queried.append(query(instrument))
+        if len(queried) == 1:
+            acquisition.switch_light_off().result(HANG_S)
+        return queried[-1]
+
+    monkeypatch.setattr(Instrument, "status", query_slowly)
+    wait_until(lambda: len(queried) == 1 and acquisition.status == replace(queried[0], is_light_on=False))
+    wait_until(lambda: not acquisition._commands.is_empty or acquisition.status is not None)
+    assert queried[0].is_light_on
+    assert acquisition.status is not None
+    assert not acquisition.status.is_light_on
+    may_end.set()
+
+
 def test_command_runs_between_frames_and_returns_result(running: Running) -> None:
     running.begin()
     setting = running.acquisition.submit(lambda instrument: instrument.devices.camera.set_exposure(0.040004))

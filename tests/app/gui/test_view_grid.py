@@ -150,6 +150,19 @@ def test_scale_rises_at_once_and_falls_only_when_clearly_too_large() -> None:
     assert AdaptiveScale(RANGES).follow(11) == 15
 
 
+def test_largest_number_stands_at_the_top_of_the_colour_bar(
+    make_window: MakeWindow, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grid = make_window().wavefront_panel.grid
+    monkeypatch.setattr(grid, "_ticks", lambda *_: ((0.0, ""), (1.0, "8888")))
+    show(grid, np.zeros((3, 3, *LENSLETS)), 2.0)
+    assert grid.maps is not None
+    bar = grid._bar(grid.maps)
+    numbers = bar.adjusted(bar.width() + 6, 0, 30, 0)
+    ink = np.abs(np.diff(part(picture(grid).astype(int), numbers).sum(axis=2), axis=1)).sum(axis=1)
+    assert ink[: ink.size // 3].sum() > 100 + 2 * ink[ink.size // 3 :].sum()
+
+
 def test_color_bar_gives_way_to_small_maps(qtbot: QtBot) -> None:
     grid = ViewGrid()
     qtbot.addWidget(grid)

@@ -187,6 +187,15 @@ def test_numbers_keep_their_room_and_the_rest_is_told_in_a_tooltip(qtbot: QtBot)
     assert line.lost.property("tone") == "text"
 
 
+def test_times_are_told_in_milliseconds_and_seconds(qtbot: QtBot) -> None:
+    for seconds, text in ((0.0123, "12.3 ms"), (4.56, "4.6 s")):
+        line = StatusLine()
+        qtbot.addWidget(line)
+        line.count(replace(make_measurement(dim_frame(), views()), latency_s=seconds))
+        line.update_text(None, None)
+        assert text in {value.text() for value in line.findChildren(QLabel)}
+
+
 @pytest.mark.usefixtures("large_font")
 def test_help_fits_on_the_screen_and_scrolls(make_window: MakeWindow) -> None:
     window = make_window()

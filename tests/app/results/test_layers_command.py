@@ -26,8 +26,10 @@ from app.results.corrector import (
     write_phase,
 )
 from app.results.layers import (
+    Origin,
     centred,
     distance_m,
+    distances_and_sigma_m,
     layers_dataset,
     layers_figure,
     layers_sentences,
@@ -35,6 +37,7 @@ from app.results.layers import (
     shown_range_m,
 )
 from reconstruction.layers.corrector import Corrector
+from reconstruction.layers.layer_fit import Layer
 from reconstruction.layers.layer_search import find_layers
 from simulated_devices.sample import make_sample
 
@@ -112,6 +115,16 @@ def test_distances_and_ratios_belong_together() -> None:
     for distance, origin in ((-10, "lenslets"), (np.nan, "lenslets"), (0.0, "mask"), (0.3, "mask")):
         with pytest.raises(InputError, match="lies outside the search range"):
             ratio_at(distance, origin, bench)  # type: ignore[arg-type] # a name
+
+
+@pytest.mark.parametrize("origin", ["lenslets", "mask"])
+def test_error_bar_of_a_distance_follows_that_of_the_ratio(origin: Origin) -> None:
+    bench, step = load_bench("small_demo"), 1e-6
+    layer = Layer(-3.0, 0.01, np.ones(2), np.zeros(1), np.zeros((1, 1)), 1)
+    (distance,), (sigma,) = distances_and_sigma_m((layer,), origin, bench)
+    low, high = (float(distance_m(-3.0 + side * step, origin, bench)) for side in (-1, 1))
+    assert low == pytest.approx(distance, rel=1e-5)
+    assert sigma == pytest.approx(0.01 * abs(high - low) / (2 * step), rel=1e-5)
 
 
 def test_layer_behind_the_lenslets_has_no_distance_from_the_mask() -> None:
