@@ -37,9 +37,10 @@ def test_pixels_from_full_scale_on_are_saturated(kind: Any, dark: Any) -> None:
     np.testing.assert_array_equal(np.argwhere(saturated), [[3, 5], [4, 6]])
     _, saturated = AboveDark(SHAPE, dark, np.inf)(image, "frame")
     assert not saturated.any()
-    image[:2] = 255
-    with pytest.raises(ReconstructionError, match="the frame is saturated"):
-        AboveDark(SHAPE, dark, 199.5)(image, "frame")
+    for clipped, full_scale in ((255, 199.5), (200, 200.0)):
+        image[:2] = clipped
+        with pytest.raises(ReconstructionError, match="the frame is saturated"):
+            AboveDark(SHAPE, dark, full_scale)(image, "frame")
 
 
 def test_without_a_dark_the_darkest_percent_is_the_background() -> None:
