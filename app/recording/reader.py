@@ -36,6 +36,7 @@ from reconstruction.arrays import Floats
 T = TypeVar("T")
 
 _PIECE_BYTES = 1 << 20
+_FARTHEST_PX = 1e5  # of a displacement; farther than any camera reaches
 _HINT = "svwfs recover lists the readable frames"
 _UNCHANGED = ("began", "began_host_s", "bench")  # keys of `run.json` that tell recordings apart
 
@@ -206,15 +207,22 @@ class Recording:
     def start(self, index: int) -> Floats | None:
         """Starting point of a frame's registration, px, as `displacement`; None if it had none."""
         line = self.line(index)
-        if line.start is None:
+        if line.start is None or line.calibration is None:
             return None
+        values: Floats | None
         if line.start == BEFORE:
-            return self._followed(lambda: read_array(self.folder / START))
-        if line.calibration is None:
-            return None
-        return self._read(
-            f"{RESULTS.format(line.calibration)}/displacement", line.start
-        )  # always of the same calibration
+            values = self._followed(lambda: read_array(self.folder / START))
+        else:  # always of the same calibration
+            values = self._read(f"{RESULTS.format(line.calibration)}/displacement", line.start)
+        sensor = self.calibration(line.calibration).bench.sensor
+        shape = sensor.lenslet_rows, sensor.lenslet_columns
+        if values is not None and (
+            values.ndim != 4
+            or (*values.shape[:2], values.shape[3]) != (*shape, 2)
+            or np.any(np.abs(values) > _FARTHEST_PX)
+        ):
+            raise DamagedFrame(f"{self.folder}: the displacements that frame {index} starts from are damaged; {_HINT}")
+        return values
 
     def _followed(self, read: Callable[[], T]) -> T:
         """Read, and once more if nothing is there because the folder has been renamed."""

@@ -22,7 +22,10 @@ def prepare_registration(
     if settings.method == "centroids":
         spacing = settings.star_spacing_m / field.half_width_m
         columns, rows = centered_steps(settings.star_columns), centered_steps(settings.star_rows)
-        return Centroids(reference, star_x=columns * spacing, star_y=rows * spacing)
+        try:
+            return Centroids(reference, star_x=columns * spacing, star_y=rows * spacing)
+        except ValueError as error:
+            raise ReconstructionError(f"registration.star_spacing_m does not suit the lenslets: {error}") from error
     modes = (ZernikeModes if field.shape == "circle" else LegendreModes)(FIELD_MODES[settings.warp or "quadratic"])
     if settings.method == "gauss_newton":
         return GaussNewton(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
-HANG_S: Final = 300.0  # longer than compiling everything in three processes on two slow cores
+# Longer than compiling everything in three processes on two slow cores; with compiled code, 20 s will do.
+HANG_S: Final = float(os.environ.get("SVWFS_HANG_S", "300"))
 _TICK_S: Final = 0.01
 
 

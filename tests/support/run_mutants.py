@@ -43,6 +43,7 @@ def found(copy: Path, name: str, text: str, fault: str, tests: str) -> bool:
     path.write_text(source.replace(text, fault), "utf-8")
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-m", "not soak", "-p", "no:cacheprovider", tests]
     environment = os.environ | {"PYTHONPATH": str(copy), "QT_QPA_PLATFORM": "offscreen", "OPENBLAS_NUM_THREADS": "1"}
+    environment["SVWFS_HANG_S"] = "20"
     try:
         finished = subprocess.run(  # noqa: S603 - this interpreter
             command, cwd=copy, env=environment, capture_output=True, text=True, check=False

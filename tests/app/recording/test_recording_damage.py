@@ -6,8 +6,10 @@ import binascii
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.optics import SmallBench
 from support.records import RANDOM, make_record, noisy_calibration, write
@@ -57,6 +59,13 @@ def retyped(metadata: Path) -> None:
         (lambda r: (r / "calibrations/0/camera.json").write_text("{}"), lambda r: r.calibration(0), "full_scale"),
         (lambda r: (r / "calibrations/0/bench.toml").write_text("[sensor]"), lambda r: r.calibration(0), "bench.toml"),
         (lambda r: (r / "biases/0.npy").write_bytes(b"x"), lambda r: r.bias(0), "0.npy"),
+        (lambda r: np.save(r / "start.npy", np.zeros(3)), lambda r: r.start(0), "frame 0 starts from are damaged"),
+        (lambda r: np.save(r / "start.npy", np.zeros((2, 9, 3, 2))), lambda r: r.start(0), "starts from are damaged"),
+        (
+            lambda r: np.save(r / "start.npy", np.full((7, 9, 3, 2), 1e9)),
+            lambda r: r.start(0),
+            "starts from are damaged",
+        ),
         (lambda r: None, lambda r: r.calibration(7), "7"),
         (lambda r: None, lambda r: r.line(2), "has no frame 2; it has 2"),
         (lambda r: None, lambda r: r.line(-1), "has no frame -1"),
@@ -73,7 +82,8 @@ def test_missing_or_damaged_file_is_named(
     said: str,
 ) -> None:
     bias = RANDOM.normal(size=(7, 9, 3, 2))
-    write(tmp_path / "r", [make_record(0, calibration, bias=bias), make_record(1, calibration, bias=bias)])
+    first = replace(make_record(0, calibration, bias=bias), start=np.zeros((7, 9, 3, 2)))
+    write(tmp_path / "r", [first, make_record(1, calibration, bias=bias)])
     damage(tmp_path / "r")
     with pytest.raises(InputError, match=said):
         use(Recording(tmp_path / "r"))

@@ -154,6 +154,17 @@ def test_star_displaced_towards_neighbour_is_lost(small_bench: SmallBench, centr
     assert not centroids(light, saturated=_none(light)).valid.any()
 
 
+def test_stars_that_blur_into_each_other_are_refused(paper_bench: SmallBench) -> None:
+    reference = ReferenceSubimages(
+        paper_bench.reference, sensor=paper_bench.sensor, lattice=paper_bench.lattice, field=FIELD
+    )
+    settings = RegistrationSettings(method="centroids", star_spacing_m=1e-5)
+    with pytest.raises(
+        ReconstructionError, match=r"registration.star_spacing_m does not suit the lenslets: stars must"
+    ):
+        prepare_registration(reference, settings, FIELD)
+
+
 def test_noise_is_not_taken_for_stars(centroids: Centroids, still: Image) -> None:
     noise = np.random.default_rng(1).normal(0, 1, still.shape).astype(np.float32)
     assert not centroids(noise, saturated=_none(noise)).valid.any()
