@@ -11,10 +11,10 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.venv/cache/numba
 export MPLCONFIGDIR ?= $(CURDIR)/.venv/cache/matplotlib
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run check test soak mutants storms screenshots docs lint lock clean qt-libraries c-compiler
+.PHONY: help setup run check test test-slow mutants storms screenshots docs lint lock clean qt-libraries c-compiler
 
 help:
-	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile
+	@sed -n 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile
 
 setup: qt-libraries .venv/ready ## make .venv; with root, install the system libraries of Qt
 
@@ -30,14 +30,25 @@ QUICK := tests/reconstruction tests/drivers tests/simulated_devices/test_detecto
     --ignore tests/reconstruction/lattice/test_lattice_survey.py --ignore tests/drivers/genicam/test_genicam.py \
     --ignore tests/reconstruction/lattice/test_lattice_refusal.py
 
+# One room or some tests, as `make test ROOM=app/gui ONLY=colour_bar`; what does not come fails soon.
+ROOM ?=
+ONLY ?=
+CHOSEN = $(if $(ONLY),-k '$(ONLY)') $(if $(ROOM),tests/$(ROOM))
+SOON = $(if $(ROOM)$(ONLY),SVWFS_HANG_S=20)
+
 check: lint setup c-compiler ## lint and the quick tests of numerics, devices and settings, one to two minutes
-	$(PYTEST) -q -m 'not soak' $(QUICK)
+	$(PYTEST) -q -m 'not slow' $(QUICK)
 
-test: setup c-compiler ## every test but the soaks, about ten minutes
-	$(PYTEST) -m 'not soak'
+test: setup c-compiler $(NUMBA_CACHE_DIR) ## the quick tests, five minutes; ROOM=app/gui, ONLY=WORDS for some
+	$(SOON) $(PYTEST) -m 'not slow' $(CHOSEN)
 
-soak: setup c-compiler ## the tests that take 10 s or more each
-	$(PYTEST) -m soak
+test-slow: setup c-compiler $(NUMBA_CACHE_DIR) ## the tests that take a second or more, fifteen minutes; ROOM, ONLY as above
+	$(PYTEST) -m slow $(CHOSEN)
+
+# Else every process of the tests would compile the same code at the same time.
+$(NUMBA_CACHE_DIR): | setup
+	@echo 'compiling, half a minute'
+	@mkdir -p $@ && PYTHONPATH=tests .venv/bin/python -m pytest -q tests/reconstruction/test_round_trips.py >/dev/null
 
 mutants: setup c-compiler ## put known faults into a copy of the source: a test must find each; ROOMS="drivers window" for some
 	.venv/bin/python tests/support/run_mutants.py $(ROOMS)

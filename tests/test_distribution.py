@@ -16,7 +16,7 @@ import pytest
 from support.paths import ROOT
 from support.patience import HANG_S
 
-pytestmark = pytest.mark.soak
+pytestmark = pytest.mark.slow
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
 EXTRAS = {  # by what they make possible; hcipy is not installed here
     "batch": "bokeh, distributed",

@@ -64,6 +64,7 @@ def text_of(page: Path) -> str:
     return re.sub(r"<[^>]+>", "", page.read_text("utf-8")).replace("&quot;", '"')
 
 
+@pytest.mark.slow
 def test_pages_need_no_network_and_can_be_searched(pages: Path) -> None:
     assert (pages / "searchindex.js").stat().st_size > 10_000
     loading = re.compile(
@@ -168,6 +169,7 @@ def at_work(inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("document", COMMANDS, ids=lambda path: path.stem)
 def test_commands_run(document: Path, at_work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PRESETS:
@@ -189,6 +191,7 @@ def test_commands_run(document: Path, at_work: Path, monkeypatch: pytest.MonkeyP
         assert run(monkeypatch, *words) == 0, command
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("at_work")
 @pytest.mark.parametrize("document", PROGRAMS, ids=lambda path: path.stem)
 def test_programs_run(document: Path) -> None:

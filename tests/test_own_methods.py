@@ -62,6 +62,7 @@ def test_own_basis_of_the_same_polynomials_gives_the_same_wavefront(images: Simu
     np.testing.assert_allclose(of_own, of_usual, atol=1e-3 * float(abs(of_usual).max()))
 
 
+@pytest.mark.slow
 def test_own_registration_is_used_for_frame_and_refinement(images: SimulatedFrames) -> None:
     bench = svwfs.load_bench("small_demo", "registration.method=correlation", "reconstruction.pupil_modes=10")
     usual = svwfs.reconstructor(bench, images.reference, dark=images.dark)

@@ -31,6 +31,7 @@ def require_same(one: Wavefront, other: Wavefront) -> None:
     assert svwfs.to_dataset(one).equals(svwfs.to_dataset(other))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", METHODS)
 def test_wavefront_and_reconstructor_survive_pickling(setting: str) -> None:
     reconstruct, images = prepared(setting)
@@ -52,7 +53,7 @@ def test_pickled_wavefront_is_small() -> None:
     assert len(pickle.dumps(wavefront)) < 1e6 < len(pickle.dumps(reconstruct))
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_other_processes_reconstruct_the_same() -> None:
     reconstruct, images = prepared("sample=automatic")
     expected = [reconstruct(frame) for frame in images.frames]

@@ -47,6 +47,7 @@ def error_rad(views: Floats, truth: Floats) -> float:
     return float(rms(views - truth).mean())
 
 
+@pytest.mark.slow
 def test_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     result = doctest.testmod(svwfs)
@@ -71,6 +72,7 @@ def test_unknown_name_is_an_attribute_error() -> None:
         svwfs.wavefront  # noqa: B018 - the access is the test
 
 
+@pytest.mark.slow
 def test_refinement_reduces_the_error(bench: Bench) -> None:
     """Without noise: in it, one pass over the layer found is as good."""
     images = svwfs.simulate(bench, noise_free=True)
@@ -99,6 +101,7 @@ def test_frames_of_a_static_sample_differ_by_noise_alone(bench: Bench, images: S
     assert mean.sum() == pytest.approx(expected.sum(), rel=0.01)
 
 
+@pytest.mark.slow
 def test_moving_sample_has_a_truth_for_every_frame(bench: Bench) -> None:
     moving = svwfs.load_bench("small_demo", "simulation.screen.drift_x_m_per_s=1e-3", "simulation.drifting_states=3")
     images = svwfs.simulate(moving, frames=3)
@@ -159,6 +162,7 @@ def test_notebook_shows_wavefront(bench: Bench, images: SimulatedFrames) -> None
     assert nothing._repr_html_()
 
 
+@pytest.mark.slow
 def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Path) -> None:
     with svwfs.live(bench, average=3) as live:
         measurement = next(iter(live))
@@ -193,6 +197,7 @@ def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Pat
     assert recording.results()["wavefront"].sizes["frame"] == 4
 
 
+@pytest.mark.slow
 def test_exposure_gain_and_light_are_set(bench: Bench) -> None:
     with svwfs.live(bench, average=2) as live:
         assert live.set_exposure(0.03) == live.bench.camera_model.exposure_s == pytest.approx(0.03, rel=1e-3)
@@ -244,6 +249,7 @@ def test_recording_needs_a_frame(bench: Bench, tmp_path: Path) -> None:
         live.record(tmp_path / "run", frames=0)
 
 
+@pytest.mark.slow
 def test_first_measurement_after_a_reference_uses_it(bench: Bench) -> None:
     with svwfs.live(bench, average=2) as live:
         before = next(iter(live)).calibration
@@ -328,6 +334,7 @@ def test_full_scale_is_positive(bench: Bench, images: SimulatedFrames) -> None:
     assert unlimited(images.frames[0]).displacement.valid.all()
 
 
+@pytest.mark.slow
 def test_refine_counts_its_rounds(bench: Bench, images: SimulatedFrames) -> None:
     reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
     once = reconstruct(images.frames[0])
@@ -336,6 +343,7 @@ def test_refine_counts_its_rounds(bench: Bench, images: SimulatedFrames) -> None
         svwfs.refine(reconstruct, images.frames[0], rounds=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rounds", [0, 2])
 def test_command_gives_the_same_wavefront(
     images: SimulatedFrames, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, rounds: int
@@ -354,6 +362,7 @@ def test_command_gives_the_same_wavefront(
     np.testing.assert_allclose([wavefront.views, wavefront.sigma()], expected, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_saved_bench_has_the_lattice_in_force(bench: Bench, images: SimulatedFrames, tmp_path: Path) -> None:
     reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
     svwfs.save_result(tmp_path / "r.nc", reconstruct(images.frames[0]), reconstruct.bench)
@@ -364,6 +373,7 @@ def test_saved_bench_has_the_lattice_in_force(bench: Bench, images: SimulatedFra
     assert svwfs.load_bench(tmp_path / "b.toml").lattice == reconstruct.bench.lattice != bench.lattice
 
 
+@pytest.mark.slow
 def test_results_of_another_bench_are_not_taken_for_the_recordings_own(bench: Bench, tmp_path: Path) -> None:
     with svwfs.live(bench, average=2) as live:
         folder = live.record(tmp_path / "run", frames=2)
@@ -424,6 +434,7 @@ def test_ctrl_c_ends_the_recording(bench: Bench, tmp_path: Path, monkeypatch: py
     assert len(svwfs.open_recording(tmp_path / "second")) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_forked_process_can_reconstruct(tmp_path: Path) -> None:
     program = """

@@ -35,6 +35,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
     assert ended.value.code == 0
 
 
+@pytest.mark.slow
 def test_calibrated_bench_reconstructs_frames_to_results(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     bench = load_bench("small_demo", HEXAGONAL)
     made = simulated_frames(bench)
@@ -77,6 +78,7 @@ def relative_error(bench: Bench, method: str) -> float:
     return float(np.mean(rms(views - made.truth)) / np.mean(rms(made.truth)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "mask"), [("zonal", "checkerboard"), ("modal", "square")])
 def test_residual_is_at_most_that_of_as_many_square_lenslets(method: str, mask: str) -> None:
     """The issue allows 1.2 times; the paper's bench reaches 0.85 and 0.93 (docs/hexagonal.md)."""
@@ -91,6 +93,7 @@ def test_residual_is_at_most_that_of_as_many_square_lenslets(method: str, mask: 
     assert hexagonal < 0.06
 
 
+@pytest.mark.slow
 def test_layer_is_found_where_the_screen_is() -> None:
     bench = load_bench("small_demo", HEXAGONAL)
     made = simulated_frames(bench)

@@ -85,6 +85,7 @@ def test_link_that_leads_nowhere_is_named(tmp_path: Path) -> None:
             read_image(tmp_path / name)
 
 
+@pytest.mark.slow
 def test_image_files_that_lie_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.npy").write_text("no array")
     header = np.lib.format.MAGIC_PREFIX + b"\x01\x00v\x00"

@@ -48,6 +48,7 @@ def test_residual_against_truth_is_small(warp: str, method: str, pupil_modes: in
     assert rms(wavefront.views - TRUTH).mean() < figure_rad
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mask", "once_rad", "refined_rad"), [("square", 0.007, 0.007), ("checker", 0.005, 0.005)])
 def test_layer_is_found_in_real_light(mask: str, once_rad: float, refined_rad: float) -> None:
     """With every setting omitted; the layer is 195 mm before the lenslets."""

@@ -171,6 +171,7 @@ def test_half_covered_lenslet_diverges(small_bench: SmallBench, tilted: NDArray[
     assert np.count_nonzero(outcome) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", ["correlation", "correlation_fft", "itk_affine", "centroids", "demons", "block_flow"]
 )

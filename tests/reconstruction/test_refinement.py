@@ -70,6 +70,7 @@ def refined(bench: SmallBench, reconstructor: Reconstructor, frame: NDArray[Any]
     return Refinement(reconstructor, model).rounds(reconstructor.register(frame), rounds)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["modal", "zonal"])
 @pytest.mark.parametrize("world", ["checker_bench", "paper_bench"])
 def test_refinement_removes_bias(request: pytest.FixtureRequest, world: str, method: str) -> None:
@@ -84,6 +85,7 @@ def test_refinement_removes_bias(request: pytest.FixtureRequest, world: str, met
     assert len(residuals) <= 3
 
 
+@pytest.mark.slow
 def test_model_without_gathered_light_is_worse(checker_bench: SmallBench, bowl: Bowl) -> None:
     reconstructor = checker_bench.reconstructor("cubic", pupil_modes=None)
     frame = bowl.frame(checker_bench)
@@ -105,6 +107,7 @@ def test_model_without_gathered_light_is_worse(checker_bench: SmallBench, bowl: 
     assert whole < 0.5 * uniform
 
 
+@pytest.mark.slow
 def test_model_source_matches_bench_source(checker_bench: SmallBench, bowl: Bowl) -> None:
     """An uneven, blurred checkerboard and unevenly lit lenslets."""
     points = checkerboard()
@@ -136,6 +139,7 @@ def test_flat_wavefront_ends_refinement_at_once(checker_bench: SmallBench) -> No
     assert len(rounds) <= 1
 
 
+@pytest.mark.slow
 def test_lost_lenslet_stays_lost_and_neighbours_are_refined(checker_bench: SmallBench, bowl: Bowl) -> None:
     frame = bowl.frame(checker_bench)
     x, y = checker_bench.lattice.lenslet_centers_px(7, 9)[3, 4]
@@ -148,6 +152,7 @@ def test_lost_lenslet_stays_lost_and_neighbours_are_refined(checker_bench: Small
     assert rms(last.wavefront.views - bowl.views).mean() < 0.4 * rms(once.views - bowl.views).mean()
 
 
+@pytest.mark.slow
 def test_bias_corrects_a_similar_wavefront(checker_bench: SmallBench, bowl: Bowl) -> None:
     reconstructor = checker_bench.reconstructor("cubic", pupil_modes=None)
     *_, last = refined(checker_bench, reconstructor, bowl.frame(checker_bench))
@@ -168,6 +173,7 @@ def test_model_without_light_is_refused(checker_bench: SmallBench) -> None:
         Refinement(checker_bench.reconstructor(), Dark())
 
 
+@pytest.mark.slow
 def test_rotated_lattice_is_modelled() -> None:
     turned = SmallBench(5, 6, rotation_rad=-0.03, source=checkerboard())
     other = Bowl(turned)

@@ -85,6 +85,7 @@ def truth_of(field: Field) -> Floats:
     return np.array([[wavefront(LAYER, RATIO, x, y) for x in field.view_x_m] for y in field.view_y_m])
 
 
+@pytest.mark.slow
 def test_response_removes_most_of_the_bias(small_bench: SmallBench, frames: dict[Shape, tuple[Image, Image]]) -> None:
     error = {}
     for shape in ("square", "circle"):
@@ -107,6 +108,7 @@ def real_reconstructor(bench: SmallBench, sample: SampleModel) -> Reconstructor:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "sample", "most_rad"),
     [("small_bench", "automatic", 0.003), ("checker_bench", "automatic", 0.003), ("checker_bench", "free", 0.006)],
@@ -128,6 +130,7 @@ def test_wavefront_is_found_in_real_light(
     assert (prepared.hidden > 0) == (name == "small_bench")
 
 
+@pytest.mark.slow
 def test_setting_decides_what_is_assumed(checker_bench: SmallBench, monkeypatch: pytest.MonkeyPatch) -> None:
     """A frame that any wavefront explains better than layers do."""
     worse, better = FitQuality(-100.0, 9.0, 0.3), FitQuality(0.0, 1.0, 0.1)

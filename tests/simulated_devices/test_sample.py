@@ -33,6 +33,7 @@ def middle_brightness(image: Image, lattice: Lattice, rows: int, columns: int) -
     return np.array([image[y : y + 5, x : x + 5].mean() for x, y in first])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("screen", ["pupil", "source"])
 def test_subimages_keep_their_brightness_in_real_light(screen: str) -> None:
     """As through any lens: what a subimage gains in area it gains in light. Without propagation, flux is conserved."""
@@ -120,6 +121,7 @@ def test_ray_beside_the_screen_is_refused_in_both_worlds(tmp_path: Path) -> None
             sample.field(along_m, along_m, 0.6e-3, (0.0, 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("placement", ["pupil", "source"])
 def test_used_light_does_not_feel_the_edge_of_the_screen(placement: str) -> None:
     """Other noise beyond the guard changes nothing."""

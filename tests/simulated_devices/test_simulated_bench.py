@@ -34,6 +34,7 @@ def bench(cache_folder: Path) -> Iterator[SimulatedBench]:
     bench.close()
 
 
+@pytest.mark.slow
 def test_states_are_rendered_ahead_and_played(cache_folder: Path) -> None:
     bench = open_bench(cache_folder / "drifting", DRIFTING)
     try:
@@ -74,6 +75,7 @@ def test_ctrl_c_of_the_terminal_does_not_reach_rendering_ahead(bench: SimulatedB
     process.close()
 
 
+@pytest.mark.slow
 def test_rendering_ahead_ends_quietly(bench: SimulatedBench, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     scene = replace(bench._scene, simulation=DRIFTING)
     process = RenderingAhead(scene, "square", tmp_path)
@@ -84,6 +86,7 @@ def test_rendering_ahead_ends_quietly(bench: SimulatedBench, tmp_path: Path, cap
     assert all(cache.load("square", state) is not None for state in range(4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("search_path", ["", os.pathsep])
 def test_rendering_ahead_imports_nothing_from_working_directory(
     bench: SimulatedBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, search_path: str
@@ -97,6 +100,7 @@ def test_rendering_ahead_imports_nothing_from_working_directory(
     assert not (tmp_path / "executed").exists()
 
 
+@pytest.mark.slow
 def test_bench_works_without_writable_cache(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("no folder")
     bench = open_bench(tmp_path / "file", DRIFTING)

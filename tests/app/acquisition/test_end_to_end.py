@@ -21,6 +21,7 @@ from simulated_devices.camera import SimulatedCamera
 FRAMES = 32  # at least
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_hurry")
 def test_live_wavefronts_match_truth_without_loss() -> None:
     bench = load_bench("live_demo", ("camera.exposure_s=0.1", "camera.em_gain=1.0"))

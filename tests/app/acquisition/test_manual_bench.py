@@ -55,6 +55,7 @@ def test_manual_stage_never_moves() -> None:
         stage.set_sample_in(False)
 
 
+@pytest.mark.slow
 def test_measure_asks_for_manual_steps(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, camera: FakeCamera
 ) -> None:
@@ -69,6 +70,7 @@ def test_measure_asks_for_manual_steps(
     assert [line.split(",")[0] for line in asked] == ["take the sample out of the beam", "put the sample into the beam"]
 
 
+@pytest.mark.slow
 def test_measure_asks_for_a_manual_light(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, camera: FakeCamera
 ) -> None:
@@ -105,6 +107,7 @@ class Mender(Person):
         return super().readline()
 
 
+@pytest.mark.slow
 def test_measure_by_hand_retakes_unusable_reference(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, camera: FakeCamera
 ) -> None:

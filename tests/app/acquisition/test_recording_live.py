@@ -81,6 +81,7 @@ def assert_made_again(recording: Recording) -> None:
         np.testing.assert_array_equal(made.wavefront.solution.coefficients, recording.coefficients(index))  # type: ignore[attr-defined] # modal
 
 
+@pytest.mark.slow
 def test_recorded_frames_are_reproduced_bit_by_bit(make_live: Callable[..., Live], tmp_path: Path) -> None:
     live = make_live("reconstruction.refine=true")
     live.until_refined()
@@ -128,6 +129,7 @@ def measure_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Instrument, "measure", slowly)
 
 
+@pytest.mark.slow
 def test_gaps_and_skipped_frames_are_recorded(
     make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -149,6 +151,7 @@ def test_gaps_and_skipped_frames_are_recorded(
     assert all(made.wavefront is not None for made in reprocess(recording))  # skipped ones, too
 
 
+@pytest.mark.slow
 def test_skipped_frames_keep_previous_refinement(
     make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -186,6 +189,7 @@ def test_lost_camera_leaves_readable_recording(make_live: Callable[..., Live], t
     assert_made_again(recording)
 
 
+@pytest.mark.slow
 def test_recent_frames_are_kept_during_recording(make_live: Callable[..., Live], tmp_path: Path) -> None:
     live = make_live()
     wait_until(lambda: len(live.measurements) > 20)
@@ -206,7 +210,7 @@ def test_recent_frames_are_kept_during_recording(make_live: Callable[..., Live],
     assert last + 1 >= indexes.index(recorded.line(0).camera_index)
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_kill_at_random_moment_keeps_all_but_last_frames(small_toml: Path, tmp_path: Path) -> None:
     """`recording_crash.py` counts the missing frames on a quiet computer; a busy one may lose more."""
     random = np.random.default_rng()

@@ -242,6 +242,7 @@ def test_reference_noise_enters_covariance(small_bench: SmallBench) -> None:
         assert np.mean(np.square(errors)) / np.mean(variances) == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
     started(live)
     first = live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S)
@@ -265,6 +266,7 @@ def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
     assert "4 frames" in live.status.dark_note
 
 
+@pytest.mark.slow
 def test_reference_of_a_mask_is_stale_at_another_exposure(live: Live) -> None:
     started(live)
     live.do(lambda instrument: instrument.change_settings(lambda bench: bench, "circle"))

@@ -373,6 +373,7 @@ def test_streams_section_survives_write_and_read(small_toml: Path) -> None:
     assert load_bench(small_toml).streams.port is None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("lingers")
 def test_measure_publishes_what_it_records(
     port: int, small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

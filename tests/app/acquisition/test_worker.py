@@ -134,6 +134,7 @@ def test_refused_setting_keeps_loop_running(running: Running) -> None:
     wait_until(lambda: len(running.measurements) > before + 2)
 
 
+@pytest.mark.slow
 def test_routines_restore_devices(running: Running) -> None:
     running.begin()
     running.acquisition.take_dark(3).result(HANG_S)
@@ -289,6 +290,7 @@ def test_unplugged_camera_ends_loop_with_light_off(running: Running) -> None:
         running.acquisition.submit(_is_dark).result(HANG_S)
 
 
+@pytest.mark.slow
 def test_stalled_camera_ends_loop(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     running.begin()
     monkeypatch.setattr("app.measurement.routines.frames._MARGIN_S", 0.3)
@@ -385,6 +387,7 @@ def test_slow_skipping_still_measures_and_stops(small_toml: Path, monkeypatch: p
     assert not running.acquisition.is_alive
 
 
+@pytest.mark.slow
 def test_slow_devices_are_polled_less_often(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     status, asked_s, answered_s = Instrument.status, [], []
 

@@ -48,6 +48,7 @@ def mine(recordings: list[Recording], tmp_path: Path) -> Recording:
     return Recording(copy)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", [(), ("registration.warp=translation",)])
 def test_results_are_those_of_a_replay(recordings: list[Recording], tmp_path: Path, setting: tuple[str, ...]) -> None:
     """Also with another registration, where each frame starts from the one before in its block."""
@@ -57,6 +58,7 @@ def test_results_are_those_of_a_replay(recordings: list[Recording], tmp_path: Pa
         assert_equals_replay(tmp_path / "r.zarr", recording, tmp_path, *setting)
 
 
+@pytest.mark.slow
 def test_another_bench_is_that_of_a_replay(recordings: list[Recording], small_toml: Path, tmp_path: Path) -> None:
     other = load_bench(small_toml, (*QUICK, "reconstruction.method=zonal"))
     batch(tmp_path / "r.zarr", recordings[1], job=Job(bench=write_bench(other)))
@@ -65,6 +67,7 @@ def test_another_bench_is_that_of_a_replay(recordings: list[Recording], small_to
         assert "coefficients" not in stored
 
 
+@pytest.mark.slow
 def test_frames_are_refined_by_the_model(recordings: list[Recording], tmp_path: Path) -> None:
     batch(tmp_path / "r.zarr", recordings[1], job=Job(rounds=2))
     recording = recordings[1]
@@ -81,6 +84,7 @@ def test_frames_are_refined_by_the_model(recordings: list[Recording], tmp_path: 
         np.testing.assert_array_equal(stored["wavefront"][0, 2], whole.views)
 
 
+@pytest.mark.slow
 def test_store_opens_as_one_dataset_with_its_origin(recordings: list[Recording], tmp_path: Path) -> None:
     batch(tmp_path / "r.zarr", *recordings)
     with svwfs.open_result(tmp_path / "r.zarr") as stored:
@@ -108,6 +112,7 @@ def test_folder_without_results_cannot_be_opened(recordings: list[Recording], tm
         svwfs.open_result(tmp_path / "r.zarr")
 
 
+@pytest.mark.slow
 def test_second_run_does_only_what_is_missing(recordings: list[Recording], tmp_path: Path) -> None:
     out = tmp_path / "r.zarr"
     batch(out, *recordings)
@@ -125,6 +130,7 @@ def test_second_run_does_only_what_is_missing(recordings: list[Recording], tmp_p
     assert batch(out, *recordings, evaluate=(counting := Counting())).computed == counting.items == 0
 
 
+@pytest.mark.slow
 def test_more_and_longer_recordings_are_added(recordings: list[Recording], tmp_path: Path) -> None:
     out, whole = tmp_path / "r.zarr", tmp_path / "whole.zarr"
     batch(out, recordings[1])
@@ -135,6 +141,7 @@ def test_more_and_longer_recordings_are_added(recordings: list[Recording], tmp_p
         xr.testing.assert_identical(one.drop_vars("provenance"), other.drop_vars("provenance"))
 
 
+@pytest.mark.slow
 def test_interrupted_run_is_continued(recordings: list[Recording], tmp_path: Path) -> None:
     out = tmp_path / "r.zarr"
 
@@ -203,6 +210,7 @@ DAMAGED_FRAMES: dict[str, tuple[Callable[[Recording], object], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DAMAGED_FRAMES)
 def test_damaged_frame_costs_itself_alone(
     recordings: list[Recording], mine: Recording, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
@@ -220,6 +228,7 @@ def test_damaged_frame_costs_itself_alone(
         assert np.flatnonzero(stored["rms"].sel(recording="mine").isnull().any(("view_row", "view_column"))) == [6]
 
 
+@pytest.mark.slow
 def test_some_frames_of_each_recording(recordings: list[Recording], tmp_path: Path) -> None:
     """From the middle of a block to the middle of another; the values are those of all frames."""
     out, whole = tmp_path / "r.zarr", tmp_path / "whole.zarr"
@@ -253,6 +262,7 @@ def test_damaged_recording_is_named_while_the_others_complete(
             assert sentence in json.loads(stored["provenance"].sel(recording="mine").to_numpy().item())["failed"]
 
 
+@pytest.mark.slow
 def test_repaired_recording_is_completed(recordings: list[Recording], mine: Recording, tmp_path: Path) -> None:
     out, kept = tmp_path / "r.zarr", mine.pixels(6)
     _cut_pixels(mine)
@@ -266,6 +276,7 @@ def test_repaired_recording_is_completed(recordings: list[Recording], mine: Reco
         assert stored["state"].sel(recording="mine").to_numpy().tolist() == [1] * 9
 
 
+@pytest.mark.slow
 def test_frames_without_a_wavefront_are_told_and_done(mine: Recording, tmp_path: Path) -> None:
     for index in (0, 4, 5, 6, 7):  # the first, and a whole block
         replace_pixels(mine, index, np.full_like(mine.pixels(index), 500))
@@ -280,6 +291,7 @@ def test_frames_without_a_wavefront_are_told_and_done(mine: Recording, tmp_path:
     assert batch(out, mine).computed == 0
 
 
+@pytest.mark.slow
 def test_other_sizes_do_not_fit(recordings: list[Recording], small_toml: Path, tmp_path: Path) -> None:
     """Other views, and as many at other places."""
     fewer = record(small_toml, tmp_path / "fewer", *QUICK, "field.view_rows=2", frames=2)
@@ -304,6 +316,7 @@ def test_worker_with_another_version_ends_the_run(recordings: list[Recording], t
         batch(tmp_path / "r.zarr", recordings[1], job=Job(software="svwfs 0.0.1"))
 
 
+@pytest.mark.slow
 def test_changed_recording_is_refused(recordings: list[Recording], mine: Recording, tmp_path: Path) -> None:
     batch(tmp_path / "r.zarr", mine)
     _edit_run(note="edited")(mine)
@@ -357,6 +370,7 @@ def test_batch_without_any_result_leaves_nothing(mine: Recording, tmp_path: Path
     assert not (tmp_path / "r.zarr").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("last", "left"), [("state/c/0/1", 4), ("wavefront/c/0/1", 8)])
 def test_full_disk_ends_the_run_and_keeps_what_is_there(
     recordings: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: str, left: int
@@ -377,6 +391,7 @@ def test_full_disk_ends_the_run_and_keeps_what_is_there(
     assert_equals_replay(out, recordings[0], tmp_path)
 
 
+@pytest.mark.slow
 def test_first_frame_of_a_block_is_judged_beside_the_one_before(mine: Recording, tmp_path: Path) -> None:
     """A frozen camera repeats frames also across the border of two blocks."""
     replace_pixels(mine, BLOCK, mine.pixels(BLOCK - 1))

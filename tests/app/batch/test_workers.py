@@ -94,6 +94,7 @@ class Killing:
         return pid
 
 
+@pytest.mark.slow
 def test_two_workers_make_the_same_files_although_one_is_killed(
     recording: Recording, two_workers: Workers, alone: dict[str, bytes], tmp_path: Path
 ) -> None:
@@ -103,6 +104,7 @@ def test_two_workers_make_the_same_files_although_one_is_killed(
     assert differing(tmp_path / "r.zarr", alone) == []
 
 
+@pytest.mark.slow
 def test_what_killed_processes_were_writing_is_removed(
     recording: Recording, alone: dict[str, bytes], tmp_path: Path
 ) -> None:
@@ -123,7 +125,7 @@ def test_what_killed_processes_were_writing_is_removed(
     assert not earlier.exists()
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_three_killed_workers_change_nothing(
     recording: Recording, two_workers: Workers, alone: dict[str, bytes], tmp_path: Path
 ) -> None:
@@ -133,6 +135,7 @@ def test_three_killed_workers_change_nothing(
     assert differing(tmp_path / "r.zarr", alone) == []
 
 
+@pytest.mark.slow
 def test_dashboard_answers_only_if_asked(two_workers: Workers) -> None:
     """Nothing else answers either, for example with what the workers do."""
     (port,) = _http_ports(two_workers)
@@ -169,6 +172,7 @@ async def _ask(address: str, security: Security | None) -> None:
     await asyncio.wait_for(comm.read(), 5)
 
 
+@pytest.mark.slow
 def test_workers_import_nothing_from_the_working_folder(tmp_path: Path) -> None:
     for name in ("multiprocessing", "signal", "asyncio"):
         (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w').close()\n")
@@ -201,7 +205,7 @@ def _inverse(number: float) -> float:
     return 1 / number
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_deadly_task_is_told(two_workers: Workers) -> None:
     """After some workers, the task is at fault."""
     ((_, error),) = two_workers(os._exit, [3])
@@ -237,7 +241,7 @@ def scheduler_and_worker() -> Iterator[tuple[str, subprocess.Popen[str]]]:
             scheduler.stderr.close()
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_second_run_completes_what_a_killed_scheduler_left(
     recording: Recording, alone: dict[str, bytes], tmp_path: Path
 ) -> None:
@@ -276,6 +280,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_ctrl_c_stops_cleanly(recording: Recording, alone: dict[str, bytes], tmp_path: Path) -> None:
     out = tmp_path / "r.zarr"
     (tmp_path / "program.py").write_text(UNHURRIED)
@@ -300,6 +305,7 @@ def test_ctrl_c_stops_cleanly(recording: Recording, alone: dict[str, bytes], tmp
     assert differing(out, alone) == []
 
 
+@pytest.mark.slow
 def test_command_reports_failures_at_the_end(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -312,6 +318,7 @@ def test_command_reports_failures_at_the_end(
     assert said.err.endswith("svwfs: 1 of 2 recordings failed\n")
 
 
+@pytest.mark.slow
 def test_wrong_store_is_refused_before_workers_start(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -355,6 +362,7 @@ def test_without_dask_a_sentence_tells_how_to_install_it(monkeypatch: pytest.Mon
         pass
 
 
+@pytest.mark.slow
 def test_studies_are_shared_among_workers(two_workers: Workers, small_toml: Path, tmp_path: Path) -> None:
     """Also settings that are functions in functions reach the workers."""
     bench, study = load_bench(small_toml), calibration_trials()

@@ -34,6 +34,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory, small_toml: Path) -> Path
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(0 if MANY else 600)
 def test_bad_input_is_one_line(
     prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]

@@ -61,6 +61,7 @@ def reconstruct_foreign(out: Path, *more: str | Path) -> tuple[str | Path, ...]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "figure_rad"),
     [
@@ -109,6 +110,7 @@ def test_noise_free_images_are_float_photons(monkeypatch: pytest.MonkeyPatch, tm
     assert tifffile.imread(tmp_path / "dark.tif").max() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_hurry")
 def test_measure_writes_results(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
@@ -135,6 +137,7 @@ def test_measure_writes_results(
     assert {"python", "numpy", "numba"} <= set(record["versions"])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_hurry")
 def test_late_start_of_the_recording_costs_no_frame(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path
@@ -152,6 +155,7 @@ def test_late_start_of_the_recording_costs_no_frame(
         assert results["frame_index"].to_numpy().tolist() == [0, 1, 2]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_hurry")
 def test_measure_that_recorded_nothing_can_be_repeated(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
@@ -168,6 +172,7 @@ def test_measure_that_recorded_nothing_can_be_repeated(
     assert run(monkeypatch, *command) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_hurry")
 def test_measure_never_overwrites_recording(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
@@ -226,6 +231,7 @@ def test_measure_whose_list_of_frames_is_deleted_says_so(
     assert not lines.exists()
 
 
+@pytest.mark.slow
 def test_measure_refines_every_frame(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path) -> None:
     command = ("measure", "--bench", small_toml, "--frames", "5", "--out", tmp_path / "m")
     assert run(monkeypatch, *command, "--set", "reconstruction.refine=true") == 0
@@ -233,6 +239,7 @@ def test_measure_refines_every_frame(monkeypatch: pytest.MonkeyPatch, tmp_path: 
         assert np.all(results["bias_age"].to_numpy() >= 0)
 
 
+@pytest.mark.slow
 def test_reconstruct_refine_limits_rounds(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -255,6 +262,7 @@ def test_reconstruct_refine_limits_rounds(
     assert residual.std(axis=(2, 3)).mean() < 0.012  # another simulator's frames
 
 
+@pytest.mark.slow
 def test_ctrl_c_saves_measured_frames(tmp_path: Path, small_toml: Path) -> None:
     command = [sys.executable, "-c", "from app.cli import main; main()", "measure", "--bench", str(small_toml)]
     process = subprocess.Popen(  # noqa: S603 - our own program
@@ -271,6 +279,7 @@ def test_ctrl_c_saves_measured_frames(tmp_path: Path, small_toml: Path) -> None:
         assert results.sizes["frame"] == int(said[1]) > 0
 
 
+@pytest.mark.slow
 def test_unplugged_camera_keeps_measured_frames(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:
@@ -443,6 +452,7 @@ def test_reading_bench_and_help_load_no_devices_numba_or_qt(tmp_path: Path, prog
     assert finished.stderr == "[]\n"
 
 
+@pytest.mark.slow
 def test_measuring_loads_no_qt() -> None:
     rooms = (
         "app.cli.application, app.acquisition.start_up, app.acquisition.streams.publisher, app.results.frame_tallies"
@@ -519,6 +529,7 @@ def test_frame_of_another_size_than_the_bench_is_told(
     assert ("bench's camera 100 x 512: is this its bench?" in capsys.readouterr().err) == is_told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "full"), [(np.uint16, 65535), (np.float32, 65535), (np.uint8, 255)])
 def test_hot_pixel_in_the_reference_is_no_reason_to_refuse(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, kind: type, full: int
@@ -534,6 +545,7 @@ def test_hot_pixel_in_the_reference_is_no_reason_to_refuse(
     assert run(monkeypatch, "reconstruct", tmp_path / "frame.tif", *command) == 0
 
 
+@pytest.mark.slow
 def test_unjudged_misfit_and_a_repeated_reference_are_told(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -48,6 +48,7 @@ def command(reference: Path, *more: str | Path) -> tuple[str | Path, ...]:
     return "calibrate", reference, "--bench", BENCH, *more
 
 
+@pytest.mark.slow
 def test_written_bench_has_lattice_and_comments(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, reference: Path
 ) -> None:

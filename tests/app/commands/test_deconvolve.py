@@ -52,6 +52,7 @@ def image(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_writes_image_and_mark(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], image: Path, result: Path, tmp_path: Path
 ) -> None:
@@ -72,6 +73,7 @@ def test_writes_image_and_mark(
     assert (corrected[inside] != before[inside]).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_recording_and_its_results_have_the_same_wavefront(recording: Recording, result: Path) -> None:
     frames = [made.wavefront for made in reprocess(recording)]
     position = (0.31e-3, -0.47e-3)
@@ -84,6 +86,7 @@ def test_recording_and_its_results_have_the_same_wavefront(recording: Recording,
         np.testing.assert_allclose(last(*position), frames[2].at(*position), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_zonal_results_are_interpolated_between_views(zonal: Path) -> None:
     (made,) = reprocess(Recording(zonal))
     assert made.wavefront is not None
@@ -94,6 +97,7 @@ def test_zonal_results_are_interpolated_between_views(zonal: Path) -> None:
     assert np.nanstd(phase_at(0.2e-3, -0.3e-3) - between) < 0.1 * np.nanstd(between)
 
 
+@pytest.mark.slow
 def test_python_corrects_as_the_command_does(
     monkeypatch: pytest.MonkeyPatch, image: Path, result: Path, tmp_path: Path
 ) -> None:
@@ -107,6 +111,7 @@ def test_python_corrects_as_the_command_does(
         svwfs.deconvolve(tifffile.imread(image), 3.0, bench)  # type: ignore[arg-type] # the point of the test
 
 
+@pytest.mark.slow
 def test_geometry_comes_from_toml_and_options(
     monkeypatch: pytest.MonkeyPatch, image: Path, result: Path, tmp_path: Path
 ) -> None:
@@ -150,6 +155,7 @@ def refusals(tmp_path: Path, result: Path) -> dict[str, tuple[list[str | Path], 
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [
@@ -184,6 +190,7 @@ def test_bad_input_is_one_line(
     assert not (tmp_path / "new.tif").exists()
 
 
+@pytest.mark.slow
 def test_interruption_leaves_no_file(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], image: Path, result: Path, tmp_path: Path
 ) -> None:
@@ -198,6 +205,7 @@ def test_interruption_leaves_no_file(
     assert set(tmp_path.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_result_keeps_the_section(tmp_path: Path) -> None:
     """The bench of a result brings the geometry of its image along."""
     bench = load_bench("small_demo", ("imaging.pixel_m=3e-6", "imaging.numerical_aperture=0.005"))

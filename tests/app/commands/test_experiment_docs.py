@@ -51,6 +51,7 @@ def quick(command: str) -> str:
     return command
 
 
+@pytest.mark.slow
 def test_every_documented_command_runs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -111,6 +112,7 @@ def test_documented_real_bench_loads() -> None:
     assert (bench.camera.driver, bench.light.driver) == ("dcam", "thorlabs_dc4100")
 
 
+@pytest.mark.slow
 def test_prompts_match_documentation(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -133,6 +135,7 @@ def test_linked_pictures_and_pages_exist() -> None:
             assert_drawn(DOCS / name)
 
 
+@pytest.mark.slow
 def test_measure_applies_mask_average_and_auto_expose(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

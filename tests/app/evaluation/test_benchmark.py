@@ -41,6 +41,7 @@ def result(bench: Bench) -> Json:
     )
 
 
+@pytest.mark.slow
 def test_benchmark_is_written_and_printed(result: Json, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_json(tmp_path / "benchmark.json", result)
     written = json.loads((tmp_path / "benchmark.json").read_text())
@@ -68,7 +69,7 @@ def test_svwfs_measures_the_wavefront_better_than_peers(result: Json, bench: Ben
         assert residuals[OURS] < min(residuals[name] for name in RATIOS)
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_missing_peer_is_reported(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(*_: object) -> contestants.Register:
         raise ImportError("No module named 'skimage'")
@@ -118,6 +119,7 @@ def test_tiled_frames_repeat_their_source(bench: Bench) -> None:
     np.testing.assert_allclose(large_found[6, 1:4], small_found[1, 1:4], atol=0.02)  # other neighbours
 
 
+@pytest.mark.slow
 def test_stopwatch_calls_contestants_in_turn() -> None:
     calls: list[str] = []
     times = side_by_side({name: lambda name=name: calls.append(name) for name in "ab"}, 0.01)  # type: ignore[misc] # bound now

@@ -41,7 +41,7 @@ def check(shares: list[float], uncertain: float) -> None:
     assert np.mean(shares) == pytest.approx(NORMAL, abs=ASKED + 2 * uncertainty)
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_error_bars_cover_68_percent(small_toml: Path) -> None:
     """Each warp in one pass at two light levels; refined, and as live with the bias of an older frame, at one each."""
     bench = load_bench(small_toml)

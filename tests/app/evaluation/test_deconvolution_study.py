@@ -28,7 +28,7 @@ def data() -> xr.Dataset:
     return collect(DECONVOLUTION.dims, DECONVOLUTION.measure(bench, range(1), lambda *_: None))
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["target", "cells", "stars"])
 def test_measured_psfs_are_far_better_than_one_and_as_good_as_the_true_ones(data: xr.Dataset, name: str) -> None:
     psnr_db = {way: data["psnr_db"].sel(object=name, way=way).item() for way in data["way"].values.tolist()}
@@ -37,7 +37,7 @@ def test_measured_psfs_are_far_better_than_one_and_as_good_as_the_true_ones(data
     assert psnr_db["measured PSFs"] > psnr_db["true PSFs"] - 0.5
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_study_writes_its_files(data: xr.Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     result = StudyResult(DECONVOLUTION, data, 1)
     write_newest([result], tmp_path)
@@ -46,6 +46,7 @@ def test_study_writes_its_files(data: xr.Dataset, tmp_path: Path, capsys: pytest
     assert "best single PSF" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_photograph_in_propagated_light_is_restored_only_the_right_way_round() -> None:
     """The screen lies near the mask: field positions see different parts of it, and light gathers on the way."""
     settings = ("screen.placement='source'", "screen.distance_m=0.06", "screen.correlation_length_m=0.6e-3")

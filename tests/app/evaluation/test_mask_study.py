@@ -68,7 +68,7 @@ def studied(out: Path, monkeypatch: pytest.MonkeyPatch, *words: str | Path) -> d
     }
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_mask_study_predicts_the_simulation_without_propagation(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -92,7 +92,7 @@ def test_mask_study_predicts_the_simulation_without_propagation(
     assert "residual, layers: predicted" in capsys.readouterr().out
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_mask_study_tells_what_the_square_hides_in_real_light(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path
 ) -> None:

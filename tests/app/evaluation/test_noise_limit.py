@@ -55,6 +55,7 @@ def test_scatter_of_estimator_is_near_the_bound(small_toml: Path) -> None:
     assert scatter.coverage == pytest.approx(0.683, abs=0.04)
 
 
+@pytest.mark.slow
 def test_photons_study_compares_scatter_with_bound(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_noise, "_PEAKS_E", (1e3,))
     monkeypatch.setattr(camera_noise, "_NOISE_DRAWS", 20)

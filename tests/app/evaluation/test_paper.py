@@ -28,6 +28,7 @@ def table(monkeypatch: pytest.MonkeyPatch, out: Path, name: str, *more: str) -> 
     return written
 
 
+@pytest.mark.slow
 def test_table_1_orders_the_methods_like_the_paper(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -58,7 +59,7 @@ def test_table_1_orders_the_methods_like_the_paper(
     assert {name: row["seconds"] for name, row in again.items()} == first  # from the cache
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_seeds_are_averaged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     one = table(monkeypatch, tmp_path / "1", "table1")["ours"]["affine_modal"]
     two = table(monkeypatch, tmp_path / "2", "table1", "--seeds", "2")["ours"]["affine_modal"]
@@ -68,7 +69,7 @@ def test_seeds_are_averaged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     assert two["spread_rad"] == pytest.approx(abs(one["mean_rad"] - other["mean_rad"]) / np.sqrt(2))
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_table_2_orders_the_methods_like_the_paper(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = table(monkeypatch, tmp_path, "table2")["ours"]
     assert ours["stars_zonal_against_truth"]["mean_rad"] < 0.2
@@ -79,13 +80,13 @@ def test_table_2_orders_the_methods_like_the_paper(monkeypatch: pytest.MonkeyPat
     assert "affine_zonal_resized" in ours
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_stars_follow_the_spacing_of_the_bench(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = table(monkeypatch, tmp_path, "table1", "--set", "simulation.source.star_spacing_m=0.45e-3")["ours"]
     assert ours["stars_zonal"]["mean_rad"] < 0.15
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_circular_field_counts_only_views_inside(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     written = table(monkeypatch, tmp_path, "table1", "--set", "field.shape=circle")
     assert written["problems"] == {}
@@ -105,7 +106,7 @@ def test_bench_unable_to_run_the_experiment_is_rejected(
     assert sentence in capsys.readouterr().err
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_sources_compares_all_shapes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = table(monkeypatch, tmp_path, "sources")["ours"]
     assert len(ours) == 5 * 6

@@ -41,7 +41,7 @@ def without_times(data: xr.Dataset) -> xr.Dataset:
 
 @pytest.mark.parametrize(
     "study",
-    [made_up("made"), pytest.param(PHOTONS, marks=pytest.mark.soak), calibration_trials()],
+    [made_up("made"), pytest.param(PHOTONS, marks=pytest.mark.slow), calibration_trials()],
     ids=lambda study: study.name,
 )
 def test_shared_seeds_give_the_same_results(

@@ -32,7 +32,7 @@ def at(curve: list[dict[str, Any]], position: float | str) -> dict[str, Any]:
     return next(point for point in curve if point["at"] == position)
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_sweeps_are_written_and_printed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

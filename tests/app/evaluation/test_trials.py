@@ -130,6 +130,7 @@ def test_calibration_measures_wrong_results(monkeypatch: pytest.MonkeyPatch, sma
     assert not first["as_asked"]
 
 
+@pytest.mark.slow
 def test_exposure_meets_its_limits_or_reports_the_problem(monkeypatch: pytest.MonkeyPatch, small_toml: Path) -> None:
     camera = exposure_trials._Camera("8 bits", Range(1e-5, 7200.0), exposure_trials._EIGHT)
     monkeypatch.setattr(exposure_trials, "_CAMERAS", (camera,))

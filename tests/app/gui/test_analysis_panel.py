@@ -43,6 +43,7 @@ def show(window: MainWindow, wavefront: Wavefront | None) -> None:
     window.wavefront_panel.show_wavefront(wavefront)
 
 
+@pytest.mark.slow
 def test_keys_choose_the_quantity(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.activateWindow()
@@ -166,6 +167,7 @@ def test_failing_analysis_is_shown_and_window_continues(make_window: MakeWindow,
     assert window.wavefront_panel.grid.maps is not None
 
 
+@pytest.mark.slow
 def test_redraw_continues_while_analysis_hangs_and_thread_ends_with_window(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

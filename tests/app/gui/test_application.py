@@ -42,6 +42,7 @@ def when_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:
     timer.stop()
 
 
+@pytest.mark.slow
 def test_unattended_run_saves_screenshot_and_result(qapp: QApplication, tmp_path: Path) -> None:
     camera = FakeCamera()
     finished: list[Measurement] = []
@@ -60,6 +61,7 @@ def test_unattended_run_saves_screenshot_and_result(qapp: QApplication, tmp_path
     assert qapp is QApplication.instance()
 
 
+@pytest.mark.slow
 def test_full_disk_leaves_no_screenshot(qapp: QApplication, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Qt would report success."""
 

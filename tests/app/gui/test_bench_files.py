@@ -61,6 +61,7 @@ def is_live(benches: Opened, count: int) -> bool:
     return len(benches.opened) == count and controller.status is not None and controller.pending.is_empty
 
 
+@pytest.mark.slow
 def test_preset_is_opened_and_another_bench_takes_its_place(
     benches: Opened, qtbot: QtBot, small_toml: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -82,6 +83,7 @@ def test_preset_is_opened_and_another_bench_takes_its_place(
     assert benches.opened[2] == benches.opened[1]
 
 
+@pytest.mark.slow
 def test_faulty_file_shows_its_line_until_it_is_corrected(
     benches: Opened, qtbot: QtBot, small_toml: Path, tmp_path: Path
 ) -> None:
@@ -110,6 +112,7 @@ def test_faulty_file_shows_its_line_until_it_is_corrected(
     assert not dialog.isVisible()
 
 
+@pytest.mark.slow
 def test_faulty_file_leaves_the_open_bench(benches: Opened, qtbot: QtBot, tmp_path: Path) -> None:
     benches.window.benches.open("small_demo")
     qtbot.waitUntil(lambda: is_live(benches, 1))
@@ -143,6 +146,7 @@ def test_library_is_loaded_only_when_it_is_trusted(
     qtbot.waitUntil(lambda: benches.cameras[0].is_closed)
 
 
+@pytest.mark.slow
 def test_last_bench_is_offered_at_the_next_start(
     benches: Opened, qtbot: QtBot, small_toml: Path, tmp_path: Path
 ) -> None:
@@ -168,6 +172,7 @@ def test_last_bench_is_offered_at_the_next_start(
     assert not window.messages.accept.isVisible()
 
 
+@pytest.mark.slow
 def test_saved_bench_is_recent(benches: Opened, qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     benches.window.benches.open("small_demo")
     qtbot.waitUntil(lambda: is_live(benches, 1))

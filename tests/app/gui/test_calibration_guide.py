@@ -47,6 +47,7 @@ def state(guide: CalibrationGuide, step: CalibrationStep) -> str:
     return guide.lamps[step].toolTip()
 
 
+@pytest.mark.slow
 def test_button_takes_all_steps(window: MainWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
     guide = window.controller.guide
     window.controls.calibrate.click()
@@ -71,6 +72,7 @@ def test_button_takes_all_steps(window: MainWindow, qtbot: QtBot, camera: Expose
     assert not guide.isVisible()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_used", [True, False])
 def test_another_lattice_is_used_only_when_accepted(window: MainWindow, qtbot: QtBot, is_used: bool) -> None:
     guide = window.controller.guide
@@ -83,6 +85,7 @@ def test_another_lattice_is_used_only_when_accepted(window: MainWindow, qtbot: Q
     qtbot.waitUntil(lambda: is_about(window, 215.0 if is_used else 211.0))
 
 
+@pytest.mark.slow
 def test_lattice_is_sought_again_after_the_exposure(
     window: MainWindow, qtbot: QtBot, camera: ExposedCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -106,6 +109,7 @@ def test_lattice_is_sought_again_after_the_exposure(
     assert "117 of 117 illuminated" in said[-1]
 
 
+@pytest.mark.slow
 def test_esc_cancels_and_restores_the_devices(window: MainWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
     guide = window.controller.guide
     window.controls.frames.setValue(10_000)
@@ -121,6 +125,7 @@ def test_esc_cancels_and_restores_the_devices(window: MainWindow, qtbot: QtBot, 
     assert state(guide, REFERENCE) == "waiting"  # nothing follows
 
 
+@pytest.mark.slow
 def test_failed_step_can_be_repeated(window: MainWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
     guide = window.controller.guide
     camera.fill = 0.0
@@ -133,6 +138,7 @@ def test_failed_step_can_be_repeated(window: MainWindow, qtbot: QtBot, camera: E
     qtbot.waitUntil(lambda: guide.question.text() == "Calibrated.")
 
 
+@pytest.mark.slow
 def test_person_is_asked_to_take_the_sample_out(make_window: MakeWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
     window = make_window()
     window.open(lambda: Acquisition(MANUAL, opener(camera)))

@@ -204,6 +204,7 @@ def test_right_click_on_a_view_selects_nothing(window: MainWindow) -> None:
     assert not selected
 
 
+@pytest.mark.slow
 def test_lenslet_is_excluded_by_hand_and_used_again(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     camera, lenslet = window.camera_panel, window.tabs.lenslet

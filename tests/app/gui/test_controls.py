@@ -22,6 +22,7 @@ from app.measurement.routines.averages import AVERAGED_FRAMES
 from reconstruction.settings import Method, PupilBasis
 
 
+@pytest.mark.slow
 def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     controls = window.controls
@@ -48,6 +49,7 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
     qtbot.waitUntil(lambda: "was taken with another amplifier" in window.messages.text.text())
 
 
+@pytest.mark.slow
 def test_tooltips_name_what_automatic_has_chosen(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     controls, counts = window.controls, {"affine": 3, "quadratic": 6, "cubic": 10, "quartic": 15}
@@ -100,6 +102,7 @@ def test_return_applies_typed_number_and_escape_restores_it(live: tuple[MainWind
     assert answers == [True]
 
 
+@pytest.mark.slow
 def test_notice_disappears_at_the_next_command(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -112,6 +115,7 @@ def test_notice_disappears_at_the_next_command(
     qtbot.waitUntil(lambda: window.messages.text.text() == "The light is off: switch it on (L)")
 
 
+@pytest.mark.slow
 def test_changed_settings_reach_the_reconstruction(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.controls.setting_requested.emit("registration", "warp", "affine")
@@ -171,6 +175,7 @@ def test_lamps_show_validity_of_dark_and_reference(live: tuple[MainWindow, FakeC
     assert lamps("doubtful", "missing") == (amber, off)
 
 
+@pytest.mark.slow
 def test_steps_show_time_and_brightness_in_the_order_of_work(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     controls = window.controls
@@ -203,6 +208,7 @@ def test_method_has_a_human_name_and_keeps_its_word(live: tuple[MainWindow, Fake
     assert sent[1] == ("reconstruction", "basis", "zernike")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "is_used"),
     [
@@ -225,6 +231,7 @@ def test_warp_is_enabled_only_where_it_has_an_effect(
     assert window.controls.warp.isEnabled() == is_used
 
 
+@pytest.mark.slow
 def test_refused_value_is_shown_and_loop_continues(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     window.controls.exposure.setValue(55)

@@ -22,6 +22,7 @@ def export(window: MainWindow, monkeypatch: pytest.MonkeyPatch, path: Path) -> N
     next(each for each in window.findChildren(QAction) if each.text() == "Export the shown wavefronts").trigger()
 
 
+@pytest.mark.slow
 def test_picture_and_results_are_those_that_are_shown(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -47,6 +48,7 @@ def test_picture_and_results_are_those_that_are_shown(
     assert np.abs(np.sum(views * column, axis=(2, 3))).max() < 1e-6  # least squares leave no tilt
 
 
+@pytest.mark.slow
 def test_existing_results_are_not_replaced_unasked(
     live: tuple[MainWindow, FakeCamera], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -64,6 +66,7 @@ def test_nothing_to_export_is_announced(make_window: MakeWindow, monkeypatch: py
     assert "There is no wavefront to export" in window.log.text
 
 
+@pytest.mark.slow
 def test_simulated_bench_is_marked(live: tuple[MainWindow, FakeCamera]) -> None:
     """The bench of the fake camera names no driver, so it counts as simulated."""
     window, _ = live

@@ -30,6 +30,7 @@ def drop(window: MainWindow, *paths: Path) -> None:
         assert event.isAccepted()
 
 
+@pytest.mark.slow
 def test_recording_opens_another_window(
     live: tuple[MainWindow, FakeCamera], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -45,6 +46,7 @@ def test_recording_opens_another_window(
     assert "holds no recording" in window.log.text
 
 
+@pytest.mark.slow
 def test_dragging_across_opens_nothing(
     live: tuple[MainWindow, FakeCamera], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -64,6 +66,7 @@ def test_dragging_across_opens_nothing(
     assert opened == [tmp_path]
 
 
+@pytest.mark.slow
 def test_bench_is_opened(live: tuple[MainWindow, FakeCamera], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     window, _ = live
     asked: list[str] = []
@@ -74,6 +77,7 @@ def test_bench_is_opened(live: tuple[MainWindow, FakeCamera], tmp_path: Path, mo
     assert asked == [str(path)]
 
 
+@pytest.mark.slow
 def test_frame_is_reconstructed_until_the_camera_starts(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
@@ -95,6 +99,7 @@ def test_frame_is_reconstructed_until_the_camera_starts(
     qtbot.waitUntil(lambda: window.controller.acquisition.newest is not newest)  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pixels", "problem"),
     [
@@ -114,6 +119,7 @@ def test_unusable_frame_is_refused(
     assert not window.controller.failure
 
 
+@pytest.mark.slow
 def test_frame_is_refused_during_a_recording(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, _ = live
     window.controller.recordings_folder = tmp_path / "runs"
@@ -124,6 +130,7 @@ def test_frame_is_refused_during_a_recording(live: tuple[MainWindow, FakeCamera]
     assert "is not shown during a recording" in window.log.text
 
 
+@pytest.mark.slow
 def test_other_files_are_refused(live: tuple[MainWindow, FakeCamera], tmp_path: Path) -> None:
     window, _ = live
     (tmp_path / "notes.txt").write_text("x")

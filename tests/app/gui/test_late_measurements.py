@@ -40,6 +40,7 @@ def test_nothing_is_late_beside_an_earlier_acquisition() -> None:
     assert not any(late.leave_out(again, shown) for shown in (None, first, None, first, None, first))
 
 
+@pytest.mark.slow
 def test_window_leaves_such_redraws_out(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

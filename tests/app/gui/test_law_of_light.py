@@ -34,6 +34,7 @@ def activate(window: QWidget, qtbot: QtBot) -> None:
     qtbot.waitUntil(window.isActiveWindow)
 
 
+@pytest.mark.slow
 def test_light_off_between_two_steps_ends_the_guided_calibration(make_window: MakeWindow, qtbot: QtBot) -> None:
     camera = ExposedCamera()
     window = make_window(camera)
@@ -82,6 +83,7 @@ DIALOGS: dict[str, Callable[[MainWindow], object]] = {
 }
 
 
+@pytest.mark.slow
 def test_light_key_works_in_every_dialog(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     activate(window, qtbot)
@@ -98,6 +100,7 @@ def test_light_key_works_in_every_dialog(live: tuple[MainWindow, FakeCamera], qt
         assert focused(window) is window, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("field", ["name", "current"])
 def test_light_key_is_never_swallowed(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, field: str
@@ -169,6 +172,7 @@ def test_held_key_switches_once(live: tuple[MainWindow, FakeCamera]) -> None:
     assert not [action.text() for action in actions if action.autoRepeat()]
 
 
+@pytest.mark.slow
 def test_second_light_key_keeps_off_what_is_lighting_up(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     """Although a change of the status between both shows the light as off again."""
     window, camera = live
@@ -210,6 +214,7 @@ def test_light_key_at_start_keeps_the_light_off(
     assert not camera.light.shines
 
 
+@pytest.mark.slow
 def test_stopping_a_recording_leaves_its_name(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
@@ -234,6 +239,7 @@ def test_hidden_field_gives_the_focus_to_the_window(live: tuple[MainWindow, Fake
     assert focused(window) is window
 
 
+@pytest.mark.slow
 def test_space_stops_the_camera_although_nothing_was_clicked(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     window.activateWindow()
@@ -247,6 +253,7 @@ def test_space_stops_the_camera_although_nothing_was_clicked(live: tuple[MainWin
     qtbot.waitUntil(lambda: "lattice is in use" in window.log.text)
 
 
+@pytest.mark.slow
 def test_light_key_keeps_the_light_off_while_a_bench_opens(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -270,6 +277,7 @@ def test_light_key_keeps_the_light_off_while_a_bench_opens(
     assert True not in lit
 
 
+@pytest.mark.slow
 def test_number_lines_of_the_settings_take_tab_and_leave_the_light_key_alone(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:

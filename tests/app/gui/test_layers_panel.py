@@ -56,6 +56,7 @@ def open_tab(qtbot: QtBot, window: MainWindow, title: str) -> None:
     click(qtbot, *tab(window, title))
 
 
+@pytest.mark.slow
 def test_layer_is_found_with_curve_and_map(window: MainWindow, qtbot: QtBot) -> None:
     open_tab(qtbot, window, "Layers")
     panel = window.tabs.layers
@@ -121,6 +122,7 @@ def test_distances_from_the_mask(window: MainWindow, qtbot: QtBot) -> None:
     assert panel.plot.view.viewRange()[0] == pytest.approx([0, 200])
 
 
+@pytest.mark.slow
 def test_layer_behind_the_lenslets_is_measured_from_them(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     window.show_measurement(measured("simulation.screen.distance_m=-0.1"))
@@ -142,6 +144,7 @@ def test_closed_panels_compute_nothing(window: MainWindow, qtbot: QtBot, measure
     assert window._analysis._correctors._request is None
 
 
+@pytest.mark.slow
 def test_lost_wavefront_makes_the_map_grey(window: MainWindow, qtbot: QtBot, measurement: Measurement) -> None:
     open_tab(qtbot, window, "Layers")
     panel = window.tabs.layers
@@ -168,6 +171,7 @@ def test_fresh_map_is_repainted_with_its_colour_bar(
     assert parts.pop() == ()
 
 
+@pytest.mark.slow
 def test_displacements_alike_over_the_field_show_no_layer(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     window.show_measurement(measured("registration.warp=translation"))

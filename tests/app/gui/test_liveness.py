@@ -50,6 +50,7 @@ def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:
     assert liveness(None, "", Activity("opening the devices"), None).is_grey  # a picture of another bench may be seen
 
 
+@pytest.mark.slow
 def test_paused_and_disconnected_frames_are_grey(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     window.tabs.inspect(4, 6)
@@ -71,6 +72,7 @@ def test_paused_and_disconnected_frames_are_grey(live: tuple[MainWindow, FakeCam
     assert "DISCONNECTED" in badges(window)[2]
 
 
+@pytest.mark.slow
 def test_frame_of_a_file_says_so(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, camera = live
     tifffile.imwrite(tmp_path / "flat.tif", np.rint(500 + 40000 * camera._images[0]).astype(np.uint16))
@@ -80,6 +82,7 @@ def test_frame_of_a_file_says_so(live: tuple[MainWindow, FakeCamera], qtbot: QtB
     qtbot.waitUntil(lambda: badges(window)[:2] == ("", ""))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_inspected", [True, False])
 def test_lenslet_without_wavefront_gives_the_reason(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, is_inspected: bool

@@ -112,6 +112,7 @@ def test_small_window_stays_readable(make_window: MakeWindow) -> None:
     assert window.width() == narrowest
 
 
+@pytest.mark.slow
 def test_window_measures_without_a_click(live: tuple[MainWindow, FakeCamera]) -> None:
     window, camera = live
     assert camera.light.is_on
@@ -122,6 +123,7 @@ def test_window_measures_without_a_click(live: tuple[MainWindow, FakeCamera]) ->
     assert window.controls.start.text() == "Stop"
 
 
+@pytest.mark.slow
 def test_frame_without_wavefront_shows_reason_and_no_old_wavefront(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:
@@ -132,6 +134,7 @@ def test_frame_without_wavefront_shows_reason_and_no_old_wavefront(
     assert window.status_line.valid.text() == "\N{EN DASH}"
 
 
+@pytest.mark.slow
 def test_device_failure_is_shown_and_window_reconnects(make_window: MakeWindow, qtbot: QtBot) -> None:
     first, second = FakeCamera(), FakeCamera()
     window = make_window(first, second)
@@ -151,6 +154,7 @@ def test_device_failure_is_shown_and_window_reconnects(make_window: MakeWindow, 
     assert window.controls.isEnabled()
 
 
+@pytest.mark.slow
 def test_failure_during_refresh_changes_message_and_light_together(
     live: tuple[MainWindow, FakeCamera], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -168,6 +172,7 @@ def test_failure_during_refresh_changes_message_and_light_together(
         assert window.controls.light.text() == light
 
 
+@pytest.mark.slow
 def test_routine_shows_its_progress_and_can_be_cancelled(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     window.controls.frames.setValue(10_000)
@@ -182,6 +187,7 @@ def test_routine_shows_its_progress_and_can_be_cancelled(live: tuple[MainWindow,
     qtbot.waitUntil(lambda: not window.messages.progress.isVisible())
 
 
+@pytest.mark.slow
 def test_compilation_after_the_reference_is_explained(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -206,6 +212,7 @@ def test_compilation_after_the_reference_is_explained(
     qtbot.waitUntil(lambda: messages.text.text() == "Reference taken: mean of 20 frames")
 
 
+@pytest.mark.slow
 def test_end_of_a_dark_is_not_blamed_on_the_light(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -238,6 +245,7 @@ def test_end_of_a_dark_is_not_blamed_on_the_light(
         release.set()
 
 
+@pytest.mark.slow
 def test_slow_redraw_shows_the_newest_frame(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -265,6 +273,7 @@ def test_slow_redraw_shows_the_newest_frame(
     qtbot.waitUntil(lambda: line._newest is not None and line._newest.counts.acquired != line.shown)
 
 
+@pytest.mark.slow
 def test_closing_during_long_exposure_is_quick_and_turns_light_off(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:
@@ -297,6 +306,7 @@ def test_keys_are_unique_and_help_opens(make_window: MakeWindow) -> None:
     dialog.close()
 
 
+@pytest.mark.slow
 def test_drawing_is_timed_and_key_shows_every_stage(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     assert window.controller.acquisition is not None

@@ -70,6 +70,7 @@ def presets_of(window: MainWindow) -> DevicePresets:
     return dialog
 
 
+@pytest.mark.slow
 def test_preset_restores_exposure_and_mask_also_after_a_restart(
     make_window: MakeWindow, qtbot: QtBot, settings: QSettings
 ) -> None:

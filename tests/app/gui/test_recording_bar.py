@@ -49,6 +49,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     return paths
 
 
+@pytest.mark.slow
 def test_single_frame_is_counted_in_the_singular(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
@@ -59,6 +60,7 @@ def test_single_frame_is_counted_in_the_singular(
     qtbot.waitUntil(lambda: window.recording_panel.text.text().startswith("1 frame   "))
 
 
+@pytest.mark.slow
 def test_recording_ends_by_itself_with_name_and_note(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, opened: list[Path]
 ) -> None:
@@ -84,6 +86,7 @@ def test_recording_ends_by_itself_with_name_and_note(
     assert not bar.isVisible()
 
 
+@pytest.mark.slow
 def test_name_given_afterwards_renames_the_folder(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
@@ -111,6 +114,7 @@ def test_name_given_afterwards_renames_the_folder(
     assert sorted(path.name[15:] for path in tmp_path.iterdir()) in (["", "-sl"], ["-2", "-sl"])
 
 
+@pytest.mark.slow
 def test_report_and_export_run_beside_the_window(
     live: tuple[MainWindow, FakeCamera],
     qtbot: QtBot,
@@ -144,6 +148,7 @@ def test_report_and_export_run_beside_the_window(
     qtbot.waitUntil(lambda: not bar.commands.findChildren(QProcess))
 
 
+@pytest.mark.slow
 def test_missing_viewer_is_named_in_the_window(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -155,6 +160,7 @@ def test_missing_viewer_is_named_in_the_window(
     assert window.messages.text.text().endswith("cannot be shown here: this desktop has no program for it")
 
 
+@pytest.mark.slow
 def test_failed_command_is_shown_until_dismissed(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
@@ -168,6 +174,7 @@ def test_failed_command_is_shown_until_dismissed(
     assert bar.report.isEnabled()
 
 
+@pytest.mark.slow
 def test_replay_starts_another_window(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -186,6 +193,7 @@ def test_replay_starts_another_window(
     assert arguments[-3:] == ["live", "--replay", str(window.recording_bar.folder)]
 
 
+@pytest.mark.slow
 def test_saved_seconds_and_recent_recordings(make_window: MakeWindow, qtbot: QtBot, tmp_path: Path) -> None:
     settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
     window = make_window(FakeCamera(), settings=settings)
@@ -204,6 +212,7 @@ def test_saved_seconds_and_recent_recordings(make_window: MakeWindow, qtbot: QtB
     assert [action.text() for action in menu.actions()] == [folder.name]
 
 
+@pytest.mark.slow
 def test_recording_in_the_dark_is_announced(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, camera = live
     window.controller.recordings_folder = tmp_path

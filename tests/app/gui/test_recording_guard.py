@@ -32,6 +32,7 @@ def stage(window: MainWindow) -> str:
     return "" if acquisition is None or acquisition.recording is None else acquisition.recording.stage
 
 
+@pytest.mark.slow
 def test_another_bench_waits_for_an_answer(recording: MainWindow, qtbot: QtBot, tmp_path: Path) -> None:
     window, opened = recording, list[FakeCamera]()
 
@@ -59,6 +60,7 @@ def test_another_bench_waits_for_an_answer(recording: MainWindow, qtbot: QtBot, 
     assert Recording(folder).run["note"] == "a note of the first bench"
 
 
+@pytest.mark.slow
 def test_note_is_kept_when_the_window_closes(recording: MainWindow, tmp_path: Path) -> None:
     recording.recording_bar.note.setText("the last words")
     recording.close()
@@ -66,6 +68,7 @@ def test_note_is_kept_when_the_window_closes(recording: MainWindow, tmp_path: Pa
     assert Recording(folder).run["note"] == "the last words"
 
 
+@pytest.mark.slow
 def test_second_request_ends_a_recording_that_has_not_begun(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:

@@ -43,6 +43,7 @@ def alive(found: dict[str, weakref.ref[object]]) -> list[str]:
     return [name for name, each in found.items() if each() is not None]
 
 
+@pytest.mark.slow
 def test_closed_bench_dies_although_every_panel_has_shown_it(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     lenslet, layers, corrector = window.tabs.lenslet, window.tabs.layers, window.tabs.corrector
@@ -62,7 +63,7 @@ def test_closed_bench_dies_although_every_panel_has_shown_it(live: tuple[MainWin
     assert window.wavefront_panel.menu.options.stored is None
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_memory_does_not_grow_over_twenty_openings(make_window: MakeWindow, qtbot: QtBot, small_toml: Path) -> None:
     window, sizes = make_window(), list[float]()

@@ -84,6 +84,7 @@ def pause(qtbot: QtBot, window: MainWindow) -> None:
     qtbot.waitUntil(lambda: window.replay._wanted is None and window.replay._moving is None)
 
 
+@pytest.mark.slow
 def test_steps_show_the_frame_beside(window: MainWindow, qtbot: QtBot, recording: Recording) -> None:
     pause(qtbot, window)
     qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 3)
@@ -170,6 +171,7 @@ def own_recording(recording: Recording, tmp_path: Path) -> Recording:
     return Recording(tmp_path / "20261122-130100")
 
 
+@pytest.mark.slow
 def test_renamed_recording_is_played_on(window: MainWindow, qtbot: QtBot, own_recording: Recording) -> None:
     player = Player(own_recording.folder)
     window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
@@ -184,6 +186,7 @@ def test_renamed_recording_is_played_on(window: MainWindow, qtbot: QtBot, own_re
     qtbot.waitUntil(lambda: window.windowTitle().endswith("recording 20261122-130100-mouse 7"))
 
 
+@pytest.mark.slow
 def test_lost_recording_is_not_blamed_on_devices(window: MainWindow, qtbot: QtBot, own_recording: Recording) -> None:
     player = Player(own_recording.folder)
     window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
@@ -195,6 +198,7 @@ def test_lost_recording_is_not_blamed_on_devices(window: MainWindow, qtbot: QtBo
     assert not window.messages.reconnect.isVisible()
 
 
+@pytest.mark.slow
 def test_bar_is_hidden_at_live_devices(live: tuple[MainWindow, object], qtbot: QtBot) -> None:
     window, _ = live
     assert not window.replay.isVisible()
@@ -225,6 +229,7 @@ def is_at(window: MainWindow, player: Player, position: int) -> bool:
     return window.replay._wanted is None and window.replay._moving is None and player.position == position
 
 
+@pytest.mark.slow
 def test_damaged_frames_are_skipped_with_a_notice_and_marked(
     window: MainWindow, qtbot: QtBot, own_recording: Recording
 ) -> None:

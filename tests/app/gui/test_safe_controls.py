@@ -177,6 +177,7 @@ def test_number_that_stands_for_automatic_is_refused(qtbot: QtBot) -> None:
     field.deleteLater()
 
 
+@pytest.mark.slow
 def test_refused_number_is_explained_in_red_and_reaches_no_device(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:
@@ -200,6 +201,7 @@ def test_refused_number_is_explained_in_red_and_reaches_no_device(
     assert window.controller.pending.is_empty
 
 
+@pytest.mark.slow
 def test_refused_number_is_explained_while_a_proposal_is_open(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -231,6 +233,7 @@ def test_refused_number_is_explained_while_a_proposal_is_open(
     qtbot.waitUntil(lambda: says(window, "The lattice is in use; Ctrl+S saves it"))
 
 
+@pytest.mark.slow
 def test_problem_of_earlier_settings_is_not_shown_as_the_present_one(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -393,6 +396,7 @@ def test_indicators_show_the_state_during_a_routine(
     qtbot.waitUntil(lambda: controls.light.text() == "Light on" and controls.sample.text() == "Sample in")
 
 
+@pytest.mark.slow
 def test_light_off_ends_a_reference_and_stays_off(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     controls = window.controls
@@ -411,6 +415,7 @@ def test_light_off_ends_a_reference_and_stays_off(live: tuple[MainWindow, FakeCa
     qtbot.waitUntil(lambda: controls.light.text() == "Light off")  # after "Switching off"
 
 
+@pytest.mark.slow
 def test_message_names_the_actual_cause(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     """A frame that does not match is not blamed on the light if the light is on, nor the reverse."""
     window, _ = live
@@ -457,6 +462,7 @@ def test_amplifier_change_says_what_else_it_changed(
         assert (camera.exposure_s, camera.em_gain) == state
 
 
+@pytest.mark.slow
 def test_stale_calibration_greys_the_wavefronts_and_says_why(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     panel, controls = window.wavefront_panel, window.controls

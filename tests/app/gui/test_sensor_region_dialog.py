@@ -66,6 +66,7 @@ def text(window: MainWindow) -> str:
     return window.messages.text.text()
 
 
+@pytest.mark.slow
 def test_region_is_applied_and_calibrated_again(
     window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,6 +98,7 @@ def test_region_is_applied_and_calibrated_again(
     qtbot.waitUntil(lambda: window._status is not None and window._status.warning == "")
 
 
+@pytest.mark.slow
 def test_region_without_most_lenslets_is_to_be_enlarged(window: MainWindow, qtbot: QtBot) -> None:
     press(qtbot, window, Qt.Key.Key_P)
     dialog = window.region_dialog
@@ -114,6 +116,7 @@ def test_region_without_most_lenslets_is_to_be_enlarged(window: MainWindow, qtbo
     qtbot.waitUntil(lambda: text(window) == advice)
 
 
+@pytest.mark.slow
 def test_buttons_fill_in_lattice_and_whole_sensor(window: MainWindow, qtbot: QtBot) -> None:
     window.controls.sensor_region.click()
     dialog = window.region_dialog
@@ -128,6 +131,7 @@ def test_buttons_fill_in_lattice_and_whole_sensor(window: MainWindow, qtbot: QtB
     assert dialog.area.region == SENSOR
 
 
+@pytest.mark.slow
 def test_region_is_refused_while_recording(window: MainWindow, qtbot: QtBot, tmp_path: Path) -> None:
     window.controller.recordings_folder = tmp_path
     window.recording_panel.record.click()
@@ -140,6 +144,7 @@ def test_region_is_refused_while_recording(window: MainWindow, qtbot: QtBot, tmp
     assert window._status.area.region == SENSOR
 
 
+@pytest.mark.slow
 def test_camera_without_regions_shows_a_message(live: tuple[MainWindow, FakeCamera]) -> None:
     window, _ = live
     window.controls.sensor_region.click()

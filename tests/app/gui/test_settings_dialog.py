@@ -119,6 +119,7 @@ def test_new_bench_has_the_connected_camera(
     assert benches.recent.paths() == (path,)
 
 
+@pytest.mark.slow
 def test_reconstruction_changes_without_opening_devices(
     live: tuple[MainWindow, FakeCamera], opened: list[Bench], qtbot: QtBot
 ) -> None:

@@ -66,6 +66,7 @@ def share(window: QWidget, colour: str) -> int:
     return int((picture(window) == np.array([wanted.red(), wanted.green(), wanted.blue()])).all(axis=2).sum())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("restored_theme")
 def test_open_window_follows_the_desktop(
     qapp: QApplication, desktop: Desktop, live: tuple[MainWindow, FakeCamera], qtbot: QtBot

@@ -47,6 +47,7 @@ def held_up(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         release.set()
 
 
+@pytest.mark.slow
 def test_last_of_many_choices_wins_and_the_others_are_not_built(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, made: list[int | None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -80,6 +81,7 @@ def test_last_of_many_choices_wins_and_the_others_are_not_built(
     assert (status.bench.reconstruction.pupil_modes, status.bench.reconstruction.basis) == (12, "zernike")
 
 
+@pytest.mark.slow
 def test_refused_choice_gives_way_to_the_value_in_force(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.controls.exposure.setValue(55)  # which the camera refuses
@@ -88,6 +90,7 @@ def test_refused_choice_gives_way_to_the_value_in_force(live: tuple[MainWindow, 
     assert not window.controller.settings.wanted
 
 
+@pytest.mark.slow
 def test_gap_of_a_setting_is_noted_in_the_recording(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -49,6 +49,7 @@ def is_about(window: MainWindow, center_x_px: float) -> bool:
     return abs(center_of(window) - center_x_px) < 0.1
 
 
+@pytest.mark.slow
 def test_lattice_is_used_only_when_accepted(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     move_lattice(window, qtbot, 211.0)
@@ -66,6 +67,7 @@ def test_lattice_is_used_only_when_accepted(live: tuple[MainWindow, FakeCamera],
         qtbot.waitUntil(partial(is_about, window, center_x_px))
 
 
+@pytest.mark.slow
 def test_saved_bench_holds_settings_in_force(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,6 +87,7 @@ def test_saved_bench_holds_settings_in_force(
     assert "not a file" in window.messages.text.text()
 
 
+@pytest.mark.slow
 def test_failed_auto_exposure_is_shown(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     press(qtbot, window, Qt.Key.Key_X)  # the fake camera's light does not depend on its exposure
@@ -95,6 +98,7 @@ def test_failed_auto_exposure_is_shown(live: tuple[MainWindow, FakeCamera], qtbo
     assert camera.is_running
 
 
+@pytest.mark.slow
 def test_unchanged_background_is_confirmed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     press(qtbot, window, Qt.Key.Key_B)
@@ -102,6 +106,7 @@ def test_unchanged_background_is_confirmed(live: tuple[MainWindow, FakeCamera], 
     assert camera.light.is_on
 
 
+@pytest.mark.slow
 def test_keys_do_not_answer_a_hidden_question(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     """Neither Return nor Esc may answer a question behind an alarm."""
     window, _ = live
@@ -117,6 +122,7 @@ def test_keys_do_not_answer_a_hidden_question(live: tuple[MainWindow, FakeCamera
     assert answers == [False]
 
 
+@pytest.mark.slow
 def test_alarm_stays_until_it_is_dismissed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.messages.alarm("the disk is full")
@@ -128,6 +134,7 @@ def test_alarm_stays_until_it_is_dismissed(live: tuple[MainWindow, FakeCamera], 
     assert window.messages.text.text() == "Something nice"
 
 
+@pytest.mark.slow
 def test_dark_and_reference_are_confirmed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.controls.frames.setValue(3)
@@ -140,6 +147,7 @@ def says(window: MainWindow, text: str) -> bool:
     return window.messages.text.text() == text
 
 
+@pytest.mark.slow
 def test_highest_gain_is_shown_in_full(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.resize(900, 640)

@@ -14,6 +14,7 @@ from app.gui.main_window import MainWindow
 from app.results.history import RMS
 
 
+@pytest.mark.slow
 def test_inspected_lenslet_is_forgotten_with_its_bench(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     panel, lenslet = window.camera_panel, window.tabs.lenslet
@@ -28,6 +29,7 @@ def test_inspected_lenslet_is_forgotten_with_its_bench(live: tuple[MainWindow, F
     assert "display failed" not in window.log.text
 
 
+@pytest.mark.slow
 def test_error_in_a_refresh_is_shown_once(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -49,6 +51,7 @@ def test_error_in_a_refresh_is_shown_once(
     assert window.log.text.count("display failed") == 1
 
 
+@pytest.mark.slow
 def test_error_in_a_slot_is_shown_and_ends_nothing(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -67,6 +70,7 @@ def test_error_in_a_slot_is_shown_and_ends_nothing(
     qtbot.waitUntil(lambda: not camera.light.shines)
 
 
+@pytest.mark.slow
 def test_history_and_pinned_coefficient_are_forgotten_with_their_bench(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:

@@ -40,6 +40,7 @@ def says(window: MainWindow, text: str) -> bool:
     return window.messages.text.text() == text
 
 
+@pytest.mark.slow
 def test_dark_and_reference_ask_for_the_light(by_hand: tuple[MainWindow, ManualLight], qtbot: QtBot) -> None:
     window, light = by_hand
     assert window._status is not None

@@ -20,6 +20,7 @@ def only_recording(folder: Path, suffix: str = "") -> Recording:
     return Recording(found)
 
 
+@pytest.mark.slow
 def test_every_frame_between_start_and_stop_is_recorded(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
@@ -39,6 +40,7 @@ def test_every_frame_between_start_and_stop_is_recorded(
     assert recording.displacement(3) is not None
 
 
+@pytest.mark.slow
 def test_last_seconds_are_saved(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, _ = live
     window.controller.recordings_folder = tmp_path
@@ -50,6 +52,7 @@ def test_last_seconds_are_saved(live: tuple[MainWindow, FakeCamera], qtbot: QtBo
     assert len(only_recording(tmp_path, "-kept")) > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["file", "file/below", "a" * 300])  # the last exceeds any file system's limit
 def test_impossible_folder_is_reported(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, name: str
@@ -65,6 +68,7 @@ def test_impossible_folder_is_reported(
     assert list(tmp_path.iterdir()) == [tmp_path / "file"]
 
 
+@pytest.mark.slow
 def test_unplugged_camera_leaves_a_complete_recording(make_window: MakeWindow, qtbot: QtBot, tmp_path: Path) -> None:
     first, second = FakeCamera(), FakeCamera()
     window = make_window(first, second)
@@ -87,6 +91,7 @@ def test_unplugged_camera_leaves_a_complete_recording(make_window: MakeWindow, q
     qtbot.waitUntil(lambda: not window.messages.reconnect.isVisible())
 
 
+@pytest.mark.slow
 def test_early_end_is_shown_until_dismissed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, camera = live
     window.controller.recordings_folder = tmp_path
@@ -101,6 +106,7 @@ def test_early_end_is_shown_until_dismissed(live: tuple[MainWindow, FakeCamera],
     qtbot.waitUntil(lambda: not window.messages.dismiss.isVisible())
 
 
+@pytest.mark.slow
 def test_closing_the_window_finishes_the_recording(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:

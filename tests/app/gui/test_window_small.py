@@ -135,6 +135,7 @@ def cut_texts(window: MainWindow) -> list[str]:
     return [text for text, one in texts if room(one) < one.fontMetrics().horizontalAdvance(text)]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("restored_theme")
 @pytest.mark.parametrize("font", ["usual", "large"])
 def test_no_text_in_the_controls_is_cut(
@@ -248,6 +249,7 @@ def test_escape_closes_only_the_help(make_window: MakeWindow, qtbot: QtBot) -> N
     assert window.isVisible()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sample", "told"),
     [
@@ -273,6 +275,7 @@ def test_sample_and_mask_are_told_in_the_window(
     assert not line._of_correction.isVisible()
 
 
+@pytest.mark.slow
 def test_window_with_recording_bar_fits_a_full_hd_screen_at_scale_2(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window(FakeCamera())
     window.connect_devices()

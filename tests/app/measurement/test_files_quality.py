@@ -83,6 +83,7 @@ def test_averaged_reference_of_little_light_is_not_clipped() -> None:
     assert quality.faults == Fault(0), quality.sentence
 
 
+@pytest.mark.slow
 def test_images_without_noise_leave_misfit_unjudged() -> None:
     """Their noise cannot be estimated, and blur or gamma would not be seen."""
     bench = load_bench("small_demo")
@@ -97,12 +98,14 @@ def test_images_without_noise_leave_misfit_unjudged() -> None:
         assert bool(quality.unjudged) == bool(said)
 
 
+@pytest.mark.slow
 def test_doubled_integer_frame_is_flagged() -> None:
     ghost = 0.9 * light()[1] + 0.1 * np.roll(light()[1], (9, 7), (0, 1))
     quality, _ = measured(exposed(ghost, 2))
     assert Fault.MISFIT in quality.faults
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("process", ["filtered", "gamma"])
 def test_fault_that_hides_the_noise_is_flagged(process: str) -> None:
     above = exposed(light()[1], 2) - OFFSET
@@ -121,6 +124,7 @@ def test_exchanged_frame_and_reference_are_flagged() -> None:
     assert "or is it the frame?" in quality.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("images", ["frame", "reference", "both"])
 def test_compressed_counts_are_flagged(images: str) -> None:
     """As of a saturating register."""

@@ -52,6 +52,7 @@ def until(solver: LiveSolver, reconstructor: Reconstructor, frame: NDArray[np.fl
     return time.monotonic() - begin_s
 
 
+@pytest.mark.slow
 def test_bias_applies_only_near_its_wavefront(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
     solver = LiveSolver(bench_of(paper_bench), reconstructor)
     try:
@@ -93,6 +94,7 @@ def test_nearly_flat_wavefront_keeps_bias(paper_bench: SmallBench, reconstructor
     solver.close()
 
 
+@pytest.mark.slow
 def test_refinement_thread_ends(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
     solver = LiveSolver(bench_of(paper_bench), reconstructor)
     until(solver, reconstructor, paper_bench.reference, "applied")
@@ -136,6 +138,7 @@ def test_refinement_is_off_by_default() -> None:
     assert math.isnan(state.age_s)
 
 
+@pytest.mark.slow
 def test_bias_that_worsens_the_misfit_is_rejected(
     paper_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,6 +176,7 @@ def test_bias_that_worsens_the_misfit_is_rejected(
         solver.close()
 
 
+@pytest.mark.slow
 def test_helpful_bias_in_noise_is_kept(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
     """Rounds at one strong wavefront, each frame with noise of its own."""
     solver = LiveSolver(bench_of(paper_bench), reconstructor)
@@ -225,6 +229,7 @@ def layered(paper_bench: SmallBench) -> Reconstructor:
     return paper_bench.reconstructor("cubic", pupil_modes=None, sample="automatic")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refine", [False, True])
 def test_layers_found_in_the_background_serve_later_frames(
     paper_bench: SmallBench, layered: Reconstructor, *, refine: bool
@@ -247,6 +252,7 @@ def test_layers_found_in_the_background_serve_later_frames(
         solver.close()
 
 
+@pytest.mark.slow
 def test_bias_is_found_with_the_sample_of_the_frames(
     paper_bench: SmallBench, layered: Reconstructor, monkeypatch: pytest.MonkeyPatch
 ) -> None:

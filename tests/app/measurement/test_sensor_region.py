@@ -243,6 +243,7 @@ def has_wavefront(measurement: Measurement) -> bool:
     return measurement.wavefront is not None
 
 
+@pytest.mark.slow
 def test_smaller_area_shows_same_lenslets_after_recalibration(
     live_small: tuple[Acquisition, list[Measurement]],
 ) -> None:

@@ -442,6 +442,7 @@ def test_unusable_recording_is_refused_on_opening(small_toml: Path, steady: Reco
         open_devices(other, lambda _: None)
 
 
+@pytest.mark.slow
 def test_measuring_a_recording_reproduces_its_frames(small_toml: Path, tmp_path: Path) -> None:
     """Dark and reference agree exactly, the displacements within the noise of the averages."""
     measure_bench(load_bench(small_toml), 12, tmp_path / "run", ignore)
@@ -467,6 +468,7 @@ def test_measuring_a_recording_reproduces_its_frames(small_toml: Path, tmp_path:
         assert now.line(index).light_current_a == then.line(index).light_current_a
 
 
+@pytest.mark.slow
 def test_measuring_beyond_the_end_keeps_all_frames(small_toml: Path, steady: Recording, tmp_path: Path) -> None:
     bench = parse_bench(bench_text(small_toml, steady.folder), "bench")
     with pytest.raises(RunError, match=f"recording run has ended: all {FRAMES} frames were played"):
@@ -478,6 +480,7 @@ def test_measuring_beyond_the_end_keeps_all_frames(small_toml: Path, steady: Rec
     assert (tmp_path / "again" / "results.nc").exists()
 
 
+@pytest.mark.slow
 def test_window_opens_on_a_recording(
     small_toml: Path, steady: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -110,6 +110,7 @@ def test_frames_with_other_settings_do_not_stack(dataset: xr.Dataset, change: st
         stack_frames([dataset, other], [0, 1], [0.0, 0.1], [0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_pieces_write_the_same_file_as_the_whole(dataset: xr.Dataset, tmp_path: Path) -> None:
     frames = [
         dataset.assign(rms=dataset["rms"] * factor, valid=dataset["valid"] ^ bool(factor % 2)) for factor in range(5)

@@ -134,6 +134,7 @@ def test_csv_of_zonal_method_has_no_coefficients(zonal: Recording, tmp_path: Pat
     assert table["rms_0_0_rad"].mean() > 0.1
 
 
+@pytest.mark.slow
 def test_frame_without_wavefront_is_a_row_of_nan(tmp_path: Path, small_toml: Path) -> None:
     folder = tmp_path / "run"
     dark = record(small_toml, folder, frames=4)
@@ -155,6 +156,7 @@ def test_frame_without_wavefront_is_a_row_of_nan(tmp_path: Path, small_toml: Pat
     assert not (tmp_path / "nothing").exists()
 
 
+@pytest.mark.slow
 def test_netcdf_equals_the_recorded_results(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -207,6 +209,7 @@ def test_unknown_view_is_left_out(tmp_path: Path) -> None:
     assert not np.isnan(tifffile.imread(tmp_path / "psf.tif")).any()
 
 
+@pytest.mark.slow
 def test_exported_psf_grid_matches_recorded_wavefronts(recording: Recording, tmp_path: Path) -> None:
     bench = recording.bench
     with tifffile.TiffFile(exported(recording, "psf", tmp_path / "psf.tif")) as file:

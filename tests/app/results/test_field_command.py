@@ -40,6 +40,7 @@ def read(path: Path) -> list[dict[str, float]]:
         return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
 
 
+@pytest.mark.slow
 def test_maps_are_the_wavefront_of_the_results(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -61,6 +62,7 @@ def test_maps_are_the_wavefront_of_the_results(
         assert (found.attrs["uv_outer"], found.attrs["xy_outer"]) == pytest.approx((HALF_WIDTH_M, RADIUS_M))
 
 
+@pytest.mark.slow
 def test_python_interface_gives_the_same(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = svwfs.load_bench("small_demo")
     opened = svwfs.open_recording(recording)
@@ -76,6 +78,7 @@ def test_python_interface_gives_the_same(recording: Path, tmp_path: Path, monkey
         np.testing.assert_allclose(found["coefficient"], written["coefficient"], atol=0.05)
 
 
+@pytest.mark.slow
 def test_results_file_gives_the_same_values_and_nearly_the_errors(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -90,6 +93,7 @@ def test_results_file_gives_the_same_values_and_nearly_the_errors(
         np.testing.assert_allclose(ratio, 1, atol=0.25)
 
 
+@pytest.mark.slow
 def test_table_has_a_row_for_each_position(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, maps = tmp_path / "t.csv", tmp_path / "t.nc"
     options = ("--positions", "3", "--basis", "legendre", "--order", "2")
@@ -106,6 +110,7 @@ def test_table_has_a_row_for_each_position(recording: Path, tmp_path: Path, monk
         assert [row["L5_sigma_rad"] for row in rows] == found["coefficient_sigma"].sel(mode=5).values.ravel().tolist()
 
 
+@pytest.mark.slow
 def test_positions_outside_a_circular_field_are_left_out(
     small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -121,6 +126,7 @@ def test_positions_outside_a_circular_field_are_left_out(
     assert run(monkeypatch, "field", circle, "--positions", "1", "--out", one, "--plot", tmp_path / "p.png") == 0
 
 
+@pytest.mark.slow
 def test_exports_hold_every_frame(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     double, table = tmp_path / "d.nc", tmp_path / "t.csv"
     assert run(monkeypatch, "export", recording, "--to", "double-zernike", "--out", double) == 0
@@ -170,6 +176,7 @@ def test_bad_input_is_one_line(
     assert [path.name for path in tmp_path.iterdir()] == ["old.nc"]
 
 
+@pytest.mark.slow
 def test_sources_without_the_coefficients_are_refused(
     small_toml: Path,
     recording: Path,

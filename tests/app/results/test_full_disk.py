@@ -55,6 +55,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> int:
     return out.stat().st_size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.01, 0.3, 0.5, 0.7, 0.9, 0.999])
 def test_full_disk_is_one_line_and_no_file(whole: int, share: float, tmp_path: Path) -> None:
     out = tmp_path / "results.nc"
@@ -156,6 +157,7 @@ exit $status
 _PROGRAM_OF_COMMANDS = "from app.cli import main; main()"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("option", ["--out", "--plot"])
 def test_reconstruct_on_a_full_disk_is_one_line_and_no_file(tmp_path: Path, option: str) -> None:
     disk = tmp_path / "disk"

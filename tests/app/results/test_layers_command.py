@@ -62,6 +62,7 @@ def test_command_loads_only_what_it_needs(recording: Path, tmp_path: Path) -> No
         assert int(finished.stdout.splitlines()[-1]) <= 100, arguments
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["recording", "result"])
 def test_layer_is_found(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     source = recording if kind == "recording" else recording / "results.nc"
@@ -89,6 +90,7 @@ def test_layer_is_found(recording: Path, tmp_path: Path, monkeypatch: pytest.Mon
     assert np.std(difference) < 0.05 * np.std(true)
 
 
+@pytest.mark.slow
 def test_distances_from_the_mask_and_given_ones(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -127,6 +129,7 @@ def test_error_bar_of_a_distance_follows_that_of_the_ratio(origin: Origin) -> No
     assert sigma == pytest.approx(0.01 * abs(high - low) / (2 * step), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_layer_behind_the_lenslets_has_no_distance_from_the_mask() -> None:
     bench = load_bench("small_demo", ("simulation.screen.distance_m=-0.1",))
     images = simulated_frames(bench)
@@ -271,6 +274,7 @@ def scaled(name: str, factor: float) -> Callable[[xr.Dataset], xr.Dataset]:
     return lambda found: found.assign({name: found[name] * factor})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "change", "sentence"),
     [

@@ -72,6 +72,7 @@ def replayed(folder: Path, *settings: str, **options: Any) -> Replay:
     return replay(folder, settings=settings, **{**given, **options})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frames", [":", "4:"])
 def test_replay_is_bit_identical(recording: Recording, tmp_path: Path, frames: str) -> None:
     """Also from the middle, where the starting point comes from the recording."""
@@ -191,6 +192,7 @@ def test_kind_of_difference_is_named(mine: Recording, name: str) -> None:
         replayed(mine.folder, verify=True)
 
 
+@pytest.mark.slow
 def test_other_method_is_compared(recording: Recording, tmp_path: Path) -> None:
     """Against separate reconstructors; with the same registration, starting points and biases stay."""
     other = "reconstruction.method=zonal", "reconstruction.sample=automatic"  # "layers" rules it out
@@ -248,6 +250,7 @@ def test_other_registration_drops_the_refinement_with_notice(
     assert "bit-identical" not in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("setting", "rows"), [("field.view_rows=2", (2, 5)), ("sensor.lenslet_rows=3", (3, 3))])
 def test_other_views_or_lenslets_are_not_compared(
     plain: Recording,
@@ -302,6 +305,7 @@ def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Reco
     return Recording(folder)
 
 
+@pytest.mark.slow
 def test_calibration_changes_are_replayed(eventful: Recording) -> None:
     assert "is the light on?" in eventful.line(DARK).problem
     made = replayed(eventful.folder, verify=True)
@@ -324,6 +328,7 @@ def test_verification_without_results_fails(eventful: Recording, frame: int) -> 
         replayed(eventful.folder, verify=True, frames=f"{frame}:{frame + 1}")
 
 
+@pytest.mark.slow
 def test_skipped_frame_is_reconstructed(eventful: Recording, tmp_path: Path) -> None:
     replayed(eventful.folder, frames=f":{CHANGED}", out=tmp_path / "r.nc")
     kept = eventful.calibration(0).reconstructor()(eventful.pixels(PASSED))
@@ -332,6 +337,7 @@ def test_skipped_frame_is_reconstructed(eventful: Recording, tmp_path: Path) -> 
         np.testing.assert_allclose(written["rms"][1], rms(kept.views), rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_once", [32, 4])  # in one piece, or after the first is written
 def test_changed_settings_do_not_fit_one_file(
     eventful: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int
@@ -347,6 +353,7 @@ def test_changed_settings_do_not_fit_one_file(
         assert written.sizes["pupil_mode"] == 10
 
 
+@pytest.mark.slow
 def test_pieces_equal_the_whole(plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     replayed(plain.folder, out=tmp_path / "one.nc", frames=":5")
     monkeypatch.setattr(dataset, "PIECE", 2)

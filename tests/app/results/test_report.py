@@ -128,6 +128,7 @@ def beyond_limits(figure: Figure) -> list[Text]:
     return [label for label, position, (low, high) in labels if not low <= position <= high]
 
 
+@pytest.mark.slow
 def test_statistics_equal_those_of_the_results(recording: Recording, summary: Summary, tmp_path: Path) -> None:
     export(recording.folder, "netcdf", tmp_path / "r.nc", frames=None, overwrite=False, progress=lambda *_: None)
     found = summary.statistics
@@ -145,6 +146,7 @@ def test_statistics_equal_those_of_the_results(recording: Recording, summary: Su
     np.testing.assert_allclose(found.rms_rad[[0, 1, 3, 4]], np.array(live, float))
 
 
+@pytest.mark.slow
 def test_error_bar_covers_the_scatter_of_the_rms(small_toml: Path, tmp_path: Path) -> None:
     """The bar is an upper bound for the scatter of the RMS (Cauchy-Schwarz), here over 30 frames of one sample.
 
@@ -194,6 +196,7 @@ def test_first_page_shows_mean_wavefronts(summary: Summary) -> None:
     assert limits == {(-np.abs(summary.statistics.mean).max(), np.abs(summary.statistics.mean).max())}
 
 
+@pytest.mark.slow
 def test_second_page_shows_error_bars_and_lost_lenslets(summary: Summary, mine: Recording) -> None:
     assert summary.statistics is not None
     figure = certainty(summary)
@@ -215,6 +218,7 @@ def test_second_page_shows_error_bars_and_lost_lenslets(summary: Summary, mine: 
     assert "no live wavefront" in words
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [
@@ -245,6 +249,7 @@ def test_many_frames_are_sampled(recording: Recording, monkeypatch: pytest.Monke
     assert (len(summary.lines), summary.sampled_frames) == (FRAMES, "2 of 5 frames")
 
 
+@pytest.mark.slow
 def test_report_without_wavefronts_shows_images(mine: Recording, tmp_path: Path) -> None:
     for index in range(FRAMES):
         replace_pixels(mine, index, np.full_like(mine.pixels(0), 500))
@@ -260,6 +265,7 @@ def test_report_without_wavefronts_shows_images(mine: Recording, tmp_path: Path)
     assert not (tmp_path / "s.pdf").exists()
 
 
+@pytest.mark.slow
 def test_unfinished_and_single_frame_recordings_are_reported(mine: Recording, tmp_path: Path) -> None:
     path = mine.folder / "run.json"
     whole = json.loads(path.read_text())
@@ -290,6 +296,7 @@ def test_folder_that_is_no_recording_is_refused(mine: Recording, tmp_path: Path)
     assert not (tmp_path / "r.pdf").exists()
 
 
+@pytest.mark.slow
 def test_report_is_written_atomically_and_replaces_only_on_request(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -311,6 +318,7 @@ def test_report_is_written_atomically_and_replaces_only_on_request(
     assert [path.name for path in out.parent.iterdir()] == ["r.PDF"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names of files are text")
 @pytest.mark.parametrize("suffix", ["pdf", "png"])
 def test_folder_may_have_a_name_that_is_no_text(
@@ -323,6 +331,7 @@ def test_folder_may_have_a_name_that_is_no_text(
     assert out.stat().st_size
 
 
+@pytest.mark.slow
 def test_residual_is_the_difference(summary: Summary, mine: Recording) -> None:
     """A plane of slope s on 7 x 5 lenslets has the RMS s sqrt((7^2 - 1) / 12); piston does not count."""
     assert summary.statistics is not None
@@ -347,6 +356,7 @@ def test_residual_is_the_difference(summary: Summary, mine: Recording) -> None:
         residual_of(summary, unknown)
 
 
+@pytest.mark.slow
 def test_command_compares_with_another_method(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], recording: Recording, tmp_path: Path
 ) -> None:

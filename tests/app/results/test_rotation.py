@@ -90,6 +90,7 @@ def test_reconstruct_prints_the_rotation_and_its_warning(
         assert ("rotation" in result) is rotation
 
 
+@pytest.mark.slow
 def test_measure_prints_the_rotation(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:

@@ -79,6 +79,7 @@ def test_recorded_bench_of_today_says_whether_it_could_rotate(*, rotation: bool)
     assert parse_bench(write_bench(bench), "recorded", is_recorded=True) == bench
 
 
+@pytest.mark.slow
 def test_results_beside_a_recording_of_0_1_are_its_own(tmp_path: Path) -> None:
     shutil.copytree(RECORDING, tmp_path / "r")
     with one_blas_thread():
@@ -138,6 +139,7 @@ def test_verification_names_the_other_version(
     assert f"{FRAMES} of {FRAMES} frames differ from what was recorded" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [
@@ -182,6 +184,7 @@ def test_recording_of_0_1_plays_as_a_camera() -> None:
     np.testing.assert_array_equal(frames, [recording.pixels(index) for index in range(FRAMES)])
 
 
+@pytest.mark.slow
 def test_recording_of_0_1_is_exported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     recording = Recording(RECORDING)
     for form, name in (("tiff", "r.tif"), ("csv", "r.csv"), ("netcdf", "r.nc"), ("psf", "psf.tif")):
@@ -198,6 +201,7 @@ def test_recording_of_0_1_is_exported(monkeypatch: pytest.MonkeyPatch, tmp_path:
             np.testing.assert_allclose(results["coefficients"][at], expected, rtol=0, atol=0.05)
 
 
+@pytest.mark.slow
 def test_recording_of_0_1_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

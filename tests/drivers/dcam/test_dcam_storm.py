@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 from hypothesis import strategies as st
 from hypothesis.stateful import run_state_machine_as_test
 from support.camera_storm import CameraStorm
@@ -31,6 +32,7 @@ FAILURE = st.tuples(ANY | REFUSAL | DAMAGE | NO_START, st.integers(0, 6)).map(
 )
 
 
+@pytest.mark.slow
 def test_storm_raises_only_device_errors() -> None:
     with dcam_stand_in() as stand_in:
 

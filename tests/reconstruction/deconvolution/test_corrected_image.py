@@ -54,6 +54,7 @@ def test_light_returns_to_where_it_came_from(changes: dict[str, Any], offset: tu
     assert peaks(made.image) == set(STARS)
 
 
+@pytest.mark.slow
 def test_tilt_that_grows_over_the_field_is_undone_at_its_own_side() -> None:
     """Light at the field's +x edge moves by +6 px, at its -x edge by -6 px; mirrored or swapped it would not return."""
     image = np.ones(SHAPE)

@@ -36,6 +36,7 @@ def check(found: Survey, truth: Lattice = TRUTH, *, times: float = 1.0) -> None:
     assert rotation_mrad < 0.2 * times
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(draws=st.data())
 def test_random_lattice_is_found_on_clean_frame(draws: st.DataObject) -> None:
@@ -69,6 +70,7 @@ def test_random_lattice_is_found_on_clean_frame(draws: st.DataObject) -> None:
     assert found.illuminated.all()
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), shape=st.sampled_from(["square", "disc", "stars"]))
 def test_lattice_is_found_on_faint_frames_with_dead_lenslets(seed: int, shape: Shape) -> None:

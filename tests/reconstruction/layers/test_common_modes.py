@@ -36,6 +36,7 @@ def wavefronts() -> dict[str, Wavefront]:
     return {"layered": found, "free": free, "alone": free_only(images.frames[0])}
 
 
+@pytest.mark.slow
 def test_free_and_layered_frames_can_be_stacked(wavefronts: dict[str, Wavefront]) -> None:
     free, layered = (result_dataset(wavefronts[name]) for name in ("free", "layered"))
     stacked = stack_frames([free, layered], [0, 1], [0.0, 0.1], [np.nan, np.nan])

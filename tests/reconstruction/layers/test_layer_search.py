@@ -53,6 +53,7 @@ def test_wavefront_of_a_layer_at_any_field_position() -> None:
     np.testing.assert_allclose(fit.wavefront(SENSOR, 0.3e-3, -0.5e-3), true, atol=5e-3 * float(np.std(true)), rtol=0)
 
 
+@pytest.mark.slow
 def test_error_bars_of_the_distance_cover_the_truth() -> None:
     clean, ratio, draws = displacements_px(PHASE / 4, -0.975), -0.975, 40
     found = [find_layers(equations(noisy(clean, seed))).fit.layers[0] for seed in range(draws)]
@@ -62,6 +63,7 @@ def test_error_bars_of_the_distance_cover_the_truth() -> None:
     assert 1e-4 < found[0].ratio_sigma < 0.05
 
 
+@pytest.mark.slow
 def test_error_bars_of_the_distance_cover_systematic_errors() -> None:
     """The parameters of every warp are mixed by 0.165 % in the same way for all lenslets, and the noise is small."""
     clean, ratio, draws, prepared = displacements_px(20 * PHASE, -0.975), -0.975, 20, solver(hidden=3)
@@ -107,6 +109,7 @@ def test_lost_lenslets_are_left_out() -> None:
         equations(clean, lost=clean.shape[0] * clean.shape[1] - 8)
 
 
+@pytest.mark.slow
 def test_two_layers_are_told_from_one() -> None:
     both = displacements_px(3 * PHASE, 0.4) + displacements_px(3 * OTHER, 1.6)
     found = find_layers(equations(noisy(both, 0)), 2)
@@ -128,6 +131,7 @@ def slopes_without_tilt(phase: Floats) -> float:
     return float(np.sqrt(np.mean((slopes - slopes.mean(axis=(0, 1))) ** 2)))
 
 
+@pytest.mark.slow
 def test_many_layers_are_neither_one_nor_two() -> None:
     random = np.random.default_rng(3)
     degree = np.add.outer(np.arange(7), np.arange(7))
@@ -147,6 +151,7 @@ def test_displacements_beyond_their_errors_are_told(noise: float, is_doubtful: b
     assert ("no wavefront at all explains the displacements" in found.doubt) == is_doubtful
 
 
+@pytest.mark.slow
 def test_layers_of_opposite_sides_are_found() -> None:
     """One before the lenslets, one behind them, as a relay can put it."""
     both = displacements_px(3 * PHASE, -1.2) + displacements_px(3 * OTHER, 0.5)
@@ -186,6 +191,7 @@ def test_layer_beyond_the_search_is_told() -> None:
     assert found.one.layers[0].ratio < -FARTHEST_RATIO
 
 
+@pytest.mark.slow
 def test_second_layer_is_not_invented() -> None:
     found = find_layers(equations(noisy(displacements_px(PHASE, -0.975), 1)), 2)
     assert found.two is not None

@@ -74,6 +74,7 @@ def test_prepared_solve_equals_the_full_fit(name: str, lost: int) -> None:
     np.testing.assert_allclose(found.displacement, expected, atol=2e-4 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance", ["known", "found"])
 def test_sigma_covers_the_truth(distance: str) -> None:
     """Also where the error of the distance is larger than all others together."""
@@ -131,6 +132,7 @@ def searched(name: str) -> LayerSearch:
     return find_layers(SOLVER(displacement(noisy(SAMPLES[name](), 0))), None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "layers"), [("one", 1), ("two", 2), ("more", 0)])
 def test_most_probable_sample_is_assumed(name: str, layers: int) -> None:
     search = searched(name)

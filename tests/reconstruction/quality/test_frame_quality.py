@@ -106,6 +106,7 @@ def verdict(warp: Warp, peak_e: float, light: Light, seed: int = 0, bench: Small
     return judge(frame, reconstructor.register(frame))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("peak_e", [200.0, 1e3, 1e4, 1e5])
 @pytest.mark.parametrize("warp", WARPS)
 def test_honest_frames_raise_no_alarm(warp: Warp, peak_e: float) -> None:

@@ -88,6 +88,7 @@ def layered(bench: SmallBench) -> Image:
     return bench.frame(phase, amplitude)
 
 
+@pytest.mark.slow
 def test_what_is_hidden_keeps_the_variance_of_the_prior(small_bench: SmallBench, checker_bench: SmallBench) -> None:
     sigma = {}
     for name, bench in (("square", small_bench), ("checkerboard", checker_bench)):

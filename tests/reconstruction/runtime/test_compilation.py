@@ -55,6 +55,7 @@ def test_code_is_compiled_uncached_where_no_cache_can_be_written(
     assert compiled(double)(21.0) == 42.0
 
 
+@pytest.mark.slow
 def test_changed_constant_of_another_file_triggers_recompilation(tmp_path: Path) -> None:
     package = tmp_path / "reconstruction"
     shutil.copytree(Path(str(reconstruction.__file__)).parent, package, ignore=shutil.ignore_patterns("__pycache__"))

@@ -78,6 +78,7 @@ def assert_is_of_the_ensemble(
     np.testing.assert_array_equal(sample.screen.samples_rad, raw * scale)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("length_m", [1.25e-3, 1.6e-3, 2.0e-3])
 def test_samples_near_pupil_are_the_ensemble_bit_for_bit(length_m: float, seed: int) -> None:
@@ -87,7 +88,7 @@ def test_samples_near_pupil_are_the_ensemble_bit_for_bit(length_m: float, seed: 
     )
 
 
-@pytest.mark.soak
+@pytest.mark.slow
 def test_experiment_sample_is_the_ensemble_bit_for_bit() -> None:
     simulation = load_bench("paper_experiment", ("simulation.seed=2",)).simulation
     assert simulation.screen.correlation_length_m == 1.2e-3
@@ -100,6 +101,7 @@ def test_experiment_sample_is_the_ensemble_bit_for_bit() -> None:
 ENLARGED = {"border lenslets": Simulation(border_lenslets=2), "drift": Simulation(screen=Screen(drift_x_m_per_s=2e-4))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("enlarged", ENLARGED.values(), ids=ENLARGED)
 @pytest.mark.parametrize("pv_rad", [None, 28.846])
 def test_middle_of_enlarged_screen_is_the_screen(enlarged: Simulation, pv_rad: float | None) -> None:
@@ -121,6 +123,7 @@ def test_middle_of_enlarged_screen_is_the_screen(enlarged: Simulation, pv_rad: f
     assert steps.max() < 0.5
 
 
+@pytest.mark.slow
 def test_toml_sets_pv_and_rms_of_paper_screen() -> None:
     changes = ("simulation.screen.pv_rad=28.846", "simulation.screen.rms_rad=5.712")
     for border in (0, 1):
@@ -189,6 +192,7 @@ def test_impossible_pv_and_rms_are_refused() -> None:
         shape_to_pv_and_rms(quick(), pv_rad=2.01, rms_rad=1.0)
 
 
+@pytest.mark.slow
 def test_drift_enlarges_and_moves_the_screen() -> None:
     still = Simulation(border_lenslets=1)
     moving = Simulation(border_lenslets=1, screen=Screen(drift_x_m_per_s=2e-4, drift_y_m_per_s=-1e-4))
