@@ -88,9 +88,7 @@ def test_mask_study_predicts_the_simulation_without_propagation(
             assert simulated == pytest.approx(predicted, rel=0.1)
     square = masks[0]
     assert found["noise, 10000 e-: bound"][square] < found["noise, 300 e-: bound"][square] / 4
-    assert (
-        found["noise, 10000 e-: predicted"][square] < found["noise, 300 e-: predicted"][square] / 3
-    )
+    assert found["noise, 10000 e-: predicted"][square] < found["noise, 300 e-: predicted"][square] / 3
     assert found["noise, 300 e-: bound"][square] == found["noise, 300 e- in the square: bound"][square]
     assert "residual, layers: predicted" in capsys.readouterr().out
 
