@@ -22,7 +22,7 @@ _GAP, _NARROW_GAP = 10, 3  # px between views with captions, and without
 _BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, space left of it, space before its numbers
 _LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
 _BETWEEN = 4  # px between the captions of neighbours
-_SMALLEST_CAPTIONED = 48  # px: narrower views have the numbers in their tool tips only
+_SMALLEST_CAPTIONED = 40  # px: narrower views have the numbers in their tool tips only
 _STALE_OPACITY = 0.5
 _STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
 
