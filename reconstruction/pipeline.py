@@ -21,7 +21,7 @@ from reconstruction.layers.layered_wavefront import FREE, AssumedSample, Layered
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.own_methods import NO_OWN, OwnMethods
-from reconstruction.registration.gauss_newton.estimator import GaussNewton
+from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.response import LensletModel, linear_response
 from reconstruction.registration.subimages import ReferenceSubimages

@@ -23,8 +23,8 @@ from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.legendre import legendre_products
 from reconstruction.modes.pupil_modes import BASES, PupilModes, polynomial_modes, pupil_modes
 from reconstruction.modes.zernike import zernike_products
+from reconstruction.registration.correlation import Correlation
 from reconstruction.registration.methods import prepare_registration
-from reconstruction.registration.peers.correlation import Correlation
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import PupilBasis, RegistrationSettings
 

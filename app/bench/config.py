@@ -20,7 +20,7 @@ from app.bench.bench_error import BenchError, line_of_setting, line_of_syntax
 from app.bench.bench_files import bench_file, read_bench_text
 from app.bench.conversion import UNKNOWN, converter, sentence_of
 from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
-from app.bench.earlier_versions import replace_conserve_flux, set_recorded_defaults
+from app.bench.earlier_versions import replace_conserve_flux, set_recorded_defaults, take_non_rigid
 from app.bench.settings import RecordingSettings, StreamSettings
 from app.errors import InputError
 from app.files import in_words
@@ -189,12 +189,13 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
     for override in overrides:
         _override(tree, override)
     replace_conserve_flux(tree, text, name, is_recorded=is_recorded)
+    non_rigid: Any = take_non_rigid(tree, text, name, is_recorded=is_recorded)
     for section, key in _CHOSEN_IF_OMITTED:
         if isinstance(tree.get(section), dict) and tree[section].get(key) == AUTOMATIC:
             del tree[section][key]
     _arrange(tree, name)
     try:
-        return converter().structure(tree, Bench)
+        bench = converter().structure(tree, Bench)
     except cattrs.BaseValidationError as error:
         faults = cattrs.transform_error(error, format_exception=sentence_of)
         faults.sort(
@@ -204,6 +205,9 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
         section = path.lstrip(".").replace("sensor.arrangement", "lattice.arrangement")
         line = None if overrides else line_of_setting(text, section, sentence)  # an override may be at fault
         raise BenchError(f"{name}: {section}{': ' if path else ''}{sentence}", line) from error
+    if non_rigid:  # the reconstruction refuses it
+        bench = dataclasses.replace(bench, registration=dataclasses.replace(bench.registration, method=non_rigid))
+    return bench
 
 
 def with_known(settings: Settings, values: Mapping[str, object]) -> Settings:

@@ -1,54 +1,26 @@
 """Choice of the registration method."""
 
-from typing import get_args
+from importlib import import_module
+from typing import cast, get_args
 
 from reconstruction.displacement import RegistrationMethod
 from reconstruction.errors import ReconstructionError
-from reconstruction.geometry import Field, centered_steps
-from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes, ZernikeModes
-from reconstruction.registration.gauss_newton.estimator import GaussNewton
-from reconstruction.registration.peers.centroids import Centroids
-from reconstruction.registration.peers.correlation import Correlation
+from reconstruction.geometry import Field
 from reconstruction.registration.subimages import ReferenceSubimages
-from reconstruction.settings import FIELD_MODES, Method, RegistrationSettings
+from reconstruction.settings import Method, RegistrationSettings
+
+_MODULES = {"correlation_fft": "correlation"}  # of the other methods, the module has the method's name
 
 
 def prepare_registration(
     reference: ReferenceSubimages, settings: RegistrationSettings, field: Field
 ) -> RegistrationMethod:
-    """Prepare the method of the settings for one reference."""
-    if settings.method in {"correlation", "correlation_fft"}:
-        return Correlation(reference, method="fft" if settings.method == "correlation_fft" else "square_difference")
-    if settings.method == "centroids":
-        spacing = settings.star_spacing_m / field.half_width_m
-        columns, rows = centered_steps(settings.star_columns), centered_steps(settings.star_rows)
-        try:
-            return Centroids(reference, star_x=columns * spacing, star_y=rows * spacing)
-        except ValueError as error:
-            raise ReconstructionError(f"registration.star_spacing_m does not suit the lenslets: {error}") from error
-    modes = (ZernikeModes if field.shape == "circle" else LegendreModes)(FIELD_MODES[settings.warp or "quadratic"])
-    if settings.method == "gauss_newton":
-        return GaussNewton(
-            reference,
-            modes,
-            conserve_flux=field.neglect_propagation,
-            rotation=settings.rotation,
-            threads=settings.threads,
+    """Prepare the method of the settings for one reference: `prepare` of the module of its name in this package."""
+    method = settings.method
+    if method not in get_args(Method):
+        raise ReconstructionError(
+            f"there is no registration method {method}: it must be one of {', '.join(get_args(Method))}; set"
+            " registration.method, for example to gauss_newton"
         )
-    if settings.method == "itk_affine":
-        from reconstruction.registration.peers.simple_itk import ItkAffine
-
-        return ItkAffine(reference)
-    flow_modes: FieldModes = modes
-    if settings.flow == "views":
-        flow_modes = SampledModes(field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m)
-    if settings.method == "block_flow":
-        from reconstruction.registration.peers.block_flow import BlockFlow
-
-        return BlockFlow(reference, flow_modes)
-    if settings.method in {"demons", "ffd"}:
-        from reconstruction.registration.peers.simple_itk import Demons, FreeForm
-
-        return (Demons if settings.method == "demons" else FreeForm)(reference, flow_modes)
-    known = ", ".join(get_args(Method))
-    raise ReconstructionError(f"there is no registration method {settings.method}: it must be one of {known}")
+    module = import_module(f"{__package__}.{_MODULES.get(method, method)}")
+    return cast("RegistrationMethod", module.prepare(reference, settings, field))

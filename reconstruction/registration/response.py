@@ -11,7 +11,7 @@ import numpy as np
 
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
-from reconstruction.registration.gauss_newton.estimator import GaussNewton
+from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.registration.source_brightness import mean_subimage
 from reconstruction.registration.subimages import ReferenceSubimages
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement, diagonal_covariance
 from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes
+from reconstruction.modes.field_modes import FieldModes
 from reconstruction.pipeline import Reconstructor
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel, Warp
@@ -21,7 +21,6 @@ from simulated_devices.optics.source import SourcePoints, square
 from simulated_devices.settings import Source
 
 VIEWS = np.array([-5.0, 0.0, 5.0]) / 6  # where the views of FIELD lie, in units of its half width
-FLOW_MODES: dict[str, FieldModes] = {"warp": LegendreModes(3), "views": SampledModes(VIEWS, VIEWS)}
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)  # in real light
 PAPER = replace(FIELD, neglect_propagation=True)  # the paper's simulation: uniform light, conserved flux
 

@@ -14,9 +14,10 @@ with the best correlation.
 import numpy as np
 
 from reconstruction.arrays import Floats, Image, Mask
-from reconstruction.displacement import Displacement, Outcome
+from reconstruction.displacement import Displacement, Outcome, RegistrationMethod
 from reconstruction.frame.spline import noise_power_polynomial
-from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis
+from reconstruction.geometry import Field
+from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes, gradient_basis
 from reconstruction.registration.classification import classify_lenslets
 from reconstruction.registration.gauss_newton.alignment import FrameData
 from reconstruction.registration.gauss_newton.fit_errors import ErrorPropagation
@@ -27,6 +28,7 @@ from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
 from reconstruction.runtime.shared_work import new_ledger
 from reconstruction.runtime.threads import worker_pool
+from reconstruction.settings import FIELD_MODES, RegistrationSettings
 
 # Margin of the pixels used beyond the field's edge, in blurs. Further out there is only scattered light, which no warp
 # describes. With 0.8 the wavefront error at the shortest correlation length of docs/estimator.md is 0.157 rad, with
@@ -44,6 +46,13 @@ _NOISE_SHARE = 0.3  # of the noise's square, tolerated as chance
 _POOR = _ODD  # residual over contrast above which another start is tried
 _NOISE_AT_MOST = 1.5  # square of a residual's noise over its mean
 _INFORMATION_LEFT = 0.75  # of a lenslet's pixels; with less it is lost
+
+
+def prepare(reference: ReferenceSubimages, settings: RegistrationSettings, field: Field) -> RegistrationMethod:
+    """Prepare the method `gauss_newton` with the warp of the settings."""
+    modes = (ZernikeModes if field.shape == "circle" else LegendreModes)(FIELD_MODES[settings.warp or "quadratic"])
+    conserve_flux, rotation = field.neglect_propagation, settings.rotation
+    return GaussNewton(reference, modes, conserve_flux=conserve_flux, rotation=rotation, threads=settings.threads)
 
 
 class GaussNewton:

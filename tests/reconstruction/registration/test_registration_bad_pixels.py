@@ -165,7 +165,7 @@ def test_all_pixels_bad_loses_all_lenslets(checker_bench: SmallBench, electrons:
     assert not found.valid.any()
 
 
-@pytest.mark.parametrize("method", ["correlation", "correlation_fft", "block_flow"])
+@pytest.mark.parametrize("method", ["correlation", "correlation_fft"])
 def test_other_methods_tolerate_dead_pixels(small_bench: SmallBench, method: Method) -> None:
     reference, light = _electrons(small_bench)
     bad = _pixels(small_bench, SPOTS["one"])

@@ -89,7 +89,7 @@ def test_start_of_another_warp_is_ignored(small_bench: SmallBench, frames: list[
     np.testing.assert_array_equal(quadratic(frames[0], saturated=nowhere, start=other).coefficients, cold.coefficients)
 
 
-@pytest.mark.parametrize("method", ["correlation", "block_flow"])
+@pytest.mark.parametrize("method", ["correlation", "correlation_fft"])
 def test_searching_methods_ignore_start(small_bench: SmallBench, frames: list[Image], method: Method) -> None:
     nowhere = np.zeros(frames[0].shape, np.bool_)
     estimate = _prepared(small_bench, RegistrationSettings(method=method))

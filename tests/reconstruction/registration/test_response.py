@@ -12,7 +12,7 @@ from support.optics import FIELD, SmallBench
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import LegendreModes, ZernikeModes
-from reconstruction.registration.gauss_newton.estimator import GaussNewton
+from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.registration.response import linear_response
 from reconstruction.registration.subimages import ReferenceSubimages
 from simulated_devices.optics.forward_model import Images

@@ -1,32 +1,30 @@
-"""Registration by SimpleITK: the paper's affine map, and the non-rigid methods that it names.
+"""Registration by SimpleITK: the paper's affine map of each subimage.
 
 The affine map has the settings of MATLAB's imregtform, which is ITK's framework (Mattes et al. 2003; Lowekamp et al.
 2013, Frontiers in Neuroinformatics 7, 45): mean squares, regular-step gradient descent, three resolution levels.
-Diffeomorphic demons (Vercauteren et al. 2009, NeuroImage 45, S61) push every pixel along the gradient and smooth the
-result; free-form deformation (Rueckert et al. 1999, IEEE Trans. Med. Imaging 18, 712) moves the control points of a
-cubic B-spline. Both start from the affine map, because nothing shows motion inside a uniform square: from zero they
-leave 2 rad of residual, where the affine map leaves 0.4. None of the methods conserves flux.
+It does not conserve flux.
 
 SimpleITK is optional and registers one pair of images per call. Its calls release Python's lock, so that threads share
 the lenslets.
 """
 
 import os
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
+from scipy import ndimage
 
 from reconstruction.arrays import Floats, Image, Mask
-from reconstruction.displacement import Displacement, Outcome
+from reconstruction.displacement import Displacement, Outcome, RegistrationMethod
 from reconstruction.errors import ReconstructionError
-from reconstruction.modes.field_modes import FieldModes, LegendreModes
+from reconstruction.geometry import Field
+from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.registration.classification import classify_lenslets
 from reconstruction.registration.gauss_newton.template import coefficient_covariance, prepare_template
-from reconstruction.registration.peers.flow import FlowToModes, misfit
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import RegistrationSettings
 
 _THREADS = min(2, os.cpu_count() or 1)
 
@@ -39,14 +37,12 @@ _GRADIENT_TOLERANCE = 1e-4
 _SHRINK = (4, 2, 1)  # imregtform's three pyramid levels
 _SMOOTHING_PX = (2.0, 1.0, 0.0)
 _BRIGHTEST = 255.0  # grey value of the reference's brightest pixel, the unit of the gradient tolerance
+_MISFIT = 0.5  # residual over contrast above which the frame does not match
 
-_CONTRAST = 64.0  # standard deviation of the grey values of the non-rigid methods
-_DEMONS_SMOOTHING_PX = 2.0  # of the displacement, after each iteration
-_DEMONS_ITERATIONS = 20
-_DEMONS_SAME = 0.3 * _CONTRAST  # smaller differences of grey values exert no force: they are flux, not motion
-_MESH = 2  # elements of the B-spline along x and y; with 4 the inside of a square bends arbitrarily
-_FREE_FORM_ITERATIONS = 20
-_FREE_FORM_TOLERANCE = 1e-5
+
+def prepare(reference: ReferenceSubimages, _settings: RegistrationSettings, _field: Field) -> RegistrationMethod:
+    """Prepare the method `itk_affine`."""
+    return ItkAffine(reference)
 
 
 class ItkAffine:
@@ -54,7 +50,7 @@ class ItkAffine:
 
     def __init__(self, reference: ReferenceSubimages) -> None:
         """Prepare for one reference; raise `ReconstructionError` if SimpleITK is not installed."""
-        self._itk = _load_simple_itk()
+        self._itk = load_simple_itk()
         self._reference, self._modes = reference, LegendreModes(3)
         self._scale = _BRIGHTEST / reference.light[reference.lit].max()
         windows = reference.light.reshape(-1, reference.width, reference.width)
@@ -70,7 +66,7 @@ class ItkAffine:
         reference = self._reference
         subimages = reference.cut(light)
         scaled = (subimages * self._scale).astype(np.float32)
-        coefficients = _map_lenslets(self._align, self._windows, scaled, (2, self._modes.count))
+        coefficients = map_lenslets(self._align, self._windows, scaled, (2, self._modes.count))
         x, y = reference.offset_px.T / reference.half_width_px
         flow = np.swapaxes(coefficients @ self._modes.values(x, y), 1, 2)
         residual_rms, found = misfit(reference, subimages, flow)
@@ -90,85 +86,36 @@ class ItkAffine:
         """Coefficients c_q, px, (xy, Q) of one subimage; None if ITK fails."""
         itk = self._itk
         try:
-            affine = _align_affine(itk, itk.GetImageFromArray(reference), itk.GetImageFromArray(subimage))
+            affine = align_affine(itk, itk.GetImageFromArray(reference), itk.GetImageFromArray(subimage))
         except RuntimeError:  # SimpleITK's only exception: the images do not overlap
             return None
         matrix = np.reshape(affine.GetMatrix(), (2, 2)) - np.eye(2)
         return np.column_stack([affine.GetTranslation(), matrix * self._reference.half_width_px])
 
 
-class _Deformable(ABC):
-    """A non-rigid registration of every lenslet's pair of images, scaled to equal brightness."""
+def misfit(reference: ReferenceSubimages, subimages: Floats, flow: Floats) -> tuple[Floats, Mask]:
+    """RMS of I0(x) - gain I1(x + d(x)) - offset over each window, counts, (L,), with the best gain and offset.
 
-    _threads = _THREADS
-
-    def __init__(self, reference: ReferenceSubimages, modes: FieldModes) -> None:
-        """Prepare for one reference; raise `ReconstructionError` if SimpleITK is not installed."""
-        self._itk = _load_simple_itk()
-        self._reference = reference
-        self._to_modes = FlowToModes(reference, modes)
-        self._windows = _equally_bright(reference.light.reshape(-1, reference.width, reference.width))
-
-    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
-        """Register a frame; see `displacement.RegistrationMethod`."""
-        subimages = self._reference.cut(light)
-        shape = (len(self._reference.offset_px), 2)
-        flow = _map_lenslets(self._align, self._windows, _equally_bright(subimages), shape, threads=self._threads)
-        return self._to_modes(flow, subimages, saturated=saturated)
-
-    def _align(self, reference: Image, subimage: Image) -> Floats | None:
-        """Flow of one lenslet, (N, xy), px; None if ITK fails."""
-        itk = self._itk
-        still, moved = itk.GetImageFromArray(reference), itk.GetImageFromArray(subimage)
-        try:
-            flow = self._field(still, moved, _align_affine(itk, still, moved))
-        except RuntimeError:  # SimpleITK's only exception: the images do not overlap
-            return None
-        return np.asarray(itk.GetArrayFromImage(flow), np.float64).reshape(-1, 2)
-
-    @abstractmethod
-    def _field(self, reference: Any, subimage: Any, start: Any) -> Any:
-        """Displacement field of two ITK images, reference(x) ~ subimage(x + d(x)), from the affine map `start`."""
+    subimages (L, width, width); flow (L, N, xy), px, NaN where lost, as is the RMS. Also the lenslets that match, (L,).
+    """
+    lenslets, width = len(subimages), reference.width
+    position = flow + reference.offset_px + (width - 1) / 2
+    known = np.isfinite(position).all(axis=(1, 2))
+    lenslet = np.broadcast_to(np.arange(lenslets)[:, None], position.shape[:2])
+    where = np.stack([lenslet, position[..., 1], position[..., 0]])[:, known]
+    moved = ndimage.map_coordinates(subimages, where, order=1, mode="nearest")
+    still = reference.light[known]
+    moved, still = (image - image.mean(axis=1, keepdims=True) for image in (moved, still))
+    power = np.sum(moved**2, axis=1)
+    gain = np.sum(moved * still, axis=1) / np.where(power > 0, power, 1.0)
+    residual_rms = np.full(lenslets, np.nan)
+    residual_rms[known] = np.sqrt(np.mean((still - gain[:, None] * moved) ** 2, axis=1))
+    return residual_rms, residual_rms < _MISFIT * reference.contrast
 
 
-class Demons(_Deformable):
-    """Registration by diffeomorphic demons."""
-
-    def _field(self, reference: Any, subimage: Any, start: Any) -> Any:
-        itk = self._itk
-        field = itk.TransformToDisplacementField(start, itk.sitkVectorFloat64, reference.GetSize())
-        demons = itk.DiffeomorphicDemonsRegistrationFilter()
-        demons.SetNumberOfThreads(1)
-        demons.SetStandardDeviations(_DEMONS_SMOOTHING_PX)
-        demons.SetNumberOfIterations(_DEMONS_ITERATIONS)
-        demons.SetIntensityDifferenceThreshold(_DEMONS_SAME)
-        return demons.Execute(reference, subimage, field)
-
-
-class FreeForm(_Deformable):
-    """Registration by free-form deformation."""
-
-    _threads = 1  # two L-BFGS-B searches at a time can crash the program: "munmap_chunk(): invalid pointer"
-
-    def _field(self, reference: Any, subimage: Any, start: Any) -> Any:
-        itk = self._itk
-        spline = itk.BSplineTransformInitializer(reference, [_MESH, _MESH], 3)
-        method = _mean_squares(itk)
-        method.SetOptimizerAsLBFGSB(
-            gradientConvergenceTolerance=_FREE_FORM_TOLERANCE, numberOfIterations=_FREE_FORM_ITERATIONS
-        )
-        method.SetMovingInitialTransform(start)
-        method.SetInitialTransform(spline, True)  # in place
-        method.Execute(reference, subimage)
-        field = itk.TransformToDisplacementFieldFilter()
-        field.SetNumberOfThreads(1)
-        field.SetReferenceImage(reference)
-        return field.Execute(itk.CompositeTransform([start, spline]))
-
-
-def _align_affine(itk: Any, reference: Any, subimage: Any) -> Any:
+def align_affine(itk: Any, reference: Any, subimage: Any) -> Any:
     """Affine map between two ITK images, from the reference's position to the subimage's; or RuntimeError."""
-    method = _mean_squares(itk)
+    method = mean_squares(itk)
     method.SetOptimizerAsRegularStepGradientDescent(
         learningRate=_MAXIMUM_STEP,
         minStep=_MINIMUM_STEP,
@@ -186,7 +133,8 @@ def _align_affine(itk: Any, reference: Any, subimage: Any) -> Any:
     return affine
 
 
-def _mean_squares(itk: Any) -> Any:
+def mean_squares(itk: Any) -> Any:
+    """Registration by mean squares and linear interpolation, in one thread."""
     method = itk.ImageRegistrationMethod()
     method.SetNumberOfThreads(1)
     method.SetMetricAsMeanSquares()
@@ -194,13 +142,8 @@ def _mean_squares(itk: Any) -> Any:
     return method
 
 
-def _equally_bright(windows: Floats) -> Image:
-    """Shift and scale windows (L, width, width) to mean 0 and a fixed standard deviation."""
-    mean, contrast = (np.asarray(of(windows, axis=(1, 2), keepdims=True)) for of in (np.mean, np.std))
-    return np.asarray(_CONTRAST * (windows - mean) / np.where(contrast > 0, contrast, 1.0), np.float32)
-
-
-def _load_simple_itk() -> Any:
+def load_simple_itk() -> Any:
+    """Import SimpleITK; raise `ReconstructionError` if it is not installed."""
     try:
         import SimpleITK  # noqa: PLC0415 - an optional extra that takes a second to load
     except ImportError as error:
@@ -210,7 +153,7 @@ def _load_simple_itk() -> Any:
     return SimpleITK
 
 
-def _map_lenslets(
+def map_lenslets(
     align: Callable[[Image, Image], Floats | None],
     references: Image,
     subimages: Image,
