@@ -21,7 +21,7 @@ from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, Zer
 from reconstruction.modes.pupil_modes import PupilGrid, PupilModes
 from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.deferred import Remembered
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
 PointField: TypeAlias = Callable[[float, float], NDArray[np.complex64]]

@@ -1,20 +1,22 @@
-"""The wavefront at every field position, with its error bars."""
+"""The wavefront at every field position, with its error bars, and what wavefronts are reduced to: RMS, low orders."""
 
+import base64
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol, Self
+from html import escape
+from typing import Any, Protocol, Self
 
+import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from reconstruction.arrays import Floats, Mask
 from reconstruction.displacement import Displacement
-from reconstruction.geometry import Field, Sensor
+from reconstruction.geometry import Arrangement, Field, Sensor, lenslet_centers
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import FieldModes
-from reconstruction.picture import html, picture_of_views
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 
 
 class Solution(Protocol):
@@ -129,3 +131,71 @@ def _modes_at_views(field: Field, modes: FieldModes) -> tuple[Floats, Mask]:
     """Field modes at the views (view_row, view_column, field_mode), and the views inside the field."""
     x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
     return np.moveaxis(modes.values(x, y[:, None]), 0, -1).copy(), field.contains(x, y[:, None])
+
+
+def without_tilt(phase: Floats, arrangement: Arrangement = "square") -> Floats:
+    """Subtract the best-fitting plane from wavefronts (..., lenslet_row, lenslet_column), ignoring NaN."""
+    return without_low_orders(phase, tilt=True, defocus=False, arrangement=arrangement)
+
+
+def without_low_orders(phase: Floats, *, tilt: bool, defocus: bool, arrangement: Arrangement = "square") -> Floats:
+    """Subtract piston and, where asked, tilt and defocus, ignoring NaN.
+
+    Defocus is the paraboloid u^2 + v^2 about the middle of the lattice; it is fitted together with the tilt, whether
+    that is subtracted or not.
+
+    Parameters
+    ----------
+    phase : (..., lenslet_row, lenslet_column)
+        rad; NaN where unknown.
+    tilt, defocus : bool
+        Whether to subtract them.
+    arrangement : Arrangement
+        Of the lenslets.
+    """
+    if not (tilt or defocus):
+        return without_piston(phase)
+    u, v = np.moveaxis(lenslet_centers(arrangement, *phase.shape[-2:]), -1, 0)
+    terms = np.stack([np.ones_like(u), u, v, *([u**2 + v**2] * defocus)])
+    terms /= np.sqrt(np.mean(terms**2, axis=(1, 2), keepdims=True))
+    known = np.isfinite(phase)
+    normal = np.tensordot(known.astype(np.float64), terms[:, None] * terms, axes=((-2, -1), (-2, -1)))
+    moments = np.tensordot(np.where(known, phase, 0), terms, axes=((-2, -1), (-2, -1)))
+    fitted = (np.linalg.pinv(normal, hermitian=True) @ moments[..., None])[..., 0]
+    if not tilt:
+        fitted[..., 1:3] = 0
+    return without_piston(phase - np.tensordot(fitted, terms, axes=1))
+
+
+_SIDE_PX = 240  # of the longer side, about
+_UNKNOWN = 0.85  # grey of what is NaN
+
+
+def picture_of_views(views: Floats) -> NDArray[np.uint8]:
+    """Wavefronts (view_row, view_column, row, column) side by side, blue below 0 and red above: (row, column, RGB)."""
+    framed = np.pad(views, ((0, 0), (0, 0), (0, 1), (0, 1)), constant_values=np.nan)
+    tiled = np.concatenate(np.concatenate(framed, axis=1), axis=1)[:-1, :-1]
+    most = np.nanmax(np.abs(tiled), initial=0.0) or 1.0
+    share = tiled / most
+    colours = np.stack([1 + np.minimum(share, 0), 1 - np.abs(share), 1 - np.maximum(share, 0)], axis=-1)
+    return _bytes(np.where(np.isnan(colours), _UNKNOWN, colours))
+
+
+def picture_of_frame(frame: NDArray[Any]) -> NDArray[np.uint8]:
+    """A frame (row, column) in grey from its darkest to its brightest pixel: (row, column, RGB)."""
+    step = max(1, max(frame.shape) // _SIDE_PX)
+    some = np.asarray(frame[::step, ::step], np.float64)
+    darkest, brightest = some.min(), some.max()
+    return _bytes(np.repeat(((some - darkest) / (brightest - darkest or 1.0))[..., None], 3, axis=2))
+
+
+def html(text: str, picture: NDArray[np.uint8]) -> str:
+    """A line of text and a picture (row, column, RGB) below it, whose pixels are enlarged."""
+    times = max(1, _SIDE_PX // max(picture.shape))
+    large = picture.repeat(times, axis=0).repeat(times, axis=1)
+    png = cv2.imencode(".png", large[..., ::-1])[1].tobytes()
+    return f'<p>{escape(text)}</p><img src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+
+
+def _bytes(colours: Floats) -> NDArray[np.uint8]:
+    return np.asarray(np.rint(255 * colours), np.uint8)

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     from reconstruction.frame.noise import CameraNoise
-    from reconstruction.own_methods import OwnMethods
-    from reconstruction.pipeline import Reconstructor
+    from reconstruction.pipeline import OwnMethods, Reconstructor
 
 Settings = TypeVar("Settings", bound="DataclassInstance")
 
@@ -130,8 +129,7 @@ class Bench:
     ) -> Reconstructor:
         """Prepare the reconstruction of frames against a reference; see `Reconstructor` for the arguments."""
         from app.bench.imaging_model import lenslet_model  # noqa: PLC0415 - reading a bench must not load Numba
-        from reconstruction.own_methods import NO_OWN  # noqa: PLC0415 - the same
-        from reconstruction.pipeline import Reconstructor  # noqa: PLC0415 - reading a bench must not load Numba
+        from reconstruction.pipeline import NO_OWN, Reconstructor  # noqa: PLC0415 - the same
 
         return Reconstructor(
             reference,

@@ -27,7 +27,7 @@ from reconstruction.geometry import Field
 from reconstruction.refinement import mean_rms
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import Method
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
 _VIEW = ("view_row", "view_column")

@@ -16,7 +16,7 @@ from app.results.mode_coefficients import ModeChoice, ModeCoefficients, mode_coe
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.bad_pixels import find_bad_pixels
+from reconstruction.frame.pixels import find_bad_pixels
 from reconstruction.frame.spline import sample
 from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes

@@ -1,17 +1,19 @@
-"""Displacements caused by the phase of one thin layer, whose rays meet it at s = u + ratio x (docs/layers.md).
+"""One thin layer, whose rays meet it at s = u + ratio x, as a linear map to displacements and to wavefronts.
 
-The phase is a sum of Legendre polynomials over the part of the layer that rays meet, its footprint. Behind each lenslet
-it is projected on local wavefronts P_m(xi) P_n(eta) times field modes, to which the registration's response is known.
+The layer's phase is a sum of Legendre polynomials over the part that rays meet, its footprint (docs/layers.md). Behind
+each lenslet it is projected on local wavefronts P_m(xi) P_n(eta) times field modes, with a known response
+of the registration. Over the lattice it is projected on pupil modes times field modes: phi(u, x) = Phi(u + ratio x).
 """
 
 import numpy as np
 from numpy.polynomial import legendre as series
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, Mask
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.field_modes import FieldModes
-from reconstruction.modes.legendre import legendre_orders
+from reconstruction.modes.legendre import legendre_orders, legendre_projection
+from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.solve.expected_errors import ExpectedErrors
 
 _FIELD_NODES = {"square": 12, "circle": 24}  # along each axis; exact on a square
@@ -74,9 +76,42 @@ class LayerDesign:
 
         `center` (cell,) is in half widths of the footprint.
         """
-        nodes, weights = series.leggauss((degree + self._highest) // 2 + 1)
+        nodes, project = legendre_projection(self._highest, degree)
         lenslet = nodes * self._sensor.aperture_width_m / 2 / half_width_m
         at = center[:, None, None] + lenslet[:, None] + self._nodes * reach_m / half_width_m  # (cell, xi, x)
-        project = series.legvander(nodes, self._highest) * weights[:, None] * (np.arange(self._highest + 1) + 0.5)
         values = series.legvander(at, degree)  # (cell, xi, x, i)
         return np.asarray(np.einsum("cgxi,gm->cimx", values, project, optimize=True))
+
+
+class LayerModes:
+    """Projection of a layer's polynomials up to some degree on pupil modes times field modes; one ratio per call.
+
+    Both are Legendre polynomials P_i(x) P_j(y) without the constant, ordered as `legendre_orders`.
+    """
+
+    def __init__(self, degree: int, sensor: Sensor, field: Field, field_modes: FieldModes) -> None:
+        self._orders = layer_orders(degree)  # (k, xy)
+        self._highest = degree
+        self._share = field.half_width_m / np.array(sensor.pupil_half_width_m)
+        self._nodes, self._to_modes = field_projection(field, field_modes)
+        self.pupil_modes: PupilModes = pupil_modes(sensor, "legendre", len(self._orders) + 1)
+        # A layer's polynomial of degree k has no product of a higher degree in pupil and field together.
+        within = self._orders.sum(axis=1)[:, None] + field_modes.degree <= degree
+        self.columns: Mask = np.asarray(within)  # (pupil_mode - 1, field_mode)
+
+    def __call__(self, ratio: float) -> Floats:
+        """Coefficients of every polynomial at `columns`, rad, (column, k)."""
+        along_x, along_y = (self._along(float(of_axis)) for of_axis in ratio * self._share)
+        half = np.tensordot(self._to_modes, along_x, axes=([2], [1]))  # (field_mode, y, i, m)
+        i, j = self._orders.T
+        products = np.empty((len(i), *self.columns.shape))
+        for k, (i_k, j_k) in enumerate(self._orders):
+            full = np.tensordot(half[:, :, i_k], along_y[j_k], axes=([1], [0]))  # (field_mode, m, n)
+            products[k] = full[:, i, j].T
+        return np.ascontiguousarray(products[:, self.columns].T)
+
+    def _along(self, ratio: float) -> Floats:
+        """P_i((xi + ratio x) / (1 + |ratio|)) = sum_m a_m P_m(xi) at the nodes x: (i, node, m)."""
+        nodes, project = legendre_projection(self._highest, self._highest)
+        values = series.legvander((nodes[:, None] + ratio * self._nodes) / (1 + abs(ratio)), self._highest)
+        return np.asarray(np.einsum("pxi,pm->ixm", values, project, optimize=True))

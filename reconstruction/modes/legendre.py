@@ -1,12 +1,13 @@
-"""Two-dimensional Legendre polynomials in the paper's order, their gradients, and exact means over lenslets.
+"""Two-dimensional Legendre polynomials in the paper's order and their gradients, and projections on them.
 
 L_k(x, y) = P_m(x) P_n(y) with k = (m + n)(m + n + 1)/2 + n (Feng et al.): k = 0 is the piston, 1 = x, 2 = y,
 3 = P_2(x), 4 = xy, 5 = P_2(y). P_m is the ordinary Legendre polynomial with P_m(1) = 1.
 """
 
+
 import numpy as np
 from numpy.polynomial import legendre as series
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from reconstruction.arrays import Floats
 
@@ -21,6 +22,14 @@ def legendre_orders(count: int) -> tuple[tuple[int, int], ...]:
     return tuple(orders[:count])
 
 
+def legendre_names(count: int) -> tuple[str, ...]:
+    """Number, from 0, and name of the first `count` polynomials, such as "L4 P1(x) P1(y)"."""
+    return tuple(
+        f"L{k} {' '.join(f'P{order}({axis})' for order, axis in ((m, 'x'), (n, 'y')) if order) or 'piston'}"
+        for k, (m, n) in enumerate(legendre_orders(count))
+    )
+
+
 def legendre_products(count: int) -> Floats:
     """First `count` polynomials as products P_m(x) P_n(y): 1 at (k, n, m), (count, degree + 1, degree + 1)."""
     m, n, degree = _order_arrays(count)
@@ -32,8 +41,8 @@ def legendre_products(count: int) -> Floats:
 def legendre(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
     """First `count` polynomials at (x, y), normalised to [-1, 1]: (count, *broadcast shape)."""
     m, n, degree = _order_arrays(count)
-    x, y = np.broadcast_arrays(x, y)
-    return _values(x, degree)[m] * _values(y, degree)[n]
+    along_x, along_y = (_values(at, degree) for at in np.broadcast_arrays(x, y))
+    return along_x[m] * along_y[n]
 
 
 def legendre_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
@@ -41,21 +50,23 @@ def legendre_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
     m, n, degree = _order_arrays(count)
     x, y = np.broadcast_arrays(x, y)
     along_x, along_y = _values(x, degree), _values(y, degree)
-    slope_x, slope_y = _derivatives(x, degree), _derivatives(y, degree)
+    slope_x, slope_y = (_first_axis(legendre_slopes(at.ravel(), degree), at.shape) for at in (x, y))
     return np.stack([slope_x[m] * along_y[n], along_x[m] * slope_y[n]], axis=-1)
 
 
-def legendre_lenslet_gradients(count: int, lenslet_rows: int, lenslet_columns: int) -> Floats:
-    """Exact mean gradient of each polynomial over each lenslet, per unit of the normalised pupil coordinates.
+def legendre_slopes(x: Floats, degree: int) -> Floats:
+    """Derivatives of P_0 ... P_degree at x: (*shape of x, degree + 1), as NumPy's `legvander` has the values."""
+    derive = series.legder(np.eye(degree + 1))
+    return np.asarray(series.legvander(x, len(derive) - 1) @ derive)
 
-    The lenslets tile [-1, 1] x [-1, 1]. Shape (count, lenslet_row, lenslet_column, xy).
+
+def legendre_projection(degree: int, exact: int) -> tuple[Floats, Floats]:
+    """Projection of functions on P_0 ... P_degree from nodes in [-1, 1]: nodes (node,), weights (node, degree + 1).
+
+    It is exact for polynomials up to the degree `exact`.
     """
-    m, n, degree = _order_arrays(count)
-    mean_x, slope_x = _cell_means(lenslet_columns, degree)
-    mean_y, slope_y = _cell_means(lenslet_rows, degree)
-    along_x = slope_x[m][:, None, :] * mean_y[n][:, :, None]
-    along_y = mean_x[m][:, None, :] * slope_y[n][:, :, None]
-    return np.stack([along_x, along_y], axis=-1)
+    nodes, weights = series.leggauss((exact + degree) // 2 + 1)
+    return nodes, series.legvander(nodes, degree) * weights[:, None] * (np.arange(degree + 1) + 0.5)
 
 
 def _order_arrays(count: int) -> tuple[list[int], list[int], int]:
@@ -63,21 +74,10 @@ def _order_arrays(count: int) -> tuple[list[int], list[int], int]:
     return [m for m, _ in orders], [n for _, n in orders], max(m + n for m, n in orders)
 
 
-def _values(x: ArrayLike, degree: int) -> Floats:
+def _values(x: Floats, degree: int) -> Floats:
     """P_0 ... P_degree at x: (degree + 1, *shape of x)."""
-    x = np.asarray(x, np.float64)
-    return np.moveaxis(series.legvander(x.ravel(), degree), -1, 0).reshape(degree + 1, *x.shape)
+    return _first_axis(series.legvander(np.asarray(x, np.float64).ravel(), degree), x.shape)
 
 
-def _derivatives(x: ArrayLike, degree: int) -> Floats:
-    """Derivatives of P_0 ... P_degree at x: (degree + 1, *shape of x)."""
-    coefficients = series.legder(np.eye(degree + 1)) if degree else np.zeros((1, 1))
-    return np.tensordot(coefficients.T, _values(x, coefficients.shape[0] - 1), axes=1)
-
-
-def _cell_means(cells: int, degree: int) -> tuple[Floats, Floats]:
-    """Means of P_0 ... P_degree and of their derivatives over `cells` equal parts of [-1, 1]: (degree + 1, cells)."""
-    edges = np.linspace(-1.0, 1.0, cells + 1, dtype=np.float64)
-    width = 2.0 / cells
-    integrals: Floats = np.stack([series.legval(edges, series.legint(unit)) for unit in np.eye(degree + 1)])
-    return np.diff(integrals, axis=1) / width, np.diff(_values(edges, degree), axis=1) / width
+def _first_axis(values: NDArray[np.floating], shape: tuple[int, ...]) -> Floats:
+    return np.asarray(np.moveaxis(values, -1, 0).reshape(-1, *shape), np.float64)

@@ -12,6 +12,21 @@ from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import Floats
+from reconstruction.modes.legendre import legendre_projection
+
+_NAMES = {
+    (0, 0): "piston",
+    (1, 1): "tilt along x",
+    (1, -1): "tilt along y",
+    (2, 0): "defocus",
+    (2, -2): "astigmatism at 45\N{DEGREE SIGN}",
+    (2, 2): "astigmatism at 0\N{DEGREE SIGN}",
+    (3, 1): "coma along x",
+    (3, -1): "coma along y",
+    (3, 3): "trefoil along x",
+    (3, -3): "trefoil along y",
+    (4, 0): "spherical aberration",
+}
 
 
 def noll_orders(count: int) -> tuple[tuple[int, int], ...]:
@@ -24,6 +39,11 @@ def noll_orders(count: int) -> tuple[tuple[int, int], ...]:
                 orders.append((n, m if m == 0 or index % 2 == 0 else -m))
                 index += 1
     return tuple(orders[:count])
+
+
+def zernike_names(count: int) -> tuple[str, ...]:
+    """Number as Noll counts, from 1, and name of the first `count` modes, such as "Z4 defocus"."""
+    return tuple(f"Z{j} {_NAMES.get((n, m), f'n = {n}, m = {m}')}" for j, (n, m) in enumerate(noll_orders(count), 1))
 
 
 def zernike(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
@@ -49,9 +69,8 @@ def zernike_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
 def zernike_products(count: int, half_x: float = 1.0, half_y: float = 1.0) -> Floats:
     """First `count` modes, x = half_x xi, y = half_y eta, as sums of products P_m(xi) P_n(eta): (count, n, m)."""
     degree = max(n for n, _ in noll_orders(count))
-    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
+    nodes, parts = legendre_projection(degree, degree)
     values = zernike(count, nodes * half_x, nodes[:, None] * half_y)  # (count, y, x)
-    parts = np.polynomial.legendre.legvander(nodes, degree) * weights[:, None] * (np.arange(degree + 1) + 0.5)
     return np.asarray(np.einsum("kyx,yn,xm->knm", values, parts, parts))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.solve.zonal import zonal_wavefront
 from reconstruction.wavefront import Wavefront, without_piston
 

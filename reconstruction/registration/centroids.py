@@ -15,9 +15,8 @@ from reconstruction.displacement import Displacement, Outcome, RegistrationMetho
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, centered_steps, require
 from reconstruction.modes.field_modes import SampledModes
-from reconstruction.registration.classification import classify_lenslets
 from reconstruction.registration.correlation import correlation_spectrum, cross_correlation, normalised
-from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.registration.subimages import ReferenceSubimages, classify_lenslets
 from reconstruction.settings import RegistrationSettings
 
 _THRESHOLD = 0.1  # of the star's height above the background

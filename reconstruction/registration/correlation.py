@@ -16,8 +16,7 @@ from reconstruction.displacement import Displacement, Outcome, RegistrationMetho
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, require
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.registration.classification import classify_lenslets
-from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.registration.subimages import ReferenceSubimages, classify_lenslets
 from reconstruction.settings import RegistrationSettings
 
 Mismatch = Literal["square_difference", "fft"]

@@ -21,9 +21,8 @@ from reconstruction.displacement import Displacement, Outcome, RegistrationMetho
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.registration.classification import classify_lenslets
 from reconstruction.registration.gauss_newton.template import coefficient_covariance, prepare_template
-from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.registration.subimages import ReferenceSubimages, classify_lenslets
 from reconstruction.settings import RegistrationSettings
 
 _THREADS = min(2, os.cpu_count() or 1)

@@ -13,8 +13,8 @@ from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.modes.zernike import zernike
 from reconstruction.pipeline import Reconstructor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
+from reconstruction.solve.expected_errors import MeanGradients
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.sensitivity import MeanGradients
 from reconstruction.wavefront import rms
 
 CIRCLE = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3, shape="circle", view_spacing_m=0.4e-3)

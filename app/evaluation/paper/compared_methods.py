@@ -15,7 +15,7 @@ from app.cache import Arrays, cached
 from app.evaluation.paper import nonrigid_methods
 from app.evaluation.paper.frame_pairs import FramePair, Mask
 from reconstruction.arrays import Floats
-from reconstruction.own_methods import OwnMethods, OwnRegistration
+from reconstruction.pipeline import OwnMethods, OwnRegistration
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 
 

@@ -30,9 +30,8 @@ from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
 from reconstruction.geometry import Field, centered_steps
 from reconstruction.modes.field_modes import SampledModes
-from reconstruction.registration.classification import classify_lenslets
 from reconstruction.registration.itk_affine import align_affine, load_simple_itk, map_lenslets, mean_squares, misfit
-from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.registration.subimages import ReferenceSubimages, classify_lenslets
 
 _BLOCKS = 7  # along x and along y
 _BLOCK_PX = 9  # odd width of a block; 7 see too little of a square's blurred edge
@@ -115,7 +114,7 @@ class BlockFlow(_NonRigid):
         shift = self._plate @ seen.reshape(len(seen), -1, 1)
         shift = shift.reshape(-1, _BLOCKS, _BLOCKS, 2)
         flow = np.einsum("yi,xj,lijd->lyxd", self._interpolation, self._interpolation, shift, optimize=True)
-        return flow.reshape(len(flow), -1, 2)
+        return np.asarray(flow.reshape(len(flow), -1, 2))
 
     def _padded(self, windows: Floats, reach: int) -> tuple[Floats, NDArray[np.intp]]:
         """Windows (L, width, width) padded for blocks moved by up to `reach`, and where those moved by -reach begin."""

@@ -15,7 +15,7 @@ from reconstruction.arrays import Image
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.own_methods import OwnMethods
+from reconstruction.pipeline import OwnMethods
 from reconstruction.registration.itk_affine import ItkAffine
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings

@@ -13,8 +13,8 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.spline import spline_coefficients
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.cells import cut
+from reconstruction.lattice.fit import least_rotation_rad
 from reconstruction.lattice.search import survey
-from reconstruction.lattice.spectrum import least_rotation_rad
 
 CENTER_PX, PITCH_PX, BLUR_PX = (257.3, 251.8), 31.4, 1.2
 

@@ -15,7 +15,7 @@ from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.zernike import zernike
 from reconstruction.quality.isoplanatism import isoplanatism
 from reconstruction.settings import ReconstructionSettings
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, without_piston
 
 BENCH = svwfs.load_bench("small_demo", "simulation.source.mask='checkerboard'", "registration.warp=quartic")

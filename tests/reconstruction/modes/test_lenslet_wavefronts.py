@@ -10,8 +10,7 @@ from support.optics import sensor_of
 
 from reconstruction.geometry import Arrangement
 from reconstruction.modes.legendre import legendre, legendre_products
-from reconstruction.modes.lenslet_wavefronts import local_wavefronts
-from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.modes.pupil_modes import local_wavefronts, pupil_modes
 from reconstruction.modes.zernike import zernike, zernike_products
 from reconstruction.settings import PupilBasis
 
