@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from html import escape
-from typing import Any, Protocol, Self
+from typing import Any, Self, TypeAlias
 
 import cv2
 import numpy as np
@@ -17,21 +17,10 @@ from reconstruction.geometry import Arrangement, Field, Sensor, lenslet_centers
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.solve.modal import ModalSolution
+from reconstruction.solve.zonal import ZonalSolution
 
-
-class Solution(Protocol):
-    """Result of zonal or modal reconstruction: the wavefront of any combination of field modes."""
-
-    def wavefront(self, field_modes: Floats) -> Floats:
-        """Wavefront, rad, without piston, (..., lenslet_row, lenslet_column); NaN where unknown.
-
-        `field_modes` (..., field_mode): values of the field modes T_q at the field positions.
-        """
-        ...
-
-    def sigma(self, field_modes: Floats) -> Floats:
-        """Standard deviation of `wavefront`, rad, the same shape."""
-        ...
+Solution: TypeAlias = ZonalSolution | ModalSolution
+"""Result of the reconstruction: the wavefront of any combination of field modes, and its standard deviation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,7 @@ Positions are normalised: x, y in [-1, 1] over the half width of the field.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,28 +14,6 @@ from numpy.typing import ArrayLike
 from reconstruction.arrays import Floats
 from reconstruction.modes.legendre import legendre, legendre_gradients, legendre_products
 from reconstruction.modes.zernike import zernike, zernike_gradients, zernike_products
-
-
-class FieldModes(Protocol):
-    """A set of functions T_q of the field position."""
-
-    @property
-    def count(self) -> int:
-        """Number of modes."""
-        ...
-
-    @property
-    def degree(self) -> Floats:
-        """Degree of each polynomial, (field_mode,); 0 for other functions."""
-        ...
-
-    def __hash__(self) -> int:
-        """Needed because results are cached by field modes."""
-        ...
-
-    def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """T_q at normalised positions: (field_mode, *broadcast shape)."""
-        ...
 
 
 class _Family(NamedTuple):
@@ -147,3 +125,7 @@ def _lagrange(nodes: Floats, x: Floats) -> Floats:
         factors = [(x - other) / (node - other) for other in others]
         polynomials.append(np.prod(factors, axis=0) if factors else np.ones_like(x))
     return np.stack(polynomials)
+
+
+FieldModes: TypeAlias = PolynomialModes | SampledModes
+"""Functions T_q of the field position."""

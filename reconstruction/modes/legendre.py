@@ -4,7 +4,6 @@ L_k(x, y) = P_m(x) P_n(y) with k = (m + n)(m + n + 1)/2 + n (Feng et al.): k = 0
 3 = P_2(x), 4 = xy, 5 = P_2(y). P_m is the ordinary Legendre polynomial with P_m(1) = 1.
 """
 
-
 import numpy as np
 from numpy.polynomial import legendre as series
 from numpy.typing import ArrayLike, NDArray

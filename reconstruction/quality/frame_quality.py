@@ -21,6 +21,7 @@ from reconstruction.arrays import Counts, Floats, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.frame.pixels import clipped_fraction
 from reconstruction.geometry import Field, Sensor
+from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
@@ -314,10 +315,10 @@ def propagation_faults(
     `lit` (lenslet_row, lenslet_column) marks lit lenslets, `light` (lit lenslet,) is theirs over that in the reference.
     """
     known = displacement.valid[lit] & (light > 0)
-    gradients = getattr(displacement.modes, "gradients", None)  # interpolation between stars has none
-    if gradients is None or np.count_nonzero(known) < _LEAST_LENSLETS:
+    modes = displacement.modes
+    if not isinstance(modes, PolynomialModes) or np.count_nonzero(known) < _LEAST_LENSLETS:
         return
-    weights = gradients(0.0, 0.0) / half_width_px  # (field_mode, xy)
+    weights = modes.gradients(0.0, 0.0) / half_width_px  # (field_mode, xy)
     area = np.tensordot(displacement.coefficients[lit][known], weights, axes=2)
     area -= area.mean()
     size, count = float(area @ area), len(area)

@@ -4,7 +4,7 @@ A lenslet's displacement is written in K parameters, the rows of `parameters` (K
 `Sensitivity` is the displacement caused by the modes of a wavefront: the design matrix of the modal reconstruction.
 """
 
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.polynomial import legendre as series
@@ -22,22 +22,6 @@ Lenslets: TypeAlias = slice | NDArray[np.intp]
 _DEGREE = 4  # of the local wavefronts whose mean gradients stand for a response
 
 
-class Sensitivity(Protocol):
-    """Parameters of the lenslets' warps per rad, of local wavefronts and of pupil modes."""
-
-    @property
-    def response(self) -> Floats:
-        """To local wavefronts P_m(xi) P_n(eta) T_q, px per rad, (lenslet or 1, n, m, field_mode, K)."""
-        ...
-
-    def __call__(self, modes: PupilModes, lenslets: Lenslets) -> Floats:
-        """Parameters, px, of some lenslets per rad of each mode but the piston.
-
-        (lenslet, K, pupil_mode - 1, field_mode).
-        """
-        ...
-
-
 class MeanGradients:
     """Mean gradients of a wavefront over each lenslet, the same for all field modes."""
 
@@ -48,7 +32,7 @@ class MeanGradients:
 
     @property
     def response(self) -> Floats:
-        """To local wavefronts, px per rad, (1, n, m, field_mode, K)."""
+        """Parameters, px, per rad of local wavefronts P_m(xi) P_n(eta) T_q, (1, n, m, field_mode, K)."""
         sensor = self._sensor
         half_m = sensor.aperture_width_m / 2
         position, weights = aperture_rule(sensor.arrangement)
@@ -60,7 +44,10 @@ class MeanGradients:
         return np.asarray(np.einsum("anm,kaq->nmqk", gradient, self._along))[None]
 
     def __call__(self, modes: PupilModes, lenslets: Lenslets) -> Floats:
-        """Parameters per rad of each mode; see `Sensitivity`."""
+        """Parameters, px, of some lenslets per rad of each mode but the piston.
+
+        (lenslet, K, pupil_mode - 1, field_mode).
+        """
         gradients = modes.gradients[1:].reshape(len(modes.gradients) - 1, -1, 2)[:, lenslets]
         return np.asarray(np.einsum("plx,kxq->lkpq", gradients, self._along, optimize=True))
 
@@ -74,12 +61,15 @@ class Response:
         self._n, self._m = np.nonzero(np.any(response, axis=(0, 3, 4)))
 
     def __call__(self, modes: PupilModes, lenslets: Lenslets) -> Floats:
-        """Parameters per rad of each mode; see `Sensitivity`."""
+        """Parameters per rad of each mode; see `MeanGradients`."""
         local = local_wavefronts(modes.products[1:], self._sensor, self.response.shape[1] - 1)
         local = local.reshape(-1, *local.shape[2:])[lenslets][:, self._n, self._m]  # (lenslet, j, pupil_mode - 1)
         of_local = self.response[lenslets][:, self._n, self._m]
         return np.asarray(np.einsum("ljp,ljqk->lkpq", local, of_local, optimize=True))
 
+
+Sensitivity: TypeAlias = MeanGradients | Response
+"""Parameters of the lenslets' warps per rad, of local wavefronts and of pupil modes."""
 
 _ALIKE = 0.1  # share of the systematic error that all parameters have alike, if the noise is unknown
 # Lenslets whose systematic errors count as one. So the error bars of single layers without noise cover 69 and 66 % of

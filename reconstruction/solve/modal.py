@@ -83,7 +83,10 @@ class ModalSolution:
         return self._known.lenslets
 
     def wavefront(self, field_modes: Floats) -> Floats:
-        """Wavefront, rad, for values (..., field_mode) of the field modes; see `wavefront.Solution`."""
+        """Wavefront, rad, without piston, (..., lenslet_row, lenslet_column); NaN where unknown.
+
+        `field_modes` (..., field_mode): values of the field modes T_q at the field positions.
+        """
         phase = field_modes @ (self.coefficients[1:].T @ self._known.values)
         if phase.shape[-1] == self.known.size:
             return phase.reshape(*phase.shape[:-1], *self.known.shape)

@@ -9,14 +9,14 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, diagonal_covariance
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.pipeline import Reconstructor
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel, Warp
-from simulated_devices.optics.forward_model import ForwardModel, Images, phase_only
+from simulated_devices.optics.forward_model import ForwardModel, phase_only
 from simulated_devices.optics.source import SourcePoints, square
 from simulated_devices.settings import Source
 
@@ -51,7 +51,7 @@ def converged(modes: FieldModes, coefficients: Floats, variance: Floats) -> Disp
     )
 
 
-PointValues = Callable[[float, float], Images]  # of an object point (x_m, y_m), at the pupil samples
+PointValues = Callable[[float, float], Image]  # of an object point (x_m, y_m), at the pupil samples
 
 
 def checkerboard(cells: int = 6, object_samples: int = 24) -> SourcePoints:
