@@ -14,8 +14,8 @@ from reconstruction.arrays import Floats, Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import FieldModes, SampledModes
+from reconstruction.modes.polynomials import zernike_projection
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
-from reconstruction.modes.zernike import zernike_projection
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront

@@ -14,14 +14,13 @@ from reconstruction.errors import ReconstructionError, TooManyModes
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.pixels import AboveDark, find_bad_pixels
 from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.layers.layer_design import LayerModes
 from reconstruction.layers.layer_search import find_layers
-from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
+from reconstruction.layers.layer_solver import FrameEquations, LayerModes, LayerSolver
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample, LayeredWavefronts, most_probable
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
+from reconstruction.registration import prepare_registration
 from reconstruction.registration.gauss_newton import GaussNewton
-from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.response import LensletModel, linear_response
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.threads import one_blas_thread

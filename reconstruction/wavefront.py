@@ -16,8 +16,9 @@ from reconstruction.displacement import Displacement
 from reconstruction.geometry import Arrangement, Field, Sensor, lenslet_centers
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import FieldModes
+from reconstruction.modes.pupil_modes import PupilModes
 from reconstruction.solve.modal import ModalSolution
-from reconstruction.solve.zonal import ZonalSolution
+from reconstruction.solve.zonal import ZonalSolution, zonal_wavefront
 
 Solution: TypeAlias = ZonalSolution | ModalSolution
 """Result of the reconstruction: the wavefront of any combination of field modes, and its standard deviation."""
@@ -188,3 +189,46 @@ def html(text: str, picture: NDArray[np.uint8]) -> str:
 
 def _bytes(colours: Floats) -> NDArray[np.uint8]:
     return np.asarray(np.rint(255 * colours), np.uint8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlopeFit:
+    """Wavefronts without piston, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown."""
+
+    measured: Floats  # from the slopes
+    fitted: Floats  # by the pupil modes
+    difference: Floats  # measured minus fitted: noise, and what the modes cannot represent
+
+
+def slope_fit(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> SlopeFit:
+    """Compare the views of a wavefront with the slopes measured; `modes` are those of the reconstruction.
+
+    Modal: the difference is the integral of the misfit of the displacements, the measured wavefront is the fit plus it.
+    (Integrating the slopes themselves would add Southwell's discretisation error, many times the difference.) Zonal:
+    the views are the measured wavefront; the fit is the least-squares fit of the modes to them.
+    """
+    solution, views = wavefront.solution, wavefront.views
+    if not isinstance(solution, ModalSolution):
+        fitted = _fit(views, modes)
+        return SlopeFit(views, fitted, without_piston(views - fitted))
+    field, displacement = wavefront.field, wavefront.displacement
+    x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
+    field_modes = np.moveaxis(displacement.modes.values(x, y[:, None]), 0, -1)
+    misfit = np.tensordot(field_modes, solution.misfit, axes=([-1], [2])) * sensor.slope_per_px
+    known, pitch_m = displacement.valid & modes.inside, sensor.lenslet_pitch_m
+    difference = zonal_wavefront(misfit, known, pitch_m=pitch_m, arrangement=sensor.arrangement)
+    difference[~field.contains(x, y[:, None])] = np.nan
+    return SlopeFit(without_piston(views + difference), views, difference)
+
+
+def _fit(views: Floats, modes: PupilModes) -> Floats:
+    """Least-squares fit of the modes to each view; views with the same known lenslets share a decomposition."""
+    flat = views.reshape(-1, *views.shape[2:])
+    known = np.isfinite(flat) & modes.inside
+    fitted = np.full_like(flat, np.nan)
+    for is_known in np.unique(known, axis=0):
+        alike = np.flatnonzero((known == is_known).all(axis=(1, 2)))
+        values = modes.values[:, is_known].T
+        row, column = np.nonzero(is_known)
+        fitted[alike[:, None], row, column] = (values @ np.linalg.lstsq(values, flat[alike][:, is_known].T)[0]).T
+    return without_piston(fitted.reshape(views.shape))

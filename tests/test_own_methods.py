@@ -20,11 +20,10 @@ from app.evaluation.simulated_frames import SimulatedFrames
 from app.gui.coefficients_panel import CoefficientsPanel
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Sensor
-from reconstruction.modes.legendre import legendre_products
+from reconstruction.modes.polynomials import legendre_products, zernike_products
 from reconstruction.modes.pupil_modes import BASES, PupilModes, polynomial_modes, pupil_modes
-from reconstruction.modes.zernike import zernike_products
+from reconstruction.registration import prepare_registration
 from reconstruction.registration.correlation import Correlation
-from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import PupilBasis, RegistrationSettings
 

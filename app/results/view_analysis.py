@@ -22,10 +22,9 @@ from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, psf_reach_rad
 from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
-from reconstruction.quality.slope_fit import slope_fit
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import PupilBasis, ReconstructionSettings
-from reconstruction.wavefront import Wavefront
+from reconstruction.wavefront import Wavefront, slope_fit
 
 _BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
 

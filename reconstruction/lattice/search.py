@@ -15,7 +15,7 @@ from reconstruction.arrays import Counts, Floats, Image, Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.pixels import find_bad_pixels, repaired
 from reconstruction.geometry import Arrangement, Lattice, Sensor, lenslet_centers
-from reconstruction.lattice.fit import (
+from reconstruction.lattice._fit import (
     REACH,
     SMALLEST_PITCH_PX,
     Fit,

@@ -11,10 +11,10 @@ import numpy as np
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
-from reconstruction.layers.layer_design import LayerModes
 from reconstruction.layers.layer_search import LayerSearch, explains, is_within
 from reconstruction.layers.layer_solver import (
     LayerFit,
+    LayerModes,
     LayerSolver,
     along_principal,
     principal,

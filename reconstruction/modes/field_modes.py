@@ -12,8 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import Floats
-from reconstruction.modes.legendre import legendre, legendre_gradients, legendre_products
-from reconstruction.modes.zernike import zernike, zernike_gradients, zernike_products
+from reconstruction.modes.polynomials import (
+    legendre,
+    legendre_gradients,
+    legendre_products,
+    zernike,
+    zernike_gradients,
+    zernike_products,
+)
 
 
 class _Family(NamedTuple):

@@ -10,8 +10,14 @@ from numpy.polynomial import legendre as series
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Arrangement, Sensor
-from reconstruction.modes.legendre import legendre_names, legendre_products, legendre_projection, legendre_slopes
-from reconstruction.modes.zernike import zernike_names, zernike_products
+from reconstruction.modes.polynomials import (
+    legendre_names,
+    legendre_products,
+    legendre_projection,
+    legendre_slopes,
+    zernike_names,
+    zernike_products,
+)
 from reconstruction.settings import PupilBasis
 
 _HIGHEST_DEGREE = 16  # highest for which the mean gradients of both bases are exact

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Floats, Mask
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement
 from reconstruction.geometry import Sensor
-from reconstruction.modes.legendre import legendre_slopes
+from reconstruction.modes.polynomials import legendre_slopes
 from reconstruction.modes.pupil_modes import PupilModes, aperture_rule, local_wavefronts
 from reconstruction.runtime.compilation import compiled
 from reconstruction.solve.evidence import Estimate

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Floats, Image
 from reconstruction.geometry import Arrangement, Field, Lattice, Sensor, centered_steps, require
 from reconstruction.runtime.threads import one_blas_thread
+from simulated_devices.optics._pixel_grid import PixelGrid
 from simulated_devices.optics.compiled import compiled
-from simulated_devices.optics.pixel_grid import PixelGrid
 from simulated_devices.optics.source import SourcePoints
 
 

@@ -9,8 +9,8 @@ from support.optics import FIELD, SmallBench, converged, sensor_of
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import ZernikeModes
+from reconstruction.modes.polynomials import zernike
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.modes.zernike import zernike
 from reconstruction.pipeline import Reconstructor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.solve.expected_errors import MeanGradients

@@ -21,9 +21,9 @@ from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.spline import mean_interpolation, sample, spline_coefficients
 from reconstruction.geometry import require
 from reconstruction.modes.field_modes import PolynomialModes, gradient_basis
-from reconstruction.registration.gauss_newton.alignment import Grid
-from reconstruction.registration.gauss_newton.lenslet_fits import WholePixelSearch
-from reconstruction.registration.gauss_newton.warped_sampling import MONOMIALS, window_of
+from reconstruction.registration.gauss_newton._alignment import Grid
+from reconstruction.registration.gauss_newton._lenslet_fits import WholePixelSearch
+from reconstruction.registration.gauss_newton._warped_sampling import MONOMIALS, window_of
 from reconstruction.registration.subimages import ReferenceSubimages
 
 # Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds

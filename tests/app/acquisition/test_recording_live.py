@@ -78,7 +78,7 @@ def assert_made_again(recording: Recording) -> None:
         assert made.registered is not None
         assert made.wavefront is not None
         np.testing.assert_array_equal(made.registered.coefficients, recording.displacement(index))
-        np.testing.assert_array_equal(made.wavefront.solution.coefficients, recording.coefficients(index))  # type: ignore[attr-defined] # modal
+        np.testing.assert_array_equal(made.wavefront.solution.coefficients, recording.coefficients(index))  # type: ignore[union-attr] # modal
 
 
 @pytest.mark.slow

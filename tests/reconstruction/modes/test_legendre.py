@@ -7,7 +7,7 @@ import pytest
 from scipy import special
 from support.optics import sensor_of
 
-from reconstruction.modes.legendre import legendre, legendre_gradients, legendre_orders
+from reconstruction.modes.polynomials import legendre, legendre_gradients, legendre_orders
 from reconstruction.modes.pupil_modes import pupil_modes
 
 

@@ -10,7 +10,7 @@ from support.optics import SmallBench
 from reconstruction.arrays import Image, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.registration.methods import prepare_registration
+from reconstruction.registration import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import Method, RegistrationSettings
 

@@ -11,7 +11,7 @@ from support.optics import FIELD, SmallBench
 from reconstruction.arrays import Image
 from reconstruction.displacement import Displacement, RegistrationMethod
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.registration.methods import prepare_registration
+from reconstruction.registration import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import Method, RegistrationSettings
 

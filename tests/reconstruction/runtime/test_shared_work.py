@@ -7,7 +7,7 @@ import threading
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.registration.gauss_newton.lenslet_fits import Ledger, finish, is_finished, new_ledger, take
+from reconstruction.registration.gauss_newton._lenslet_fits import Ledger, finish, is_finished, new_ledger, take
 from reconstruction.runtime.compilation import compiled
 
 

@@ -13,8 +13,8 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
-from reconstruction.registration.gauss_newton.alignment import LOST_PX, FrameData, Grid, State, fit_warp
-from reconstruction.registration.gauss_newton.warped_sampling import (
+from reconstruction.registration.gauss_newton._alignment import LOST_PX, FrameData, Grid, State, fit_warp
+from reconstruction.registration.gauss_newton._warped_sampling import (
     MONOMIALS,
     Scratch,
     Window,

@@ -25,8 +25,8 @@ from reconstruction.displacement import Displacement, Outcome, RegistrationMetho
 from reconstruction.frame.spline import noise_power, noise_power_polynomial
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes, gradient_basis
-from reconstruction.registration.gauss_newton.alignment import FrameData
-from reconstruction.registration.gauss_newton.lenslet_fits import FitLimits, Fits, fit_lenslets, new_ledger
+from reconstruction.registration.gauss_newton._alignment import FrameData
+from reconstruction.registration.gauss_newton._lenslet_fits import FitLimits, Fits, fit_lenslets, new_ledger
 from reconstruction.registration.gauss_newton.template import (
     Propagated,
     Template,
