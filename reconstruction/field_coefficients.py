@@ -15,7 +15,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import FieldModes, SampledModes
 from reconstruction.modes.polynomials import zernike_projection
-from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
+from reconstruction.modes.pupil_modes import BASES, PupilModes, pupil_modes
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
@@ -120,6 +120,8 @@ def field_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = Non
     ReconstructionError
         If there is no such basis, the fit has no such degree, or no lenslet in the pupil is known.
     """
+    if basis not in BASES:
+        raise ReconstructionError(f"the modes of the pupil are {' or '.join(BASES)}, not {basis}")
     highest = int(fit.modes.degree.max())
     order = highest if order is None else order
     if not 1 <= order <= highest:
