@@ -26,7 +26,7 @@ def field_dataset(
 ) -> xr.Dataset:
     """Return the maps of `coefficient_maps`, and Zernike coefficients also as double Zernikes."""
     maps = coefficient_maps(found, field, positions)
-    if found.basis == "legendre":
+    if found.basis != "zernike":
         return maps
     return maps.assign(double_zernike_variables(found, field_order)).assign_attrs(circles(sensor, field))
 
