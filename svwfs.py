@@ -41,7 +41,8 @@ if TYPE_CHECKING:
     from reconstruction.displacement import Displacement, Outcome
     from reconstruction.errors import ReconstructionError
     from reconstruction.geometry import Lattice
-    from reconstruction.own_methods import OwnBasis, OwnRegistration
+    from reconstruction.pipeline import OwnBasis, OwnRegistration
+    from reconstruction.settings import PupilBasis
     from reconstruction.wavefront import Wavefront
 
 _TYPES = {
@@ -274,7 +275,7 @@ def reconstructor(
     True
     """
     from app.measurement.bench_reconstructor import BenchReconstructor
-    from reconstruction.own_methods import OwnMethods
+    from reconstruction.pipeline import OwnMethods
 
     own = OwnMethods(registration, basis)
     return BenchReconstructor(_bench(bench), reference, dark=dark, full_scale=full_scale, frame=frame, own=own)
@@ -470,11 +471,7 @@ def find_corrector(
 
 
 def field_coefficients(
-    wavefront: Wavefront,
-    basis: Literal["zernike", "legendre"] = "zernike",
-    *,
-    order: int | None = None,
-    positions: int = 21,
+    wavefront: Wavefront, basis: PupilBasis = "zernike", *, order: int | None = None, positions: int = 21
 ) -> xr.Dataset:
     """Map the coefficients of a wavefront over the field, and write it in double Zernikes (docs/field.md).
 

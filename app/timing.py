@@ -16,7 +16,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from reconstruction.runtime.process_setting import ProcessSetting
+from reconstruction.runtime.threads import ProcessSetting
 
 Stage = Literal["wait", "copy", "register", "reconstruct", "publish", "record", "draw", "to_result", "to_screen"]
 STAGES: tuple[Stage, ...] = get_args(Stage)

@@ -3,22 +3,21 @@
 All modes are polynomials, so that a change of their basis is exact; the covariance of e_pq gives the errors.
 """
 
+import math
 from dataclasses import dataclass
-from typing import Self, assert_never
+from typing import Self
 
 import numpy as np
-from numpy.polynomial import legendre as series
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import Floats, Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import FieldModes, SampledModes
-from reconstruction.modes.legendre import legendre_orders
-from reconstruction.modes.pupil_modes import BASES, PupilModes
-from reconstruction.modes.zernike import zernike_projection
+from reconstruction.modes.polynomials import zernike_projection
+from reconstruction.modes.pupil_modes import BASES, PupilModes, pupil_modes
 from reconstruction.settings import PupilBasis
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
 
 _NONE = 1e-12  # coefficient of a polynomial, of its largest, that is rounding
@@ -130,37 +129,18 @@ def field_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = Non
             f"order {order} of the pupil modes must be 1 ... {highest}, that of the {len(fit.rad)} fitted modes"
         )
     sensor = fit.sensor
-    radius_m = min(sensor.pupil_half_width_m)
-    inside = np.ones(fit.known.shape, np.bool_)
-    if basis == "zernike":
-        inside = np.hypot(*np.moveaxis(sensor.lenslet_centers_m, -1, 0)) <= radius_m
-    known_share = float(np.mean(fit.known[inside]))
+    onto_modes = pupil_modes(sensor, basis, _count(fit.modes.products.shape[1] - 1))
+    known_share = float(np.mean(fit.known[onto_modes.inside]))
     if not known_share:
         raise ReconstructionError(
-            f"no lenslet is known inside the {'circular ' * (basis == 'zernike')}pupil, which is"
-            f" {2 * radius_m * 1e3:.3g} mm wide"
+            f"no lenslet is known inside the {'' if onto_modes.inside.all() else 'circular '}pupil, which is"
+            f" {2e3 * min(sensor.pupil_half_width_m):.3g} mm wide"
         )
-    onto = _pupil_projection(fit.modes, sensor, basis, order)
+    flat, fitted = (modes.products.reshape(len(modes.degree), -1).T for modes in (onto_modes, fit.modes))
+    onto = np.linalg.lstsq(flat, fitted)[0][: _count(order)]  # exact: both are polynomials of the same degree
     onto[0] = 0.0  # a wavefront has no piston
     root = np.tensordot(onto[:, 1:], fit.root_covariance, axes=1)
     return FieldCoefficients(basis, onto @ fit.rad, root @ np.swapaxes(root, 1, 2), fit.field_modes, known_share)
-
-
-def _pupil_projection(modes: PupilModes, sensor: Sensor, basis: PupilBasis, order: int) -> Floats:
-    """Coefficients of the pupil modes in those of a basis up to an order, (mode, pupil_mode)."""
-    count, highest = _count(order), modes.products.shape[1] - 1
-    if basis == "legendre":
-        along_x, along_y = np.transpose(legendre_orders(count))
-        return np.array(modes.products[:, along_y, along_x].T)
-    if basis != "zernike":
-        assert_never(basis)
-    scale_x, scale_y = min(sensor.pupil_half_width_m) / np.array(sensor.pupil_half_width_m)
-
-    def values(x: Floats, y: Floats) -> Floats:
-        along_x, along_y = (series.legvander(at, highest) for at in (x * scale_x, y * scale_y))
-        return np.asarray(np.einsum("pnm,...n,...m->p...", modes.products, along_y, along_x, optimize=True))
-
-    return zernike_projection(values, highest, count)
 
 
 def _field_projection(modes: FieldModes, order: int) -> Floats:
@@ -182,10 +162,7 @@ def _count(order: int) -> int:
 
 def _order_of(count: int) -> int:
     """Lowest degree up to which there are at least `count` modes."""
-    order = 0
-    while _count(order) < count:
-        order += 1
-    return order
+    return math.ceil((math.sqrt(8 * count + 1) - 3) / 2)
 
 
 def _beyond(order: int, highest: int, field_modes: int) -> str:

@@ -2,39 +2,90 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, Outcomes, RegistrationMethod
 from reconstruction.errors import ReconstructionError, TooManyModes
-from reconstruction.frame.above_dark import AboveDark
-from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.pixels import AboveDark, find_bad_pixels
 from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.layers.layer_modes import LayerModes
 from reconstruction.layers.layer_search import find_layers
-from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
+from reconstruction.layers.layer_solver import FrameEquations, LayerModes, LayerSolver
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample, LayeredWavefronts, most_probable
 from reconstruction.modes.layered_modes import layered_wavefronts
-from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.own_methods import NO_OWN, OwnMethods
-from reconstruction.registration.gauss_newton.estimator import GaussNewton
-from reconstruction.registration.methods import prepare_registration
+from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
+from reconstruction.registration import prepare_registration
+from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.registration.response import LensletModel, linear_response
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import PupilBasis, ReconstructionSettings, RegistrationSettings, Warp, obstacle_to_layers
+from reconstruction.solve.expected_errors import MeanGradients, Response, Sensitivity, relative_weights
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.sensitivity import MeanGradients, Response, Sensitivity
-from reconstruction.solve.weights import relative_weights
 from reconstruction.solve.zonal import ZonalSolution
-from reconstruction.warp_choice import CHOSEN_WARPS, expected_error_rad2
 from reconstruction.wavefront import Solution, Wavefront
 
+OwnRegistration: TypeAlias = Callable[[ReferenceSubimages, Field], RegistrationMethod]
+OwnBasis: TypeAlias = Callable[[Sensor, int | None], PupilModes]
+
+
+@dataclass(frozen=True, slots=True)
+class OwnMethods:
+    """What replaces the methods of the settings; None: nothing."""
+
+    registration: OwnRegistration | None = None  # prepares itself for a reference and a field
+    basis: OwnBasis | None = None  # makes that many modes, piston first; all that the lattice carries if None
+
+    def named(
+        self, registration: RegistrationSettings, reconstruction: ReconstructionSettings
+    ) -> tuple[RegistrationSettings, ReconstructionSettings]:
+        """Settings with the names of own methods: who reads them elsewhere is told that they are unknown."""
+
+        def name(method: object) -> Any:
+            return f"own {getattr(method, '__name__', type(method).__name__)}"
+
+        if self.registration is not None:
+            registration = replace(registration, method=name(self.registration))
+        if self.basis is not None:
+            reconstruction = replace(reconstruction, basis=name(self.basis))
+        return registration, reconstruction
+
+
+NO_OWN = OwnMethods()
+
 _DARK_CONTRAST = 0.2  # of the reference's; a frame with less in which nothing matches has no light
+_NOISE_MODES = 45  # for the predicted noise of a warp; a smooth wavefront needs about as many
+# Systematic error, rad: mean over the ensembles of docs/estimator.md with the square, in the paper's world (4.2 rad).
+_SYSTEMATIC_RAD: dict[Warp, float] = {"affine": 0.24, "quadratic": 0.036, "cubic": 0.009, "quartic": 0.007}
+_CHOSEN_WARPS = list(_SYSTEMATIC_RAD)
+
+
+class _Registration(NamedTuple):
+    """A registration method prepared for the reference."""
+
+    settings: RegistrationSettings
+    method: RegistrationMethod
+    at_rest: Displacement  # of the reference from itself: the certainty of each lenslet and field mode
+
+    @property
+    def parameters(self) -> Floats:
+        """Displacement (x modes, y modes) of each parameter that the method finds, (K, 2Q)."""
+        method = self.method
+        return method.parameters if isinstance(method, GaussNewton) else np.eye(2 * self.at_rest.modes.count)
+
+    @property
+    def hidden(self) -> int:
+        """Number of displacements that the mask does not show lenslet by lenslet."""
+        return self.method.hidden if isinstance(self.method, GaussNewton) else 0
+
+    def mean_gradients(self, sensor: Sensor) -> MeanGradients:
+        """Parameters that the method finds for the mean gradients of a wavefront."""
+        return MeanGradients(sensor, self.method.alike if isinstance(self.method, GaussNewton) else self.parameters)
 
 
 class Reconstructor:
@@ -109,9 +160,8 @@ class Reconstructor:
         reconstruction = self.reconstruction
         if reconstruction.sample == "layers" and (obstacle := obstacle_to_layers(reconstruction, registration)):
             raise ReconstructionError(f'reconstruction.sample = "layers" is impossible with {obstacle}: change either')
-        self.registration, self._register, at_rest = self._prepare(light, registration)
-        # The reference registered against itself shows the certainty of each lenslet and field mode.
-        self._at_rest = at_rest
+        self._prepared = self._choose(light, registration)
+        self.registration, at_rest = self._prepared.settings, self._prepared.at_rest
         self._sensitivity = self._respond(lenslet_model)
         self._expected = _variance(at_rest)  # (L,), px^2; NaN where unknown
         usual = np.nanmedian(self._expected) if np.isfinite(self._expected).any() else 1.0
@@ -147,7 +197,7 @@ class Reconstructor:
             If fewer than two lenslets match the reference, or the frame has the wrong size or is saturated.
         """
         light, saturated = self._above_dark(frame, "frame")
-        displacement = self._register(light, saturated=saturated, start=start)
+        displacement = self._prepared.method(light, saturated=saturated, start=start)
         if np.count_nonzero(displacement.valid) < 2:
             is_dark = light.std(dtype=np.float64) < _DARK_CONTRAST * self.subimages.light.std()
             why = "is the light on?" if is_dark else _why_lost(displacement.outcome)
@@ -208,12 +258,12 @@ class Reconstructor:
 
     def registration_for(self, reference: Image) -> RegistrationMethod:
         """Prepare the same registration for another reference (row, column), counts above the dark."""
-        return self._registration(self._cut(reference), self.registration)
+        return self._method(self._cut(reference), self.registration)
 
     @property
     def hidden(self) -> int:
         """Number of displacements of the warp that the mask does not show lenslet by lenslet."""
-        return _hidden(self._register)
+        return self._prepared.hidden
 
     def weights_of(self, displacement: Displacement) -> Floats:
         """Weights relative to the reference's, (lenslet_row, lenslet_column); all 1 if the noise is unknown."""
@@ -233,70 +283,80 @@ class Reconstructor:
 
     @cached_property
     def _layered(self) -> LayeredWavefronts:
-        modes = self._at_rest.modes
+        modes = self._prepared.at_rest.modes
         solver = LayerSolver(self.sensor, self.field, modes, self.smooth, self.hidden)
-        parameters = _parameters(self._register, self._at_rest)
-        return LayeredWavefronts(solver, LayerModes(solver.degree, self.sensor, self.field, modes), parameters)
+        layer_modes = LayerModes(solver.degree, self.sensor, self.field, modes)
+        return LayeredWavefronts(solver, layer_modes, self._prepared.parameters)
 
-    def _registration(self, reference: ReferenceSubimages, settings: RegistrationSettings) -> RegistrationMethod:
+    def _method(self, reference: ReferenceSubimages, settings: RegistrationSettings) -> RegistrationMethod:
         own = self._own.registration
         return own(reference, self.field) if own is not None else prepare_registration(reference, settings, self.field)
 
-    def _prepare(
-        self, light: Image, registration: RegistrationSettings
-    ) -> tuple[RegistrationSettings, RegistrationMethod, Displacement]:
-        """Prepare the registration, choose the warp if none is set, and register the reference."""
+    def _choose(self, light: Image, registration: RegistrationSettings) -> _Registration:
+        """Prepare the registration for the reference's light; choose the warp if none is set."""
 
         @cache
-        def prepare(warp: Warp) -> tuple[RegistrationSettings, RegistrationMethod, Displacement]:
+        def prepare(warp: Warp) -> _Registration:
             settings = replace(registration, warp=warp)
-            method = self._registration(self.subimages, settings)
-            return settings, method, method(light, saturated=np.zeros(light.shape, np.bool_))
+            method = self._method(self.subimages, settings)
+            return _Registration(settings, method, method(light, saturated=np.zeros(light.shape, np.bool_)))
 
         if registration.warp is not None or registration.method != "gauss_newton":
             return prepare(registration.warp or "quadratic")
         if self.reconstruction.method == "modal" and not registration.rotation:
-            widest = prepare(CHOSEN_WARPS[-1])
+            widest = prepare(_CHOSEN_WARPS[-1])
             # Layers tie its parameters together, so that noise does not grow. What the mask hides has the prior's error
             # bars; those of a warp that it shows would leave out what the warp leaves out.
-            is_blind = _hidden(widest[1]) > 0 and not self.field.neglect_propagation
-            if self._assumes_layers(registration) or is_blind:
+            if self._assumes_layers(registration) or (widest.hidden > 0 and not self.field.neglect_propagation):
                 return widest
-
-        def error_rad2(warp: Warp) -> float:
-            _, method, at_rest = prepare(warp)
-            if _hidden(method):  # nothing determines it
-                return math.inf
-            parameters = _parameters(method, at_rest)
-            return expected_error_rad2(warp, parameters, at_rest, sensor=self.sensor, field=self.field)
-
         # Warps that rotate and bend more than quadratic ones amplify noise.
-        return prepare(min(CHOSEN_WARPS[: 2 if registration.rotation else None], key=error_rad2))
+        warps = _CHOSEN_WARPS[: 2 if registration.rotation else None]
+        return prepare(min(warps, key=lambda warp: self._expected_error_rad2(warp, prepare(warp))))
+
+    def _expected_error_rad2(self, warp: Warp, prepared: _Registration) -> float:
+        """Mean expected square error of the views with a warp, if every lenslet were as certain as the mean valid one.
+
+        It is the predicted noise and the measured systematic error.
+        """
+        at_rest, parameters, sensor = prepared.at_rest, prepared.parameters, self.sensor
+        if prepared.hidden or not at_rest.valid.any():  # nothing determines it
+            return math.inf
+        everywhere = replace(
+            at_rest,
+            coefficients=np.zeros_like(at_rest.coefficients),
+            # A few lit lenslets could not carry the modes.
+            covariance=np.broadcast_to(np.mean(at_rest.covariance[at_rest.valid], axis=0), at_rest.covariance.shape),
+            outcome=np.full_like(at_rest.outcome, Outcome.CONVERGED),
+        )
+        lattice_count = len(pupil_modes(sensor, "legendre", None).degree)
+        modes = pupil_modes(sensor, "legendre", min(_NOISE_MODES, lattice_count))
+        layered = layered_wavefronts(sensor, modes, at_rest.modes, parameters)
+        gradients = MeanGradients(sensor, parameters)
+        solver = ModalSolver(modes, gradients, parameters, everywhere.covariance, layered=layered)
+        noise = np.nanmean(Wavefront.of(sensor, self.field, everywhere, solver(everywhere)).sigma() ** 2)
+        return float(noise) + _SYSTEMATIC_RAD[warp] ** 2
 
     def _respond(self, lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None) -> Sensitivity:
         """Response of the registration; mean gradients where there is none, or none is wanted."""
         self.response_problem = ""  # why there is none although it is wanted
+        method = self._prepared.method
         is_wanted = self.reconstruction.response and not self.registration.rotation  # it holds for gradients only
-        if is_wanted and isinstance(self._register, GaussNewton) and lenslet_model is not None:
+        if is_wanted and isinstance(method, GaussNewton) and lenslet_model is not None:
             try:
-                model = lenslet_model(self.subimages)
-                response = linear_response(self._register, self.subimages, model)
+                response = linear_response(method, self.subimages, lenslet_model(self.subimages))
                 return Response(self.sensor, response)
             except ReconstructionError as error:
                 self.response_problem = f"mean gradients replace the response of the registration: {error}"
-        method = self._register
-        found = method.alike if isinstance(method, GaussNewton) else _parameters(method, self._at_rest)
-        return MeanGradients(self.sensor, found)
+        return self._prepared.mean_gradients(self.sensor)
 
     def _solver(self, basis: PupilBasis, count: int | None) -> ModalSolver:
         """Solver with that many pupil modes; if None with all that the lattice carries, and the smoothness prior."""
-        at_rest = self._at_rest
+        at_rest, parameters = self._prepared.at_rest, self._prepared.parameters
         lenslets = np.count_nonzero(at_rest.valid)
         if count is not None and 0 < lenslets < count:  # known before minutes of preparation
             raise TooManyModes(int(lenslets), count)
         own = self._own.basis if basis == self.reconstruction.basis else None
         modes = own(self.sensor, count) if own is not None else pupil_modes(self.sensor, basis, count)
-        parameters = _parameters(self._register, at_rest)
         has_prior = count is None or self.hidden > 0  # else nothing determines what the mask hides
         # Conserved flux shows all displacements, so that their systematic errors are not spread as noise would be.
         is_unknown = self.noise is None and self.field.neglect_propagation
@@ -331,15 +391,6 @@ def _why_lost(outcome: Outcomes) -> str:
     if left > outcome.size / 4:
         return f"{left} subimages have left their cells, the aberration is beyond the dynamic range"
     return f"{counts[Outcome.DIVERGED]} subimages look different: another mask, out of focus, moved or partly blocked?"
-
-
-def _parameters(method: RegistrationMethod, at_rest: Displacement) -> Floats:
-    """Displacement (x modes, y modes) of each parameter that the method finds, (K, 2Q)."""
-    return method.parameters if isinstance(method, GaussNewton) else np.eye(2 * at_rest.modes.count)
-
-
-def _hidden(method: RegistrationMethod) -> int:
-    return method.hidden if isinstance(method, GaussNewton) else 0
 
 
 def _variance(displacement: Displacement) -> Floats:

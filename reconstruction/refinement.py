@@ -17,11 +17,11 @@ from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
-from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes
+from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.pupil_modes import PupilGrid, PupilModes
 from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.deferred import Remembered
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
 PointField: TypeAlias = Callable[[float, float], NDArray[np.complex64]]
@@ -81,7 +81,7 @@ class Refinement:
         """Find the bias at a wavefront: one rendered image and its registration."""
         solution = self._smooth(wavefront)
         modes = wavefront.displacement.modes
-        if not isinstance(modes, LegendreModes | ZernikeModes):
+        if not isinstance(modes, PolynomialModes):
             raise ReconstructionError("refinement needs a registration in polynomials of the field position")
         image = self._model.image(self._field(solution, modes))
         found = self._register(image, saturated=self._unsaturated)

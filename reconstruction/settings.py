@@ -9,9 +9,7 @@ from reconstruction.geometry import require
 PupilBasis = Literal["legendre", "zernike"]
 SampleModel = Literal["automatic", "free", "layers"]
 Warp = Literal["translation", "affine", "quadratic", "cubic", "quartic"]
-Method = Literal[
-    "gauss_newton", "correlation", "correlation_fft", "centroids", "itk_affine", "block_flow", "demons", "ffd"
-]
+Method = Literal["gauss_newton", "correlation", "correlation_fft", "centroids", "itk_affine"]
 PUPIL_MODES = range(3, 1001)  # allowed numbers
 FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "cubic": 10, "quartic": 15}
 
@@ -25,7 +23,6 @@ class RegistrationSettings:
     rotation: bool = False  # gauss_newton: whether subimages may rotate; layers cannot make them
     threads: int = 2  # of gauss_newton
     excluded: tuple[tuple[int, int], ...] = ()  # lenslets (row, column from 0) that are left out, as if lost
-    flow: Literal["views", "warp"] = "views"  # block_flow, demons, ffd: sampled at the views, or fitted by the warp
     star_rows: int = 3
     star_columns: int = 3
     star_spacing_m: float = 0.5e-3

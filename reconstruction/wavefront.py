@@ -1,35 +1,27 @@
-"""The wavefront at every field position, with its error bars."""
+"""The wavefront at every field position, with its error bars, and what wavefronts are reduced to: RMS, low orders."""
 
+import base64
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol, Self
+from html import escape
+from typing import Any, Self, TypeAlias
 
+import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from reconstruction.arrays import Floats, Mask
 from reconstruction.displacement import Displacement
-from reconstruction.geometry import Field, Sensor
+from reconstruction.geometry import Arrangement, Field, Sensor, lenslet_centers
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import FieldModes
-from reconstruction.picture import html, picture_of_views
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.modes.pupil_modes import PupilModes
+from reconstruction.solve.modal import ModalSolution
+from reconstruction.solve.zonal import ZonalSolution, zonal_wavefront
 
-
-class Solution(Protocol):
-    """Result of zonal or modal reconstruction: the wavefront of any combination of field modes."""
-
-    def wavefront(self, field_modes: Floats) -> Floats:
-        """Wavefront, rad, without piston, (..., lenslet_row, lenslet_column); NaN where unknown.
-
-        `field_modes` (..., field_mode): values of the field modes T_q at the field positions.
-        """
-        ...
-
-    def sigma(self, field_modes: Floats) -> Floats:
-        """Standard deviation of `wavefront`, rad, the same shape."""
-        ...
+Solution: TypeAlias = ZonalSolution | ModalSolution
+"""Result of the reconstruction: the wavefront of any combination of field modes, and its standard deviation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,3 +121,114 @@ def _modes_at_views(field: Field, modes: FieldModes) -> tuple[Floats, Mask]:
     """Field modes at the views (view_row, view_column, field_mode), and the views inside the field."""
     x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
     return np.moveaxis(modes.values(x, y[:, None]), 0, -1).copy(), field.contains(x, y[:, None])
+
+
+def without_tilt(phase: Floats, arrangement: Arrangement = "square") -> Floats:
+    """Subtract the best-fitting plane from wavefronts (..., lenslet_row, lenslet_column), ignoring NaN."""
+    return without_low_orders(phase, tilt=True, defocus=False, arrangement=arrangement)
+
+
+def without_low_orders(phase: Floats, *, tilt: bool, defocus: bool, arrangement: Arrangement = "square") -> Floats:
+    """Subtract piston and, where asked, tilt and defocus, ignoring NaN.
+
+    Defocus is the paraboloid u^2 + v^2 about the middle of the lattice; it is fitted together with the tilt, whether
+    that is subtracted or not.
+
+    Parameters
+    ----------
+    phase : (..., lenslet_row, lenslet_column)
+        rad; NaN where unknown.
+    tilt, defocus : bool
+        Whether to subtract them.
+    arrangement : Arrangement
+        Of the lenslets.
+    """
+    if not (tilt or defocus):
+        return without_piston(phase)
+    u, v = np.moveaxis(lenslet_centers(arrangement, *phase.shape[-2:]), -1, 0)
+    terms = np.stack([np.ones_like(u), u, v, *([u**2 + v**2] * defocus)])
+    terms /= np.sqrt(np.mean(terms**2, axis=(1, 2), keepdims=True))
+    known = np.isfinite(phase)
+    normal = np.tensordot(known.astype(np.float64), terms[:, None] * terms, axes=((-2, -1), (-2, -1)))
+    moments = np.tensordot(np.where(known, phase, 0), terms, axes=((-2, -1), (-2, -1)))
+    fitted = (np.linalg.pinv(normal, hermitian=True) @ moments[..., None])[..., 0]
+    if not tilt:
+        fitted[..., 1:3] = 0
+    return without_piston(phase - np.tensordot(fitted, terms, axes=1))
+
+
+_SIDE_PX = 240  # of the longer side, about
+_UNKNOWN = 0.85  # grey of what is NaN
+
+
+def picture_of_views(views: Floats) -> NDArray[np.uint8]:
+    """Wavefronts (view_row, view_column, row, column) side by side, blue below 0 and red above: (row, column, RGB)."""
+    framed = np.pad(views, ((0, 0), (0, 0), (0, 1), (0, 1)), constant_values=np.nan)
+    tiled = np.concatenate(np.concatenate(framed, axis=1), axis=1)[:-1, :-1]
+    most = np.nanmax(np.abs(tiled), initial=0.0) or 1.0
+    share = tiled / most
+    colours = np.stack([1 + np.minimum(share, 0), 1 - np.abs(share), 1 - np.maximum(share, 0)], axis=-1)
+    return _bytes(np.where(np.isnan(colours), _UNKNOWN, colours))
+
+
+def picture_of_frame(frame: NDArray[Any]) -> NDArray[np.uint8]:
+    """A frame (row, column) in grey from its darkest to its brightest pixel: (row, column, RGB)."""
+    step = max(1, max(frame.shape) // _SIDE_PX)
+    some = np.asarray(frame[::step, ::step], np.float64)
+    darkest, brightest = some.min(), some.max()
+    return _bytes(np.repeat(((some - darkest) / (brightest - darkest or 1.0))[..., None], 3, axis=2))
+
+
+def html(text: str, picture: NDArray[np.uint8]) -> str:
+    """A line of text and a picture (row, column, RGB) below it, whose pixels are enlarged."""
+    times = max(1, _SIDE_PX // max(picture.shape))
+    large = picture.repeat(times, axis=0).repeat(times, axis=1)
+    png = cv2.imencode(".png", large[..., ::-1])[1].tobytes()
+    return f'<p>{escape(text)}</p><img src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+
+
+def _bytes(colours: Floats) -> NDArray[np.uint8]:
+    return np.asarray(np.rint(255 * colours), np.uint8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlopeFit:
+    """Wavefronts without piston, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown."""
+
+    measured: Floats  # from the slopes
+    fitted: Floats  # by the pupil modes
+    difference: Floats  # measured minus fitted: noise, and what the modes cannot represent
+
+
+def slope_fit(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> SlopeFit:
+    """Compare the views of a wavefront with the slopes measured; `modes` are those of the reconstruction.
+
+    Modal: the difference is the integral of the misfit of the displacements, the measured wavefront is the fit plus it.
+    (Integrating the slopes themselves would add Southwell's discretisation error, many times the difference.) Zonal:
+    the views are the measured wavefront; the fit is the least-squares fit of the modes to them.
+    """
+    solution, views = wavefront.solution, wavefront.views
+    if not isinstance(solution, ModalSolution):
+        fitted = _fit(views, modes)
+        return SlopeFit(views, fitted, without_piston(views - fitted))
+    field, displacement = wavefront.field, wavefront.displacement
+    x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
+    field_modes = np.moveaxis(displacement.modes.values(x, y[:, None]), 0, -1)
+    misfit = np.tensordot(field_modes, solution.misfit, axes=([-1], [2])) * sensor.slope_per_px
+    known, pitch_m = displacement.valid & modes.inside, sensor.lenslet_pitch_m
+    difference = zonal_wavefront(misfit, known, pitch_m=pitch_m, arrangement=sensor.arrangement)
+    difference[~field.contains(x, y[:, None])] = np.nan
+    return SlopeFit(without_piston(views + difference), views, difference)
+
+
+def _fit(views: Floats, modes: PupilModes) -> Floats:
+    """Least-squares fit of the modes to each view; views with the same known lenslets share a decomposition."""
+    flat = views.reshape(-1, *views.shape[2:])
+    known = np.isfinite(flat) & modes.inside
+    fitted = np.full_like(flat, np.nan)
+    for is_known in np.unique(known, axis=0):
+        alike = np.flatnonzero((known == is_known).all(axis=(1, 2)))
+        values = modes.values[:, is_known].T
+        row, column = np.nonzero(is_known)
+        fitted[alike[:, None], row, column] = (values @ np.linalg.lstsq(values, flat[alike][:, is_known].T)[0]).T
+    return without_piston(fitted.reshape(views.shape))

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interface import Camera, CameraCapabilities, DeviceTimeout, Frame, Range, Region
-from simulated_devices.connection import PluggedThroughout
 from simulated_devices.detector import Detector, Exposure
 from simulated_devices.settings import exposure_range_s
 
@@ -62,7 +61,7 @@ class _Shot:
         return is_same_setting and self.exposed.is_same_light(other.exposed)
 
 
-class SimulatedCamera(PluggedThroughout, Camera):
+class SimulatedCamera(Camera):
     """An EMCCD with frame transfer: it exposes during the readout, so that the period is the exposure.
 
     Complete frames wait in a ring of eight; a slower reader finds a gap in `Frame.index`. A region lies in steps of
@@ -82,7 +81,6 @@ class SimulatedCamera(PluggedThroughout, Camera):
         self._runs: list[_Run] = []  # the last is the present one; earlier ones have unread frames
         self._next_index = 0
         self._starts = 0
-        self._is_stalled = False
         self._states: OrderedDict[int, int | None] = OrderedDict()
         # While a frame is used, the next one is computed as if nothing changed: a real camera takes no time of ours.
         self._expected: tuple[_Shot, Future[NDArray[np.uint16]]] | None = None
@@ -95,14 +93,6 @@ class SimulatedCamera(PluggedThroughout, Camera):
     def state_of_frame(self, index: int) -> int | None:
         """State of the sample in one of the last 1000 frames since the start; None without the sample."""
         return self._states[index]
-
-    def stall(self) -> None:
-        """Deliver no further frame until the camera is started again, as a fault."""
-        self._is_stalled = True
-
-    def lose_frames(self, count: int) -> None:
-        """Lose the next `count` frames, as a fault."""
-        self._next_index += count
 
     def _read_capabilities(self) -> CameraCapabilities:
         settings, has_multiplier = self._settings, self._chosen_amplifier == "em"
@@ -124,7 +114,6 @@ class SimulatedCamera(PluggedThroughout, Camera):
 
     def _set_exposure(self, exposure_s: float) -> float:
         """Round to 10 us; while running, restart the present exposure."""
-        self._accept("the exposure time")
         self._chosen_exposure_s = _rounded(exposure_s)
         if self._runs:
             now_s = self._bench.clock.now()
@@ -136,7 +125,6 @@ class SimulatedCamera(PluggedThroughout, Camera):
 
     def _set_em_gain(self, em_gain: float) -> float:
         """Takes effect in the frame that is being exposed."""
-        self._accept("the gain")
         self._chosen_em_gain = em_gain
         if self._runs:
             run, now_s = self._runs[-1], self._bench.clock.now()
@@ -149,7 +137,6 @@ class SimulatedCamera(PluggedThroughout, Camera):
 
     def _set_amplifier(self, amplifier: str) -> None:
         """Move exposure and gain into the new ranges."""
-        self._accept("the amplifier")
         self._chosen_amplifier = "normal" if amplifier == "normal" else "em"
         self._move_into_ranges()
 
@@ -158,7 +145,6 @@ class SimulatedCamera(PluggedThroughout, Camera):
 
     def _set_readout_speed(self, readout_speed: int) -> None:
         """Move the exposure into the new range."""
-        self._accept("the readout speed")
         if self._chosen_amplifier == "em":
             self._em_readout_speed = readout_speed
         self._move_into_ranges()
@@ -167,7 +153,6 @@ class SimulatedCamera(PluggedThroughout, Camera):
         return self._part
 
     def _set_region(self, region: Region) -> Region:
-        self._accept("the region")
         self._part = region
         return region
 
@@ -177,7 +162,6 @@ class SimulatedCamera(PluggedThroughout, Camera):
     def _start(self) -> None:
         self._next_index = 0
         self._starts += 1
-        self._is_stalled = False
         self._states.clear()
         now_s = self._bench.clock.now()
         self._runs = [
@@ -193,7 +177,7 @@ class SimulatedCamera(PluggedThroughout, Camera):
         while True:
             now_s = clock.now()
             complete = self._runs[-1].complete(now_s)
-            if complete > self._next_index and not self._is_stalled:
+            if complete > self._next_index:
                 index = max(self._next_index, complete - _RING_FRAMES)
                 self._next_index = index + 1
                 return self._frame(index)

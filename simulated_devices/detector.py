@@ -14,15 +14,14 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from reconstruction.arrays import Image
 from simulated_devices.optics.compiled import compiled
-
-Images: TypeAlias = NDArray[np.float32]
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -147,7 +146,7 @@ def multiplied(electrons: float, em_gain: float, key: np.uint64) -> float:
 
 @compiled
 def _fill_many_multiplied(
-    means: Images, em_gain: float, deviates: NDArray[np.float64], electrons: NDArray[np.float64]
+    means: Image, em_gain: float, deviates: NDArray[np.float64], electrons: NDArray[np.float64]
 ) -> None:
     """Fill `electrons` after the register by normal deviates, for many electrons before it.
 
@@ -164,7 +163,7 @@ def _fill_many_multiplied(
 
 @compiled
 def expose_rows(
-    photons: Images, key: np.uint64, parameters: Images, start: int, end: int, counts: NDArray[np.uint16]
+    photons: Image, key: np.uint64, parameters: Image, start: int, end: int, counts: NDArray[np.uint16]
 ) -> None:
     """Fill rows start ... end of `counts` from mean `photons` (row, column); `parameters` as `Detector` lists them."""
     efficiency, background, full_well, em_gain, register_well, read_noise, per_electron, offset, top = parameters

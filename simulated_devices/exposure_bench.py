@@ -6,11 +6,10 @@ Frames are drawn, not propagated; light, noise, saturation and rounding are thos
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import cast
 
 import numpy as np
 
-from drivers.interface import Camera, CameraCapabilities, Devices, Frame, LightSource, Range, Stage, WrongState
+from drivers.interface import Camera, CameraCapabilities, Devices, DeviceTimeout, Frame, LightSource, Range, Stage
 from reconstruction.arrays import Floats
 
 PITCH_PX = 16.0
@@ -54,101 +53,129 @@ class Scene:
     seed: int = 1
 
 
-class ManyFramesCamera:
+class ManyFramesCamera(Camera):
     """A camera that returns a frame at once."""
 
     def __init__(self, scene: Scene, lamp: Lamp, exposure_s: float) -> None:
-        self.scene, self.lamp, self.exposure_s = scene, lamp, exposure_s
-        self.is_running, self.amplifier, self.em_gain, self.frames = False, "normal", 1.0, 0
+        super().__init__()
+        self._name, self._scene, self._lamp, self._chosen_s = "Drawn camera", scene, lamp, exposure_s
+        self._frames: int | None = None  # since the start; None while stopped
+        self._time_s = 0.0
         self.exposed_s: list[float] = []
-        self.random = np.random.default_rng(scene.seed)
-        self.hot = self.random.integers(0, SIDE_PX, (2, scene.hot_pixels))
+        self._random = np.random.default_rng(scene.seed)
+        self._hot = self._random.integers(0, SIDE_PX, (2, scene.hot_pixels))
 
-    @property
-    def capabilities(self) -> CameraCapabilities:
-        """Capabilities of the camera."""
+    def _read_capabilities(self) -> CameraCapabilities:
         return CameraCapabilities(
             rows=SIDE_PX,
             columns=SIDE_PX,
             pixel_pitch_m=16e-6,
-            full_scale=2**self.scene.bits - 1,
-            exposure_range_s=self.scene.exposure_range_s,
+            full_scale=2**self._scene.bits - 1,
+            exposure_range_s=self._scene.exposure_range_s,
             amplifiers=("normal",),
             em_gain_range=Range(1.0, 1.0),
         )
 
-    def set_exposure(self, exposure_s: float) -> float:
-        """Set the exposure, rounded to its step, and return it."""
-        self.scene.exposure_range_s.check(exposure_s, "exposure_s")
-        step_s = self.scene.exposure_step_s
-        self.exposure_s = round(exposure_s / step_s) * step_s
-        return self.exposure_s
+    def _read_exposure(self) -> float:
+        return self._chosen_s
 
-    def start(self) -> None:
-        """Start to acquire."""
-        if self.is_running:
-            raise WrongState("the camera is acquiring already")
-        self.is_running, self.frames = True, 0
+    def _set_exposure(self, exposure_s: float) -> float:
+        step_s = self._scene.exposure_step_s
+        self._chosen_s = round(exposure_s / step_s) * step_s
+        return self._chosen_s
 
-    def stop(self) -> None:
-        """Stop acquiring."""
-        self.is_running = False
+    def _is_running(self) -> bool:
+        return self._frames is not None
 
-    def read(self, timeout_s: float) -> Frame:
-        """Return the next frame at once."""
-        if not self.is_running or timeout_s <= 0:
-            raise WrongState("the camera is not acquiring, or there is no time to wait for it")
-        scene, random = self.scene, self.random
-        light = scene.counts_per_a_s * self.lamp.current_a**scene.droop * self.lamp.is_on * self.exposure_s
+    def _start(self) -> None:
+        self._frames = 0
+
+    def _stop(self) -> None:
+        self._frames = None
+
+    _close = _stop
+
+    def _read(self, timeout_s: float) -> Frame:
+        if timeout_s <= 0:
+            raise DeviceTimeout("there is no time to wait for a frame")
+        scene, random, exposure_s, index = self._scene, self._random, self._chosen_s, self._frames or 0
+        light = scene.counts_per_a_s * self._lamp.current_a**scene.droop * self._lamp.is_on * exposure_s
         light *= 1 + scene.flicker * random.standard_normal()
-        electrons = (scene.image * light + scene.ambient_counts_per_s * self.exposure_s) / scene.counts_per_electron
+        electrons = (scene.image * light + scene.ambient_counts_per_s * exposure_s) / scene.counts_per_electron
         noisy = electrons + np.sqrt(electrons) * random.standard_normal(electrons.shape)
         counts = np.clip(noisy * scene.counts_per_electron, 0, scene.well_counts)
         counts += scene.offset_counts + scene.read_noise_counts * random.standard_normal(counts.shape)
-        counts[tuple(self.hot)] = 1e9
+        counts[tuple(self._hot)] = 1e9
         row, column = random.integers(0, SIDE_PX - 8, (2, scene.cosmic_rays))
         for step in range(8):  # a track
             counts[row + step, column + step // 2] += 30_000
         pixels = np.clip(np.rint(counts), 0, 2**scene.bits - 1).astype(np.uint16)
-        self.frames += 1
-        self.exposed_s.append(self.exposure_s)
-        return Frame(pixels, self.frames - 1, 0.0, 0.0, self.exposure_s, 1.0)
+        pixels.setflags(write=False)
+        self._frames = index + 1
+        self.exposed_s.append(exposure_s)
+        self._time_s += exposure_s
+        return Frame(pixels, index, self._time_s, self._time_s, exposure_s, 1.0)
 
 
-@dataclass
-class Lamp:
+class Lamp(LightSource):
     """A light without faults."""
 
-    current_range_a: Range
-    current_a: float
-    is_on: bool
+    def __init__(self, current_range_a: Range, current_a: float, *, is_on: bool) -> None:
+        super().__init__(sleep=lambda _: None)
+        self._name, self._allowed_a, self._chosen_a, self._shines = "Drawn lamp", current_range_a, current_a, False
+        self._begin()
+        self._shines = is_on
 
-    def set_current(self, current_a: float) -> float:
-        """Set the current and return it."""
-        self.current_a = self.current_range_a.check(current_a, "current_a")
-        return self.current_a
+    def _read_range(self) -> Range:
+        return self._allowed_a
 
-    def set_on(self, on: bool) -> None:
-        """Switch the light."""
-        self.is_on = on
+    def _read_current(self) -> float:
+        return self._chosen_a
+
+    def _set_current(self, current_a: float) -> float:
+        self._chosen_a = current_a
+        return current_a
+
+    def _is_lit(self) -> bool:
+        return self._shines
+
+    def _switch(self, *, on: bool) -> None:
+        self._shines = on
+
+    def _close(self) -> None:
+        """Change nothing."""
 
 
-@dataclass
-class Table:
+class Table(Stage):
     """A stage without masks to choose from."""
 
-    is_sample_in: bool = True
-    mask: str = "square"
+    def __init__(self) -> None:
+        super().__init__()
+        self._name, self._holds_sample = "Drawn table", True
 
-    def set_sample_in(self, sample_in: bool) -> None:
-        """Move the sample."""
-        self.is_sample_in = sample_in
+    def _read_masks(self) -> tuple[str, ...]:
+        return (self._read_mask(),)
+
+    def _read_mask(self) -> str:
+        return "square"
+
+    def _set_mask(self, mask: str) -> None:
+        """Nothing to do."""
+
+    def _is_sample_in(self) -> bool:
+        return self._holds_sample
+
+    def _set_sample_in(self, *, sample_in: bool) -> None:
+        self._holds_sample = sample_in
+
+    def _close(self) -> None:
+        """Change nothing."""
 
 
 def exposure_bench(
     scene: Scene, *, exposure_s: float, current_a: float = 0.35, is_on: bool = False
 ) -> tuple[Devices, ManyFramesCamera, Lamp]:
     """The devices of a scene, then its camera and its lamp under their own types."""
-    lamp = Lamp(scene.current_range_a, current_a, is_on)
+    lamp = Lamp(scene.current_range_a, current_a, is_on=is_on)
     camera = ManyFramesCamera(scene, lamp, exposure_s)
-    return Devices(cast("Camera", camera), cast("LightSource", lamp), cast("Stage", Table())), camera, lamp
+    return Devices(camera, lamp, Table()), camera, lamp

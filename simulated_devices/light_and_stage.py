@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from drivers.interface import LightSource, Range, Stage
-from simulated_devices.connection import Plugged, PluggedThroughout
 
 if TYPE_CHECKING:
     from simulated_devices.bench import SimulatedBench
 
 
-class SimulatedLight(Plugged, LightSource):
+class SimulatedLight(LightSource):
     """An LED whose light is proportional to its current."""
 
     def __init__(self, bench: SimulatedBench, *, limit_a: float | None = None) -> None:
@@ -24,37 +23,27 @@ class SimulatedLight(Plugged, LightSource):
         """Name of the device."""
         return "Simulated LED"
 
-    def unplug(self) -> None:
-        """Pull the plug, as a fault: the light goes out."""
-        self._bench.change(is_light_on=False)
-        super().unplug()
-
     def _read_range(self) -> Range:
-        self._reach()
         return Range(0.0, self._bench.light_settings.maximum_current_a)
 
     def _read_current(self) -> float:
-        self._answer()
         return self._bench.condition.current_a
 
     def _set_current(self, current_a: float) -> float:
-        self._accept("the current")
         self._bench.change(current_a=current_a)
         return current_a
 
     def _is_lit(self) -> bool:
-        self._answer()
         return self._bench.condition.is_light_on
 
     def _switch(self, *, on: bool) -> None:
-        self._reach()
         self._bench.change(is_light_on=on)
 
     def _close(self) -> None:
         """Change nothing."""
 
 
-class SimulatedStage(PluggedThroughout, Stage):
+class SimulatedStage(Stage):
     """Moves at once; a mask that is put in for the first time takes the time to render its first image."""
 
     def __init__(self, bench: SimulatedBench) -> None:
@@ -73,14 +62,12 @@ class SimulatedStage(PluggedThroughout, Stage):
         return self._bench.condition.mask
 
     def _set_mask(self, mask: str) -> None:
-        self._accept("the mask")
         self._bench.change(mask=mask)
 
     def _is_sample_in(self) -> bool:
         return self._bench.condition.is_sample_in
 
     def _set_sample_in(self, *, sample_in: bool) -> None:
-        self._accept("to move the sample")
         self._bench.change(is_sample_in=sample_in)
 
     def _close(self) -> None:

@@ -27,8 +27,7 @@ from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor
 from simulated_devices.optics.forward_model import ForwardModel, OnFraction, PointField
 from simulated_devices.optics.source import SourcePoints, source_points
-from simulated_devices.sample import Sample, make_sample
-from simulated_devices.sample_screen import shift_m
+from simulated_devices.sample import Sample, make_sample, shift_m
 from simulated_devices.settings import Simulation
 
 _FORMAT = 4  # 4: light propagates from the screen to the lenslets, and rays cross as behind a collimator

@@ -22,7 +22,7 @@ EXTRAS = {  # by what they make possible; hcipy is not installed here
     "batch": "bokeh, distributed",
     "genicam": "drivers.genicam.library",
     "micro-manager": "pymmcore, drivers.micro_manager.core",
-    "peers": "SimpleITK, pyrtc.slopes_process, skimage, reconstruction.registration.peers.simple_itk",
+    "peers": "SimpleITK, pyrtc.slopes_process, skimage, reconstruction.registration.itk_affine",
 }
 PACKAGES = {"app", "drivers", "reconstruction", "simulated_devices", "svwfs"}
 USER_CODE = """

@@ -10,21 +10,20 @@ import numpy as np
 import pytest
 import xarray
 from numpy.polynomial.legendre import poly2leg
+from pytestqt.qtbot import QtBot
 from support.command_line import run
 from support.optics import sensor_of
 
 import svwfs
 from app.commands.field import field
 from app.evaluation.simulated_frames import SimulatedFrames
-from app.gui import coefficients_panel
-from app.results.mode_coefficients import mode_names
+from app.gui.coefficients_panel import CoefficientsPanel
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Sensor
-from reconstruction.modes.legendre import legendre_products
+from reconstruction.modes.polynomials import legendre_products, zernike_products
 from reconstruction.modes.pupil_modes import BASES, PupilModes, polynomial_modes, pupil_modes
-from reconstruction.modes.zernike import zernike_products
-from reconstruction.registration.methods import prepare_registration
-from reconstruction.registration.peers.correlation import Correlation
+from reconstruction.registration import prepare_registration
+from reconstruction.registration.correlation import Correlation
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import PupilBasis, RegistrationSettings
 
@@ -104,16 +103,17 @@ def test_unknown_names_are_refused(images: SimulatedFrames) -> None:
     unknown: Any = "monomial"
     with pytest.raises(ReconstructionError, match="there is no basis monomial: it must be legendre or zernike"):
         pupil_modes(FIXED.sensor, unknown, 10)
-    with pytest.raises(AssertionError):
-        mode_names(unknown, 10)
     reconstruct = svwfs.reconstructor(FIXED, images.reference, dark=images.dark)
     with pytest.raises(ReconstructionError, match="there is no registration method monomial: it must be one of"):
         prepare_registration(reconstruct._reconstructor().subimages, RegistrationSettings(method=unknown), FIXED.field)
 
 
-def test_every_list_of_bases_is_the_same() -> None:
+def test_every_list_of_bases_is_the_same(qtbot: QtBot) -> None:
+    panel = CoefficientsPanel()
+    qtbot.addWidget(panel)
+    shown = [panel.basis.itemData(index) for index in range(panel.basis.count())]
     given = get_type_hints(field, include_extras=True)["basis"].__args__[0]
-    names_there = {**vars(svwfs), "Wavefront": object, "xr": xarray}
+    names_there = {**vars(svwfs), "Wavefront": object, "xr": xarray, "PupilBasis": PupilBasis}
     of_python = get_type_hints(svwfs.field_coefficients, names_there)["basis"]
-    for names in (get_args(PupilBasis), get_args(given), get_args(of_python), coefficients_panel._BASES):
+    for names in (get_args(PupilBasis), get_args(given), get_args(of_python), shown):
         assert set(names) == set(BASES)

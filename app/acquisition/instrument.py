@@ -28,8 +28,7 @@ from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
-from reconstruction.quality.sequence import sequence_quality
-from reconstruction.quality.verdict import Fault, Quality
+from reconstruction.quality.verdict import Fault, Quality, sequence_quality
 
 
 @dataclass(frozen=True, slots=True)

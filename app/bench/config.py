@@ -20,7 +20,7 @@ from app.bench.bench_error import BenchError, line_of_setting, line_of_syntax
 from app.bench.bench_files import bench_file, read_bench_text
 from app.bench.conversion import UNKNOWN, converter, sentence_of
 from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
-from app.bench.earlier_versions import replace_conserve_flux, set_recorded_defaults
+from app.bench.earlier_versions import replace_conserve_flux, set_recorded_defaults, take_non_rigid
 from app.bench.settings import RecordingSettings, StreamSettings
 from app.errors import InputError
 from app.files import in_words
@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     from reconstruction.frame.noise import CameraNoise
-    from reconstruction.own_methods import OwnMethods
-    from reconstruction.pipeline import Reconstructor
+    from reconstruction.pipeline import OwnMethods, Reconstructor
 
 Settings = TypeVar("Settings", bound="DataclassInstance")
 
@@ -130,8 +129,7 @@ class Bench:
     ) -> Reconstructor:
         """Prepare the reconstruction of frames against a reference; see `Reconstructor` for the arguments."""
         from app.bench.imaging_model import lenslet_model  # noqa: PLC0415 - reading a bench must not load Numba
-        from reconstruction.own_methods import NO_OWN  # noqa: PLC0415 - the same
-        from reconstruction.pipeline import Reconstructor  # noqa: PLC0415 - reading a bench must not load Numba
+        from reconstruction.pipeline import NO_OWN, Reconstructor  # noqa: PLC0415 - the same
 
         return Reconstructor(
             reference,
@@ -189,12 +187,13 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
     for override in overrides:
         _override(tree, override)
     replace_conserve_flux(tree, text, name, is_recorded=is_recorded)
+    non_rigid: Any = take_non_rigid(tree, text, name, is_recorded=is_recorded)
     for section, key in _CHOSEN_IF_OMITTED:
         if isinstance(tree.get(section), dict) and tree[section].get(key) == AUTOMATIC:
             del tree[section][key]
     _arrange(tree, name)
     try:
-        return converter().structure(tree, Bench)
+        bench = converter().structure(tree, Bench)
     except cattrs.BaseValidationError as error:
         faults = cattrs.transform_error(error, format_exception=sentence_of)
         faults.sort(
@@ -204,6 +203,9 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
         section = path.lstrip(".").replace("sensor.arrangement", "lattice.arrangement")
         line = None if overrides else line_of_setting(text, section, sentence)  # an override may be at fault
         raise BenchError(f"{name}: {section}{': ' if path else ''}{sentence}", line) from error
+    if non_rigid:  # the reconstruction refuses it
+        bench = dataclasses.replace(bench, registration=dataclasses.replace(bench.registration, method=non_rigid))
+    return bench
 
 
 def with_known(settings: Settings, values: Mapping[str, object]) -> Settings:

@@ -1,7 +1,7 @@
 """Bench files of earlier versions, read as what they meant.
 
 Version 0.1 had no setting for rotation, the response or the choice of the warp. Versions 0.1 and 0.2 neglected what
-light does between sample and lenslets, and did not search for layers.
+light does between sample and lenslets, and did not search for layers. All offered non-rigid registrations.
 """
 
 import tomllib
@@ -17,6 +17,8 @@ _OF_VERSION_0_1 = {
     ("reconstruction", "response"): False,
 }
 _UNTIL_VERSION_0_2 = {("field", "neglect_propagation"): True, ("reconstruction", "sample"): "free"}
+_NON_RIGID = ("block_flow", "demons", "ffd")  # of `registration.method`
+_FLOW = ("views", "warp")  # of `registration.flow`, which only these read
 
 
 def set_recorded_defaults(tree: dict[str, Any]) -> None:
@@ -48,6 +50,30 @@ def replace_conserve_flux(tree: dict[str, Any], text: str, name: str, *, is_reco
             " is conserved, or set field.neglect_propagation = true for the paper's simulation",
             line_of_setting(text, f"registration.{_FLUX}", _FLUX),
         )
+
+
+def take_non_rigid(tree: dict[str, Any], text: str, name: str, *, is_recorded: bool) -> str:
+    """Take a non-rigid method out of `[registration]`, and the setting that only these had; return the method or "".
+
+    Raises `BenchError` for such a method in a bench that is not recorded: recordings open, but cannot be reconstructed
+    with it.
+    """
+    registration = tree.get("registration")
+    if not isinstance(registration, dict):
+        return ""
+    if registration.get("flow") in _FLOW:
+        del registration["flow"]
+    method = registration.get("method")
+    if method not in _NON_RIGID:
+        return ""
+    if not is_recorded:
+        raise BenchError(
+            f'{name}: registration.method = "{method}" is no longer offered: leave it out, or choose itk_affine or'
+            " correlation; `svwfs paper table1 --peers` still compares it",
+            line_of_setting(text, "registration.method", "method"),
+        )
+    del registration["method"]
+    return str(method)
 
 
 def neglected_propagation(text: str) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from reconstruction.geometry import Lattice, lenslet_centers
-from reconstruction.registration.source_brightness import mean_subimage, point_brightness
+from reconstruction.registration.response import mean_subimage, point_brightness
 from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import SourcePoints

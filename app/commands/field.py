@@ -1,12 +1,13 @@
 """`svwfs field`: coefficients over the field of one frame, as maps, table and double Zernikes."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from app.commands import options, terminal
 from app.errors import InputError
+from reconstruction.settings import PupilBasis
 
 
 def field(
@@ -16,8 +17,7 @@ def field(
         Path, typer.Option(help="NetCDF file for maps and double Zernikes, or .csv for a table of field positions.")
     ],
     basis: Annotated[
-        Literal["zernike", "legendre"],
-        typer.Option(help="Modes: zernike over the pupil's inscribed circle, legendre over the whole lattice."),
+        PupilBasis, typer.Option(help="Modes: zernike over the pupil's inscribed circle, legendre over the lattice.")
     ] = "zernike",
     order: Annotated[
         int | None, typer.Option(min=1, help="Highest degree of the pupil modes; that of the result if omitted.")

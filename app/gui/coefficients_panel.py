@@ -14,11 +14,10 @@ from app.gui.plot import Plot
 from app.gui.presentation import signed, with_error
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import Choice, column, row, toggle
-from app.results.mode_coefficients import ModeChoice, ModeCoefficients, mode_names
+from app.results.mode_coefficients import ModeChoice, ModeCoefficients
 from app.results.shown_wavefront import Unit
-from reconstruction.settings import PupilBasis
+from reconstruction.modes.pupil_modes import BASES
 
-_BASES: dict[PupilBasis, str] = {"zernike": "Zernike (Noll)", "legendre": "Legendre"}
 _TIP = "Click a bar to record its history and to map it over the field; click it again to stop"
 
 
@@ -34,8 +33,8 @@ class CoefficientsPanel(QWidget):
         self._unit, self._per_rad = Unit.RAD, 1.0
         self._scale, self._map_scale = AdaptiveScale(RANGES), AdaptiveScale(RANGES)
         self.basis = Choice()
-        for basis, text in _BASES.items():
-            self.basis.addItem(text, basis)
+        for name in sorted(BASES, reverse=True):  # Zernike first
+            self.basis.addItem(BASES[name].title, name)
         self.basis.setToolTip("Modes of the bars; over the lattice (Legendre) or its inscribed circle (Zernike)")
         self.basis.currentIndexChanged.connect(lambda: self.pin(None))
         self.of = Choice()
@@ -76,7 +75,7 @@ class CoefficientsPanel(QWidget):
         if self._mapped is None:
             return ""
         of = self.of.currentText() if self.of.currentIndex() else "view"
-        return f"{mode_names(self.basis.currentData(), self._mapped + 1)[-1]}, {of}"
+        return f"{BASES[self.basis.currentData()].names(self._mapped + 1)[-1]}, {of}"
 
     def choice(self, view: tuple[int, int], field_modes: int) -> ModeChoice | None:
         """Return what to compute for the selected view; None if it is neither shown nor recorded."""
@@ -159,7 +158,7 @@ class CoefficientsPanel(QWidget):
         self.of.blockSignals(True)
         while self.of.count() > 1:
             self.of.removeItem(1)
-        for index, name in enumerate(mode_names("legendre", field_modes)):
+        for index, name in enumerate(BASES["legendre"].names(field_modes)):
             self.of.addItem(f"Field mode {index}: {name.split(' ', 1)[1].replace('piston', 'mean')}", index)
         self.of.blockSignals(False)
 

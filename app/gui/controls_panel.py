@@ -20,7 +20,7 @@ from app.gui.widgets import Button, Choice, Item, Slot, button, column, label, m
 from app.measurement.routines.averages import AVERAGED_FRAMES
 from app.results.pictures import FrameStatistics
 from drivers.interface import Range
-from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis, RegistrationSettings
+from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis
 
 _FRAMES_RANGE = Range(AVERAGED_FRAMES.start, AVERAGED_FRAMES[-1])
 _GAP, _GROUP_GAP = 4, 8  # px between controls, and between groups of them
@@ -226,7 +226,7 @@ class ControlsPanel(QFrame):
             choice.show_choice(texts, str(wanted.get(name, chosen) or AUTOMATIC))
         self.refine.setChecked(wanted.get("reconstruction.refine", reconstruction.refine))
         mark_wanted(self.refine, is_wanted="reconstruction.refine" in wanted)
-        self.warp.setEnabled(_uses_warp(registration))
+        self.warp.setEnabled(registration.method == "gauss_newton")
         for control in (self.basis, self.pupil_modes):
             control.setEnabled(reconstruction.method == "modal")
         for shown, texts, is_on, colour in (
@@ -271,12 +271,6 @@ def _modes_range(bench: Bench) -> Range:
 def _light_texts(status: Status) -> tuple[str, str]:
     """Texts for a light that is off and on; of a manual one only what a person has said is known."""
     return ("Light\nnoted off", "Light\nby hand") if status.bench.has_manual_light else ("Light off", "Light on")
-
-
-def _uses_warp(registration: RegistrationSettings) -> bool:
-    if registration.method in {"block_flow", "demons", "ffd"}:
-        return registration.flow == "warp"
-    return registration.method == "gauss_newton"
 
 
 def _named(name: str, *controls: Item) -> QHBoxLayout:

@@ -6,8 +6,6 @@ NAMES: Mapping[str, str] = {  # the others are their word
     "gauss_newton": "Gauss-Newton",
     "correlation_fft": "correlation (FFT)",
     "itk_affine": "affine (ITK)",
-    "block_flow": "block flow",
-    "ffd": "free-form (ITK)",
     "legendre": "Legendre",
     "zernike": "Zernike",
 }

@@ -24,7 +24,7 @@ from app.results.shown_wavefront import StoredWavefront, Unit, WavefrontDisplay
 from app.results.view_analysis import Analysis, Quantity
 from drivers.interface import Range
 from reconstruction.arrays import Floats
-from reconstruction.quality.row_alignment import aligned
+from reconstruction.quality.image_quality import aligned
 from reconstruction.refinement import mean_rms
 from reconstruction.wavefront import Wavefront
 

@@ -17,17 +17,14 @@ from app.measurement.assumptions import mask_sentence
 from app.measurement.judging import frame_judge
 from reconstruction.arrays import Counts, Mask
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.above_dark import AboveDark
-from reconstruction.frame.bad_pixels import find_bad_pixels, repaired
 from reconstruction.frame.noise import CameraNoise, TransferCurve, image_transfer
+from reconstruction.frame.pixels import AboveDark, find_bad_pixels, repaired
 from reconstruction.lattice.search import survey
 from reconstruction.layers.layer_solver import FrameEquations
-from reconstruction.own_methods import NO_OWN, OwnMethods
-from reconstruction.pipeline import Reconstructor
+from reconstruction.pipeline import NO_OWN, OwnMethods, Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
 from reconstruction.quality.reference_quality import linearity_quality
-from reconstruction.quality.sequence import repeated_reference
-from reconstruction.quality.verdict import Quality
+from reconstruction.quality.verdict import Quality, repeated_reference
 from reconstruction.refinement import Refinement, Round
 from reconstruction.wavefront import Wavefront
 

@@ -5,8 +5,12 @@ from reconstruction.frame.noise import TransferCurve
 from reconstruction.geometry import Lattice
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
-from reconstruction.quality.reference_quality import linearity_quality, reference_quality, response_quality
-from reconstruction.quality.reference_sample import sample_quality
+from reconstruction.quality.reference_quality import (
+    linearity_quality,
+    reference_quality,
+    response_quality,
+    sample_quality,
+)
 
 
 def frame_judge(

@@ -27,8 +27,7 @@ from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
-from reconstruction.quality.sequence import sequence_quality
-from reconstruction.quality.verdict import Quality
+from reconstruction.quality.verdict import Quality, sequence_quality
 from reconstruction.refinement import Refinement
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.wavefront import Wavefront

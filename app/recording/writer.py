@@ -39,7 +39,7 @@ from app.run_facts import now, software_facts, write_record
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
 from reconstruction.layers.layered_wavefront import AssumedSample
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import rms
 
 T = TypeVar("T")

@@ -22,7 +22,7 @@ from reconstruction.quality.image_quality import diffraction_rad, mtf, psf, psf_
 from reconstruction.quality.isoplanatism import isoplanatism
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.circulation import Circulation, measure_circulation
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
 _VIEW = ("view_row", "view_column")

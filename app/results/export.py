@@ -29,7 +29,7 @@ from reconstruction.geometry import Field, Sensor
 from reconstruction.quality.image_quality import psf, psf_angles_rad, psf_reach_rad
 from reconstruction.quality.verdict import Quality
 from reconstruction.runtime.threads import one_blas_thread
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
 T = TypeVar("T")

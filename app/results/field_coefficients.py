@@ -11,12 +11,12 @@ from matplotlib.figure import Figure, FigureBase
 
 from app.errors import SETTINGS_CHANGED, InputError
 from app.files import atomic_write
-from app.results.mode_coefficients import mode_names
 from app.results.result_file import Variable, about
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_coefficients import FieldCoefficients, ModalFit, field_coefficients
 from reconstruction.geometry import Field, Sensor
+from reconstruction.modes.pupil_modes import BASES
 from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
 
@@ -26,7 +26,7 @@ def field_dataset(
 ) -> xr.Dataset:
     """Return the maps of `coefficient_maps`, and Zernike coefficients also as double Zernikes."""
     maps = coefficient_maps(found, field, positions)
-    if found.basis == "legendre":
+    if found.basis != "zernike":
         return maps
     return maps.assign(double_zernike_variables(found, field_order)).assign_attrs(circles(sensor, field))
 
@@ -51,7 +51,7 @@ def coefficient_maps(found: FieldCoefficients, field: Field, positions: int) -> 
         },
         coords={
             "mode": ("mode", numbers, about("1", count)),
-            "name": ("mode", list(mode_names(found.basis, len(found.rad))[1:])),
+            "name": ("mode", list(BASES[found.basis].names(len(found.rad))[1:])),
             "x": ("x", at_m, about("m", "field position")),
             "y": ("y", at_m, about("m", "field position")),
         },
@@ -86,7 +86,7 @@ def write_table(path: Path, names: Sequence[str], rows: Iterable[Sequence[float]
 
 def table_names(found: FieldCoefficients) -> list[str]:
     """Return the columns of a table: field position, coefficients and standard deviations, with their units."""
-    modes = [name.split(" ", 1)[0] for name in mode_names(found.basis, len(found.rad))[1:]]
+    modes = [name.split(" ", 1)[0] for name in BASES[found.basis].names(len(found.rad))[1:]]
     return ["x_m", "y_m", *(f"{mode}_rad" for mode in modes), *(f"{mode}_sigma_rad" for mode in modes)]
 
 

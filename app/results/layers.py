@@ -13,8 +13,8 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.results.result_file import about
 from reconstruction.arrays import Floats
-from reconstruction.layers.layer_fit import Layer
 from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch
+from reconstruction.layers.layer_solver import Layer
 
 Origin = Literal["lenslets", "mask"]
 

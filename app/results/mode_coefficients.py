@@ -2,34 +2,18 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import assert_never
 
 import numpy as np
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor, centered_steps
-from reconstruction.modes.legendre import legendre_orders
-from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.modes.zernike import noll_orders
+from reconstruction.modes.pupil_modes import BASES, pupil_modes
 from reconstruction.settings import PupilBasis
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
 
 _MOST_MODES = 36  # all up to degree 7
 _MAP_ACROSS = 21  # positions across the field
-_NAMES = {
-    (0, 0): "piston",
-    (1, 1): "tilt along x",
-    (1, -1): "tilt along y",
-    (2, 0): "defocus",
-    (2, -2): "astigmatism at 45\N{DEGREE SIGN}",
-    (2, 2): "astigmatism at 0\N{DEGREE SIGN}",
-    (3, 1): "coma along x",
-    (3, -1): "coma along y",
-    (3, 3): "trefoil along x",
-    (3, -3): "trefoil along y",
-    (4, 0): "spherical aberration",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +53,8 @@ def mode_coefficients(wavefront: Wavefront, choice: ModeChoice) -> ModeCoefficie
     else:
         weights[choice.field_mode] = 1.0
         phase = solution.wavefront(weights)
-    names = mode_names(choice.basis, len(_fit(sensor, choice.basis, np.ones(phase.shape, np.bool_).tobytes())))
     fit = _fit(sensor, choice.basis, np.isfinite(phase).tobytes())
+    names = BASES[choice.basis].names(len(fit))
     sigma_rad = np.full(len(fit), np.nan)
     if isinstance(solution, ModalSolution):
         sigma_rad = np.linalg.norm(
@@ -81,19 +65,6 @@ def mode_coefficients(wavefront: Wavefront, choice: ModeChoice) -> ModeCoefficie
         by_mode = _apply(fit, solution.wavefront(np.eye(displacement.modes.count)))[:, choice.mapped]
         field_map = _over_field(wavefront, by_mode)
     return ModeCoefficients(choice, names, _apply(fit, phase[None])[0], sigma_rad, field_map)
-
-
-def mode_names(basis: PupilBasis, count: int) -> tuple[str, ...]:
-    """Return number and name of the first modes: "Z4 defocus" in Noll's count from 1, "L4 P1(x) P1(y)" from 0."""
-    if basis == "zernike":
-        orders = enumerate(noll_orders(count), 1)
-        return tuple(f"Z{j} {_NAMES.get((n, m), f'n = {n}, m = {m}')}" for j, (n, m) in orders)
-    if basis != "legendre":
-        assert_never(basis)
-    return tuple(
-        f"L{k} {' '.join(f'P{order}({axis})' for order, axis in ((m, 'x'), (n, 'y')) if order) or 'piston'}"
-        for k, (m, n) in enumerate(legendre_orders(count))
-    )
 
 
 @lru_cache(maxsize=8)

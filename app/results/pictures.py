@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
-from reconstruction.quality.clipping import is_piled_up
+from reconstruction.frame.pixels import is_piled_up
 from reconstruction.runtime.compilation import compiled
 
 NEARLY_FULL = 0.95  # of the level at which pixels clip

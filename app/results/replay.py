@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,8 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.refinement import mean_rms
 from reconstruction.runtime.threads import one_blas_thread
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.settings import Method
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
 _VIEW = ("view_row", "view_column")
@@ -174,7 +175,8 @@ def replay(
 ) -> Replay:
     """Reconstruct the recorded frames FIRST:END again and write the results to `out`, if given.
 
-    With another `bench`, or changed `settings` of the recorded one, both are made and compared. With `verify`, raise
+    With another `bench`, or changed `settings` of the recorded one, both are made and compared, unless the recorded
+    registration method is no longer offered. With `verify`, raise
     `RunError` if a result differs from the recorded one in any bit.
     """
     other = None if bench is None else load_bench(bench, settings)
@@ -188,7 +190,9 @@ def replay(
     change = change_of(other, settings)
     if verify and change is not None:
         raise InputError("--verify compares with the recorded bench: leave --bench and --set out")
-    made = Replay(Verification(recording) if change is None else None, None if change is None else Comparison())
+    is_known = recording.bench.registration.method in get_args(Method)  # earlier versions had others
+    comparison = Comparison() if change is not None and is_known else None
+    made = Replay(Verification(recording) if change is None else None, comparison)
     with one_blas_thread():
         stream = _frames(recording, chosen, change, made, progress)
         if out is not None:

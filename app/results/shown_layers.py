@@ -17,8 +17,8 @@ from app.results.layers import Origin, centred, distance_m, distances_and_sigma_
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.corrector import Corrector
-from reconstruction.layers.layer_fit import Layer, LayerFit
 from reconstruction.layers.layer_search import LayerSearch, find_layers
+from reconstruction.layers.layer_solver import Layer, LayerFit
 from reconstruction.pipeline import Reconstructor
 
 _MAP_POINTS = 65  # along each side

@@ -16,8 +16,7 @@ from app.results.sources import modes_of
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import FieldModes
-from reconstruction.quality.low_orders import without_low_orders
-from reconstruction.wavefront import Wavefront, without_piston
+from reconstruction.wavefront import Wavefront, without_low_orders, without_piston
 
 MOST_AVERAGED = 100
 MOST_VIEWS = 9  # along each side

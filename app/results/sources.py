@@ -22,8 +22,8 @@ from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes, gradient_basis
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
+from reconstruction.solve.expected_errors import MeanGradients
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.sensitivity import MeanGradients
 from reconstruction.wavefront import without_piston
 
 if TYPE_CHECKING:

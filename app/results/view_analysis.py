@@ -16,16 +16,15 @@ from app.results.mode_coefficients import ModeChoice, ModeCoefficients, mode_coe
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.bad_pixels import find_bad_pixels
+from reconstruction.frame.pixels import find_bad_pixels
 from reconstruction.frame.spline import sample
 from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, psf_reach_rad
 from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
-from reconstruction.quality.slope_fit import slope_fit
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import PupilBasis, ReconstructionSettings
-from reconstruction.wavefront import Wavefront
+from reconstruction.wavefront import Wavefront, slope_fit
 
 _BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
 

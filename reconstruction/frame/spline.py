@@ -3,12 +3,17 @@
 Bilinear sampling and Keys' cubic convolution distort the wavefront by up to 0.2 rad; the interpolating B-spline does
 not. With z = sqrt(3) - 2 and x the shift by a pixel, its prefilter is -6 z / ((1 - z/x) (1 - z x)): recursive along
 columns, all columns of a row at once; along rows a convolution with (1 + z) / (1 - z) z^|k| is faster.
+
+Interpolation at the fraction f of a pixel multiplies the wave exp(2 pi i nu x) by
+sum_j B(j - f) exp(2 pi i nu (j - f)) / sum_j B(j) exp(2 pi i nu j), B the cubic B-spline. Its mean over all fractions,
+sinc(nu)^4 / ((2 + cos(2 pi nu)) / 3), blurs a displaced image.
 """
 
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import toeplitz
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.runtime.compilation import compiled
@@ -157,3 +162,19 @@ def _mirrored_index(index: int, count: int) -> int:
         return 0
     index = abs(index) % (2 * count - 2)
     return min(index, 2 * count - 2 - index)
+
+
+_WAVES = 256
+
+
+def mean_interpolation(pixels: int) -> tuple[Floats, Floats]:
+    """Values and slopes of lines of pixels after interpolation at random fractions: matrices (pixel, pixel).
+
+    Beyond its ends a line is dark.
+    """
+    cycles_per_px = (np.arange(_WAVES) + 0.5) / (2 * _WAVES)
+    transfer = np.sinc(cycles_per_px) ** 4 / ((2 + np.cos(2 * np.pi * cycles_per_px)) / 3)
+    angle = 2 * np.pi * cycles_per_px * np.arange(pixels)[:, None]
+    values = np.mean(transfer * np.cos(angle), axis=1)
+    slopes = -np.mean(transfer * 2 * np.pi * cycles_per_px * np.sin(angle), axis=1)
+    return toeplitz(values), toeplitz(slopes, -slopes)

@@ -13,17 +13,20 @@ from scipy import ndimage
 
 from reconstruction.arrays import Counts, Floats, Image, Mask
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.bad_pixels import find_bad_pixels, repaired
+from reconstruction.frame.pixels import find_bad_pixels, repaired
 from reconstruction.geometry import Arrangement, Lattice, Sensor, lenslet_centers
-from reconstruction.lattice.fit import (
+from reconstruction.lattice._fit import (
+    REACH,
     SMALLEST_PITCH_PX,
     Fit,
+    Peak,
     fit_lattice,
     is_outstanding,
     seems_to_be_other,
+    strongest_peak,
     why_no_lattice,
+    without_peaks,
 )
-from reconstruction.lattice.spectrum import REACH, Peak, strongest_peak, without_peaks
 
 _SATURATED_FRACTION = 0.01  # of the pixels
 _DARK_AT_MOST = 8  # largest ratio of all lenslets to the lit ones

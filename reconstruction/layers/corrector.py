@@ -12,8 +12,7 @@ import numpy as np
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
-from reconstruction.modes.legendre import legendre
-from reconstruction.modes.zernike import zernike
+from reconstruction.modes.polynomials import legendre, zernike
 
 Influence = Literal["legendre", "zernike", "actuators"]
 

@@ -16,8 +16,7 @@ from scipy import optimize
 
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
-from reconstruction.layers.layer_fit import LayerFit
-from reconstruction.layers.layer_solver import SKETCH_DEGREE, FrameEquations
+from reconstruction.layers.layer_solver import SKETCH_DEGREE, FrameEquations, LayerFit
 from reconstruction.solve.evidence import FitQuality
 
 Verdict = Literal[

@@ -5,18 +5,26 @@ wavefront even where the source is blind (docs/layers.md).
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
-from reconstruction.layers.layer_fit import UNSEEN, LayerFit
-from reconstruction.layers.layer_modes import LayerModes
 from reconstruction.layers.layer_search import LayerSearch, explains, is_within
-from reconstruction.layers.layer_solver import LayerSolver, prior_scale, require_lenslets
+from reconstruction.layers.layer_solver import (
+    LayerFit,
+    LayerModes,
+    LayerSolver,
+    along_principal,
+    principal,
+    prior_scale,
+    require_lenslets,
+)
 from reconstruction.runtime.deferred import Deferred, Remembered
-from reconstruction.solve.evidence import prior_and_noise
-from reconstruction.solve.modal_solution import KnownModes, ModalSolution, known_modes
+from reconstruction.solve.evidence import Estimate
+from reconstruction.solve.expected_errors import Whitened
+from reconstruction.solve.modal import KnownModes, ModalSolution, known_modes
 
 _STEP = 5e-3  # of a ratio r, times 1 + |r|, for the wavefront's derivative
 _DECISIVE = 5.0  # by which the log evidence must favour layers, at distances found among many
@@ -60,8 +68,7 @@ def _assumed(fit: LayerFit) -> AssumedSample:
     return AssumedSample(tuple(layer.ratio for layer in fit.layers), fit.ratio_covariance)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Design:
+class _Design(NamedTuple):
     """Layers at some ratios in units of the prior, for all lenslets."""
 
     rows: Floats  # whitened displacements of each polynomial, (L * K, n)
@@ -69,8 +76,7 @@ class _Design:
     wavefronts: Image  # rad, (column, n)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Equations:
+class _Equations(NamedTuple):
     """The same for lenslets with some shares, in independent components: data = singular x + noise."""
 
     design: _Design
@@ -79,24 +85,13 @@ class _Equations:
     known: KnownModes
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
-    """Layers fitted to one frame, with the strength of the prior and the noise by the evidence."""
+class _Fit(NamedTuple):
+    """Layers fitted to one frame."""
 
     equations: _Equations
-    components: Floats  # x, (n,)
-    variance: Floats  # of x, (n,)
-    freedom: float  # number of displacements minus that of the components which they determine
-
-    @property
-    def polynomials(self) -> Image:
-        """The layers' polynomials, in units of the prior, (n,)."""
-        return (self.equations.vectors @ self.components).astype(np.float32)
-
-    @property
-    def wavefront(self) -> Image:
-        """Coefficients of the wavefront, rad, (column,)."""
-        return self.equations.design.wavefronts @ self.polynomials
+    estimate: Estimate
+    polynomials: Image  # in units of the prior, (n,)
+    wavefront: Image  # coefficients, rad, (column,)
 
 
 class LayeredWavefronts:
@@ -119,26 +114,27 @@ class LayeredWavefronts:
         Raises `ReconstructionError` if too few lenslets are valid.
         """
         errors, columns = self.solver.errors, self._modes.columns
-        share, data = errors.share(displacement, weights), errors.whitened(displacement)
-        require_lenslets(int(np.count_nonzero(share)))
-        fit = self._fit(sample.ratios, share, data)
+        frame = errors.whitened(displacement, weights)
+        require_lenslets(frame)
+        fit = self._fit(sample.ratios, frame)
         shape = len(self._modes.pupil_modes.degree), displacement.modes.count
         coefficients = np.zeros(shape)
         coefficients[1:][columns] = fit.wavefront
+        (design, singular, vectors, known), estimate = fit.equations, fit.estimate
 
         def root_covariance() -> Image:
-            design, vectors = fit.equations.design, fit.equations.vectors
             root = np.zeros((shape[0] - 1, shape[1], len(vectors) + len(sample.ratios)), np.float32)
-            of_noise = design.wavefronts @ (vectors * np.sqrt(fit.variance)).astype(np.float32)
-            root[columns] = np.concatenate([of_noise, self._of_distances(sample, share, data)], axis=1)
+            deviations = vectors * np.sqrt(errors.variance(estimate, singular))
+            of_noise = design.wavefronts @ deviations.astype(np.float32)
+            root[columns] = np.concatenate([of_noise, self._of_distances(sample, frame)], axis=1)
             return root
 
         def fitted() -> Floats:
-            whitened = (fit.equations.design.rows @ fit.polynomials).reshape(data.shape)
+            whitened = (design.rows @ fit.polynomials).reshape(frame.weighted.shape)
             return np.asarray(np.matvec(errors.colour, whitened))
 
-        known, root = fit.equations.known, Deferred(root_covariance)
-        return ModalSolution(coefficients, known, root, fit.freedom, displacement, self._parameters, Deferred(fitted))
+        root, parameters = Deferred(root_covariance), self._parameters
+        return ModalSolution(coefficients, known, root, estimate.freedom, displacement, parameters, Deferred(fitted))
 
     def in_these_modes(self, free: ModalSolution) -> ModalSolution:
         """A wavefront that was found without layers, in as many pupil modes as with them."""
@@ -148,21 +144,13 @@ class LayeredWavefronts:
         modes = self._modes.pupil_modes
         return known_modes(modes, np.frombuffer(lenslets, np.bool_).reshape(modes.inside.shape), extrapolate=False)
 
-    def _fit(self, ratios: tuple[float, ...], share: Floats, data: Floats) -> _Fit:
-        """Fit layers to whitened displacements (L, K) of lenslets with some shares (L,)."""
-        equations = self._equations(ratios, share.tobytes())
-        singular, weighted = equations.singular, share[:, None] * data
-        square, seen = singular**2, singular > 0
-        columns = weighted.ravel() @ equations.design.rows
-        along = np.divide(columns @ equations.vectors, singular, where=seen, out=np.zeros_like(singular))
-        count = np.count_nonzero(share) * data.shape[1]
-        total = float(np.vdot(data, weighted))
-        ratio, noise = prior_and_noise(square / square[-1], along, total, count)
-        ratio /= square[-1]
-        variance = ratio / (1 + ratio * square)  # over that of the noise
-        freedom = count - float(np.sum(variance * square))
-        of_components = self.solver.errors.variance(noise, ratio, square)
-        return _Fit(equations, variance * singular * along, of_components, freedom)
+    def _fit(self, ratios: tuple[float, ...], frame: Whitened) -> _Fit:
+        """Fit layers to the displacements of a frame."""
+        equations = self._equations(ratios, frame.share.tobytes())
+        design, singular, vectors, _ = equations
+        estimate = along_principal(frame, frame.weighted.ravel() @ design.rows, singular, vectors).estimate()
+        polynomials = (vectors @ estimate.values).astype(np.float32)
+        return _Fit(equations, estimate, polynomials, design.wavefronts @ polynomials)
 
     def _prepared(self, ratios: tuple[float, ...]) -> _Design:
         degree = self.solver.degree
@@ -180,13 +168,11 @@ class LayeredWavefronts:
         missing = design.rows.reshape(len(share), -1, len(design.gram))[lost]
         weighted = (1 - share[lost, None, None]) * missing
         gram = design.gram - np.tensordot(missing, weighted, axes=([0, 1], [0, 1]))
-        square, vectors = np.linalg.eigh(gram)
-        square = np.where(square > UNSEEN * square[-1], square, 0.0)  # unseen ones keep the prior's variance
         modes = self._modes.pupil_modes
         known = known_modes(modes, (share > 0).reshape(modes.inside.shape), extrapolate=True)
-        return _Equations(design, np.sqrt(square), vectors, known)
+        return _Equations(design, *principal(gram), known)
 
-    def _of_distances(self, sample: AssumedSample, share: Floats, data: Floats) -> Floats:
+    def _of_distances(self, sample: AssumedSample, frame: Whitened) -> Floats:
         """Deviations of the wavefront's coefficients that the uncertain distances cause, (column, layer)."""
         if sample.covariance is None:
             return np.zeros((np.count_nonzero(self._modes.columns), len(sample.ratios)))
@@ -194,7 +180,7 @@ class LayeredWavefronts:
         for place, ratio in enumerate(sample.ratios):
             step = _STEP * (1 + abs(ratio))
             near, far = (
-                self._fit(tuple(r + side * step * (i == place) for i, r in enumerate(sample.ratios)), share, data)
+                self._fit(tuple(r + side * step * (i == place) for i, r in enumerate(sample.ratios)), frame)
                 for side in (-1, 1)
             )
             slopes.append((far.wavefront - near.wavefront) / (2 * step))

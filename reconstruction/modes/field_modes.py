@@ -4,100 +4,70 @@ Positions are normalised: x, y in [-1, 1] over the half width of the field.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import Floats
-from reconstruction.modes.legendre import legendre, legendre_gradients, legendre_orders, legendre_products
-from reconstruction.modes.zernike import noll_orders, zernike, zernike_gradients, zernike_products
+from reconstruction.modes.polynomials import (
+    legendre,
+    legendre_gradients,
+    legendre_products,
+    zernike,
+    zernike_gradients,
+    zernike_products,
+)
 
 
-class FieldModes(Protocol):
-    """A set of functions T_q of the field position."""
+class _Family(NamedTuple):
+    """Polynomials of two variables, of which d + 1 have the degree d, by degree."""
 
-    @property
-    def count(self) -> int:
-        """Number of modes."""
-        ...
+    products: Callable[[int], Floats]
+    values: Callable[[int, ArrayLike, ArrayLike], Floats]
+    gradients: Callable[[int, ArrayLike, ArrayLike], Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class PolynomialModes:
+    """The first `count` polynomials of a family: modes with gradients, as a warp needs them."""
+
+    count: int
+    _family: ClassVar[_Family]
 
     @property
     def degree(self) -> Floats:
-        """Degree of each polynomial, (field_mode,); 0 for other functions."""
-        ...
-
-    def __hash__(self) -> int:
-        """Needed because results are cached by field modes."""
-        ...
-
-    def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """T_q at normalised positions: (field_mode, *broadcast shape)."""
-        ...
-
-
-class PolynomialModes(FieldModes, Protocol):
-    """Field modes with gradients, as a warp needs them."""
+        """Degree of each polynomial, (field_mode,)."""
+        return np.floor((np.sqrt(8 * np.arange(self.count) + 1) - 1) / 2)
 
     @property
     def products(self) -> Floats:
         """T_q as sums of products P_a(x) P_b(y): (field_mode, b, a)."""
-        ...
+        return self._family.products(self.count)
+
+    def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """T_q at normalised positions: (field_mode, *broadcast shape)."""
+        return self._family.values(self.count, x, y)
 
     def gradients(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Gradients of T_q per unit of x and y: (field_mode, *broadcast shape, xy)."""
-        ...
+        return self._family.gradients(self.count, x, y)
 
 
-@dataclass(frozen=True, slots=True)
-class LegendreModes:
+class LegendreModes(PolynomialModes):
     """The first `count` products of Legendre polynomials, for a square field."""
 
-    count: int
-
-    @property
-    def degree(self) -> Floats:
-        """Degree of each polynomial, (field_mode,)."""
-        return np.asarray(np.sum(legendre_orders(self.count), axis=1), np.float64)
-
-    @property
-    def products(self) -> Floats:
-        """T_q as sums of products P_a(x) P_b(y): (field_mode, b, a)."""
-        return legendre_products(self.count)
-
-    def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """T_q at normalised positions: (field_mode, *broadcast shape)."""
-        return legendre(self.count, x, y)
-
-    def gradients(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Gradients of T_q per unit of x and y: (field_mode, *broadcast shape, xy)."""
-        return legendre_gradients(self.count, x, y)
+    __slots__ = ()
+    _family = _Family(legendre_products, legendre, legendre_gradients)
 
 
-@dataclass(frozen=True, slots=True)
-class ZernikeModes:
+class ZernikeModes(PolynomialModes):
     """The first `count` Zernike polynomials, for a circular field."""
 
-    count: int
-
-    @property
-    def degree(self) -> Floats:
-        """Degree of each polynomial, (field_mode,)."""
-        return np.array([n for n, _ in noll_orders(self.count)], np.float64)
-
-    @property
-    def products(self) -> Floats:
-        """T_q as sums of products P_a(x) P_b(y): (field_mode, b, a)."""
-        return zernike_products(self.count)
-
-    def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """T_q at normalised positions: (field_mode, *broadcast shape)."""
-        return zernike(self.count, x, y)
-
-    def gradients(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Gradients of T_q per unit of x and y: (field_mode, *broadcast shape, xy)."""
-        return zernike_gradients(self.count, x, y)
+    __slots__ = ()
+    _family = _Family(zernike_products, zernike, zernike_gradients)
 
 
 def gradient_basis(modes: PolynomialModes) -> Floats:
@@ -161,3 +131,7 @@ def _lagrange(nodes: Floats, x: Floats) -> Floats:
         factors = [(x - other) / (node - other) for other in others]
         polynomials.append(np.prod(factors, axis=0) if factors else np.ones_like(x))
     return np.stack(polynomials)
+
+
+FieldModes: TypeAlias = PolynomialModes | SampledModes
+"""Functions T_q of the field position."""

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor
-from reconstruction.modes.field_modes import FieldModes, LegendreModes, ZernikeModes, gradient_basis
+from reconstruction.modes.field_modes import FieldModes, PolynomialModes, gradient_basis
 from reconstruction.modes.pupil_modes import PupilModes
 
 _DEPENDENT = 1e-9  # of a row's largest element; independent rows leave 0.3
@@ -64,7 +64,7 @@ def layered_wavefronts(
 
     None if the parameters of the warp (K, 2Q) contain rotation.
     """
-    if not isinstance(field_modes, LegendreModes | ZernikeModes):
+    if not isinstance(field_modes, PolynomialModes):
         return None
     gradients = gradient_basis(field_modes)
     if not np.allclose(parameters @ gradients.T @ gradients, parameters, atol=_ROTATES):

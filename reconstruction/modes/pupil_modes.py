@@ -10,8 +10,14 @@ from numpy.polynomial import legendre as series
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Arrangement, Sensor
-from reconstruction.modes.legendre import legendre, legendre_lenslet_gradients, legendre_orders, legendre_products
-from reconstruction.modes.zernike import zernike_products
+from reconstruction.modes.polynomials import (
+    legendre_names,
+    legendre_products,
+    legendre_projection,
+    legendre_slopes,
+    zernike_names,
+    zernike_products,
+)
 from reconstruction.settings import PupilBasis
 
 _HIGHEST_DEGREE = 16  # highest for which the mean gradients of both bases are exact
@@ -29,6 +35,15 @@ class PupilModes:
     products: Floats  # R_p as a sum of products P_m(xi) P_n(eta): (pupil_mode, n, m), xi, eta over the whole lattice
 
 
+@dataclass(frozen=True, slots=True)
+class Basis:
+    """A basis of pupil modes."""
+
+    title: str
+    modes: Callable[[Sensor, int], PupilModes]  # the first ones, by degree, d + 1 of each degree d
+    names: Callable[[int], tuple[str, ...]]  # of the first ones
+
+
 def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilModes:
     """Modes of one of the `BASES`, piston first.
 
@@ -40,22 +55,12 @@ def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilMo
     if count is None:
         highest = min(sensor.lenslet_rows - 1, sensor.lenslet_columns - 1, _HIGHEST_DEGREE)
         count = (highest + 1) * (highest + 2) // 2
-    return BASES[basis](sensor, count)
+    return BASES[basis].modes(sensor, count)
 
 
 def _legendre_modes(sensor: Sensor, count: int) -> PupilModes:
     """Legendre modes over the whole lattice."""
-    if sensor.arrangement == "hexagonal":
-        return polynomial_modes(sensor, legendre_products(count))
-    rows, columns = sensor.lenslet_rows, sensor.lenslet_columns
-    half_m = np.array(sensor.pupil_half_width_m)
-    return PupilModes(
-        values=legendre(count, *np.moveaxis(sensor.lenslet_centers_m / half_m, -1, 0)),
-        gradients=legendre_lenslet_gradients(count, rows, columns) / half_m,  # exact, and at once
-        inside=np.ones((rows, columns), np.bool_),
-        degree=np.asarray(np.sum(legendre_orders(count), axis=1), np.float64),
-        products=legendre_products(count),
-    )
+    return polynomial_modes(sensor, legendre_products(count))
 
 
 def _zernike_modes(sensor: Sensor, count: int) -> PupilModes:
@@ -65,7 +70,10 @@ def _zernike_modes(sensor: Sensor, count: int) -> PupilModes:
     return polynomial_modes(sensor, zernike_products(count, *(half_m / half_m.min())), inside)
 
 
-BASES: dict[PupilBasis, Callable[[Sensor, int], PupilModes]] = {"legendre": _legendre_modes, "zernike": _zernike_modes}
+BASES: dict[PupilBasis, Basis] = {
+    "legendre": Basis("Legendre", _legendre_modes, legendre_names),
+    "zernike": Basis("Zernike (Noll)", _zernike_modes, zernike_names),
+}
 
 
 def aperture_rule(arrangement: Arrangement) -> tuple[Floats, Floats]:
@@ -73,7 +81,7 @@ def aperture_rule(arrangement: Arrangement) -> tuple[Floats, Floats]:
 
     Gauss-Legendre rules, exact up to degree 16 of a gradient's mode.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(_HIGHEST_DEGREE // 2 + 1)
+    nodes, weights = series.leggauss(_HIGHEST_DEGREE // 2 + 1)
     if arrangement == "square":
         x, y = (grid.ravel() / 2 for grid in np.meshgrid(nodes, nodes))
         return np.stack([x, y], axis=-1), np.outer(weights, weights).ravel() / 4
@@ -106,32 +114,57 @@ def polynomial_modes(sensor: Sensor, products: Floats, inside: Mask | None = Non
     is_part = np.abs(products) > _NONE * np.abs(products).max(axis=(1, 2), keepdims=True)
     if np.flatnonzero(is_part[0]).tolist() != [0]:
         raise ValueError("the first pupil mode must be the piston, a constant")
-    highest, half_m = products.shape[1] - 1, np.array(sensor.pupil_half_width_m)
-    derive = series.legder(np.eye(highest + 1)) if highest else np.zeros((1, 1))
-
-    def products_at(position: Floats) -> tuple[Floats, Floats, Floats]:
-        """P_n P_m and their derivatives along x and y, away from the centres by a position in pitches."""
-        at = (sensor.lenslet_centers_m + position * sensor.lenslet_pitch_m) / half_m
-        values = series.legvander(at, highest)
-        (of_x, of_y), (slope_x, slope_y) = (
-            np.moveaxis(each, 2, 0)
-            for each in (values, series.legvander(at, len(derive) - 1) @ derive / half_m[:, None])
+    highest = products.shape[1] - 1
+    if sensor.arrangement == "square":
+        (mean_x, slope_x), (mean_y, slope_y) = (
+            _cell_means(centers_m / half_m, sensor.lenslet_pitch_m / 2 / half_m, half_m, highest)
+            for centers_m, half_m in zip((sensor.pupil_x_m, sensor.pupil_y_m), sensor.pupil_half_width_m, strict=True)
         )
-        pairs = ((of_y, of_x), (of_y, slope_x), (slope_y, of_x))
-        center, along_x, along_y = (one[..., :, None] * other[..., None, :] for one, other in pairs)
-        return center, along_x, along_y
-
-    means = np.zeros((2, *sensor.lenslet_centers_m.shape[:2], highest + 1, highest + 1))
-    for position, share in zip(*aperture_rule(sensor.arrangement), strict=True):
-        means += share * np.stack(products_at(position)[1:])
+        gradients = np.stack([_on_grid(products, mean_y, slope_x), _on_grid(products, slope_y, mean_x)], axis=-1)
+    else:
+        means = sum(
+            share * np.stack(_products_at(sensor, position, highest)[1:])
+            for position, share in zip(*aperture_rule(sensor.arrangement), strict=True)
+        )
+        gradients = np.moveaxis(np.tensordot(products, means, axes=((1, 2), (3, 4))), 1, -1)
+    values = np.tensordot(products, _products_at(sensor, np.zeros(2), highest)[0], axes=((1, 2), (2, 3)))
     n, m = np.indices(products.shape[1:])
     return PupilModes(
-        values=np.tensordot(products, products_at(np.zeros(2))[0], axes=((1, 2), (2, 3))),
-        gradients=np.moveaxis(np.tensordot(products, means, axes=((1, 2), (3, 4))), 1, -1),
-        inside=np.ones(means.shape[1:3], np.bool_) if inside is None else inside,
+        values=values,
+        gradients=gradients,
+        inside=np.ones(values.shape[1:], np.bool_) if inside is None else inside,
         degree=np.max((n + m) * is_part, axis=(1, 2)).astype(np.float64),
         products=products,
     )
+
+
+def _cell_means(centers: Floats, half_cell: float, half_m: float, degree: int) -> tuple[Floats, Floats]:
+    """Means of P_0 ... P_degree and of their derivatives, 1/m, over cells along one axis: (cell, degree + 1) each."""
+    nodes, weights = series.leggauss(degree // 2 + 1)
+    at = centers[:, None] + half_cell * nodes
+    mean, slope = (
+        np.tensordot(of, weights / 2, axes=(1, 0))
+        for of in (series.legvander(at, degree), legendre_slopes(at, degree) / half_m)
+    )
+    return mean, slope
+
+
+def _products_at(sensor: Sensor, position: Floats, degree: int) -> tuple[Floats, Floats, Floats]:
+    """P_n P_m and their derivatives along x and y, 1/m, away from the lenslet centres by a position in pitches."""
+    half_m = np.array(sensor.pupil_half_width_m)
+    at = (sensor.lenslet_centers_m + position * sensor.lenslet_pitch_m) / half_m
+    (of_x, of_y), (slope_x, slope_y) = (
+        np.moveaxis(each, 2, 0)
+        for each in (series.legvander(at, degree), legendre_slopes(at, degree) / half_m[:, None])
+    )
+    pairs = ((of_y, of_x), (of_y, slope_x), (slope_y, of_x))
+    center, along_x, along_y = (one[..., :, None] * other[..., None, :] for one, other in pairs)
+    return center, along_x, along_y
+
+
+def _on_grid(products: Floats, of_y: Floats, of_x: Floats) -> Floats:
+    """Sums of products P_n P_m, (mode, n, m), whose factors are given by row (row, n) and by column (column, m)."""
+    return np.asarray(of_y @ (products @ of_x.T))
 
 
 class PupilGrid:
@@ -139,14 +172,12 @@ class PupilGrid:
 
     def __init__(self, modes: PupilModes, sensor: Sensor, x_m: Floats, y_m: Floats) -> None:
         """Prepare for all combinations of the pupil positions x_m (x,) and y_m (y,)."""
-        self._products = modes.products
-        highest = modes.products.shape[1] - 1
-        derive = series.legder(np.eye(highest + 1)) if highest else np.zeros((1, 1))
+        self._products, highest = modes.products, modes.products.shape[1] - 1
         (self._along_x, self._slope_x), (self._along_y, self._slope_y) = (
-            (
-                series.legvander(at_m / half_m, highest).astype(np.float32),
-                (series.legvander(at_m / half_m, len(derive) - 1) @ derive / half_m).astype(np.float32),
-            )
+            [
+                (evaluate(at_m / half_m, highest) / unit).astype(np.float32)
+                for evaluate, unit in ((series.legvander, 1.0), (legendre_slopes, half_m))
+            ]
             for at_m, half_m in zip((x_m, y_m), sensor.pupil_half_width_m, strict=True)
         )
 
@@ -162,3 +193,37 @@ class PupilGrid:
     def _on(self, coefficients: Floats, of_y: Image, of_x: Image) -> Image:
         products = np.tensordot(coefficients, self._products, axes=1).astype(np.float32)
         return np.asarray(of_y @ (products @ of_x.T), np.float32)
+
+
+def local_wavefronts(products: Floats, sensor: Sensor, degree: int) -> Floats:
+    """Project pupil modes on the products P_m(xi) P_n(eta) over each lenslet.
+
+    Parameters
+    ----------
+    products : (pupil_mode, n, m)
+        The modes as sums of products over the whole lattice, see `PupilModes`.
+    sensor : Sensor
+        xi and eta are -1 ... 1 over the square around the aperture of a lenslet.
+    degree : int
+        Highest local m and n.
+
+    Returns
+    -------
+    (lenslet_row, lenslet_column, n, m, pupil_mode)
+        Coefficients of the local polynomials.
+    """
+    highest = products.shape[1] - 1
+    nodes, project = legendre_projection(degree, highest)  # (node, local)
+
+    def in_cells(center_m: Floats, half_width_m: float) -> Floats:
+        at = (center_m[:, None] + nodes * sensor.aperture_width_m / 2) / half_width_m
+        return np.asarray(np.einsum("cik,ij->cjk", series.legvander(at, highest), project))  # (cell, local, k)
+
+    half_x_m, half_y_m = sensor.pupil_half_width_m
+    along_y = in_cells(sensor.pupil_y_m, half_y_m)
+    rows_of_x = sensor.lenslet_centers_m[:2, :, 0]  # of even and of odd rows
+    local = np.empty((len(along_y), rows_of_x.shape[1], degree + 1, degree + 1, len(products)))
+    for first, x_m in enumerate(rows_of_x):
+        along_x, some = in_cells(x_m, half_x_m), slice(first, None, 2)
+        local[some] = np.einsum("pkl,rnk,cml->rcnmp", products, along_y[some], along_x, optimize=True)
+    return local

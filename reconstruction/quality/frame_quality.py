@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Counts, Floats, Mask
 from reconstruction.displacement import Displacement, Outcome
+from reconstruction.frame.pixels import clipped_fraction
 from reconstruction.geometry import Field, Sensor
+from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.quality.clipping import clipped_fraction
-from reconstruction.quality.propagation import propagation_faults
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
@@ -296,3 +296,41 @@ def _gradients(sensor: Sensor, rows: int, columns: int, valid_bytes: bytes) -> F
 def _modes(degree: int) -> int:
     """Number of polynomials of two variables up to that degree."""
     return (degree + 1) * (degree + 2) // 2
+
+
+_BETWEEN = 0.5  # of the slope of log light over log area: 1 in real light, 0 in the paper's world
+_LEAST_GROWTH = 0.002  # standard deviation of log area; less decides nothing
+_CERTAIN = 5.0  # standard errors of the slope
+_ALIKE = 25.0  # neighbouring lenslets, over which absorption and uneven light are alike
+_MOST_NOISE = 0.3  # of the variance of log area
+_REAL = "real light: remove neglect_propagation from the bench, or conserve_flux of version 0.2"
+_NEGLECTED = "the paper's simulation: set field.neglect_propagation = true, or is the light uneven?"
+
+
+def propagation_faults(
+    displacement: Displacement, lit: Mask, light: Floats, half_width_px: float, *, neglect_propagation: bool
+) -> Iterator[tuple[Fault, str]]:
+    """Yield a fault if the frame's light is surely of the other world than is assumed.
+
+    `lit` (lenslet_row, lenslet_column) marks lit lenslets, `light` (lit lenslet,) is theirs over that in the reference.
+    """
+    known = displacement.valid[lit] & (light > 0)
+    modes = displacement.modes
+    if not isinstance(modes, PolynomialModes) or np.count_nonzero(known) < _LEAST_LENSLETS:
+        return
+    weights = modes.gradients(0.0, 0.0) / half_width_px  # (field_mode, xy)
+    area = np.tensordot(displacement.coefficients[lit][known], weights, axes=2)
+    area -= area.mean()
+    size, count = float(area @ area), len(area)
+    if size < count * _LEAST_GROWTH**2:
+        return
+    log_light = np.log(light[known])
+    slope = float(area @ log_light) / size
+    if (slope > _BETWEEN) != neglect_propagation:
+        return
+    left = log_light - log_light.mean() - slope * area
+    sigma = math.sqrt(_ALIKE * float(left @ left) / (count - 2) / size)
+    noise = float(np.sum(displacement.variance[lit][known] * weights**2)) / size  # takes longest
+    if noise < _MOST_NOISE and abs(slope - _BETWEEN) > max(_CERTAIN * sigma, _MOST_NOISE):
+        change, cause = ("grows", _REAL) if neglect_propagation else ("does not grow", _NEGLECTED)
+        yield Fault.PROPAGATION, f"the light of the subimages {change} with their size: this is {cause}"

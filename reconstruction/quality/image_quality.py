@@ -2,21 +2,21 @@
 
 The pupil's transmission exp(i phase) is sampled 6 x 6 times in each lenslet, which follows up to 6 pi rad per lenslet.
 A bicubic spline interpolates the phase between the lenslet centres; beyond the outermost known ones it continues with
-the smallest third differences. Only known lenslets transmit light.
+the smallest third differences. Only known lenslets transmit light. The rows of a hexagonal lattice are aligned first.
 """
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.interpolate import make_interp_spline
+from scipy.sparse.linalg import SuperLU, splu
 
-from reconstruction.arrays import Floats
-from reconstruction.geometry import Sensor, centered_steps
-from reconstruction.quality.extrapolation import extrapolate
-from reconstruction.quality.row_alignment import aligned
+from reconstruction.arrays import Floats, Mask
+from reconstruction.geometry import Arrangement, Sensor, centered_steps, lenslet_centers
 
 _SAMPLES = 6  # along each side of a lenslet
 _FARTHEST_PERCENT = 99.0  # percentile of the slopes within the reach
@@ -158,3 +158,92 @@ def _overlap(field: NDArray[np.complex64] | NDArray[np.float32]) -> Floats:
 def _over_whole(values: NDArray[np.floating], whole: Floats) -> Floats:
     with np.errstate(invalid="ignore"):  # NaN where there is no pupil
         return np.asarray(values / whole, np.float64)
+
+
+_THIRD = ((1.0, "xxx"), (3.0, "xxy"), (3.0, "xyy"), (1.0, "yyy"))  # weight and directions of the third differences
+_STIFFNESS = 1e-7  # of first differences, which decide where too few lenslets are known for a curvature
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ExtrapolationMatrix:
+    """Least squares of all differences for one set of known lenslets, factorised."""
+
+    factors: SuperLU  # of the unknown lenslets, (unknown, unknown)
+    coupling: sparse.csr_array  # (unknown, known)
+
+
+def extrapolate(phase: Floats) -> Floats:
+    """Extrapolate wavefronts (..., lenslet_row, lenslet_column), rad, by one lenslet on every side: all finite.
+
+    Known values stay; the others minimise third differences, so that second-degree polynomials continue exactly. A
+    wavefront without any known value becomes zero.
+    """
+    padded = np.pad(phase, [(0, 0)] * (phase.ndim - 2) + [(1, 1), (1, 1)], constant_values=np.nan)
+    flat = padded.reshape(-1, *padded.shape[-2:])
+    for wavefront in flat:
+        known = np.isfinite(wavefront)
+        if known.any():
+            equations = _equations(known.tobytes(), *wavefront.shape)
+            wavefront[~known] = equations.factors.solve(-(equations.coupling @ wavefront[known]))
+        else:
+            wavefront[:] = 0
+    return flat.reshape(padded.shape)
+
+
+@lru_cache(maxsize=16)
+def _equations(known_bytes: bytes, rows: int, columns: int) -> _ExtrapolationMatrix:
+    known: Mask = np.frombuffer(known_bytes, np.bool_)
+    energy = sum(
+        (weight * _energy(directions, rows, columns) for weight, directions in _THIRD),
+        start=_STIFFNESS * (_energy("x", rows, columns) + _energy("y", rows, columns)),
+    )
+    of_unknown = sparse.csr_array(energy)[np.flatnonzero(~known)]
+    return _ExtrapolationMatrix(
+        factors=splu(of_unknown[:, np.flatnonzero(~known)].tocsc()),
+        coupling=of_unknown[:, np.flatnonzero(known)].tocsr(),
+    )
+
+
+def _energy(directions: str, rows: int, columns: int) -> sparse.csr_array:
+    """Sum of the squares of all differences along `directions`, as a quadratic form: (lenslet, lenslet)."""
+    along_y = _differences(rows, directions.count("y"))
+    along_x = _differences(columns, directions.count("x"))
+    differences = sparse.kron(along_y, along_x, format="csr")
+    return sparse.csr_array(differences.T @ differences)
+
+
+def _differences(count: int, order: int) -> sparse.csr_array:
+    """Matrix of the differences of that order between `count` neighbours: (count - order, count)."""
+    identity: NDArray[np.float64] = np.eye(count)
+    return sparse.csr_array(reduce(lambda matrix, _: np.diff(matrix, axis=0), range(order), identity))
+
+
+_CUBIC = 3
+
+
+def aligned(phase: Floats, arrangement: Arrangement) -> Floats:
+    """Move each row of wavefronts (..., lenslet_row, lenslet_column) by a quarter of a pitch: columns become straight.
+
+    A cubic spline interpolates along each row. Lenslets stay unknown (NaN); a square lattice is returned as it is.
+    """
+    if arrangement == "square":
+        return phase
+    known = np.isfinite(phase)
+    some = known.reshape(-1, *phase.shape[-2:]).any(axis=0)
+    matrices = _alignment(some.tobytes(), *some.shape, arrangement)
+    found = np.einsum("rij,...rj->...ri", matrices, np.where(known, phase, 0.0))
+    return np.where(known, found, np.nan)
+
+
+@lru_cache(maxsize=16)
+def _alignment(known_bytes: bytes, rows: int, columns: int, arrangement: Arrangement) -> Floats:
+    """Interpolation of each row from its known lenslets, (lenslet_row, column, lenslet_column)."""
+    known = np.frombuffer(known_bytes, np.bool_).reshape(rows, columns)
+    x = lenslet_centers(arrangement, rows, columns)[..., 0]
+    matrices, unit = np.zeros((rows, columns, columns)), np.eye(columns)
+    for row, is_known in enumerate(known):
+        count = int(np.count_nonzero(is_known))
+        if count:
+            spline = make_interp_spline(x[row, is_known], unit[is_known], k=min(count - 1, _CUBIC))
+            matrices[row] = spline(x[:2].mean(axis=0))
+    return matrices

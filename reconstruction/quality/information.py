@@ -12,8 +12,7 @@ from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.layered_modes import layered_basis
-from reconstruction.modes.lenslet_wavefronts import local_wavefronts
-from reconstruction.modes.pupil_modes import PupilModes
+from reconstruction.modes.pupil_modes import PupilModes, local_wavefronts
 from reconstruction.registration.response import LensletModel
 
 _DEGREE = 5  # of the local wavefronts

@@ -11,8 +11,7 @@ import numpy as np
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, centered_steps
-from reconstruction.quality.low_orders import without_tilt
-from reconstruction.wavefront import Wavefront, rms, without_piston
+from reconstruction.wavefront import Wavefront, rms, without_piston, without_tilt
 
 _LIMIT_RAD = 1.0  # RMS difference that ends the isoplanatic patch
 _ACROSS = 7  # positions across the field

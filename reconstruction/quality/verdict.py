@@ -1,4 +1,4 @@
-"""Verdict on the quality of a frame or a reference: its faults, each with a plain reason."""
+"""Verdict on the quality of an image: its faults, each with a plain reason; those of a repeated image."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ from dataclasses import dataclass, field
 from enum import IntFlag
 from functools import reduce
 from operator import or_
+
+import numpy as np
+
+from reconstruction.arrays import Counts
 
 
 class Fault(IntFlag):
@@ -48,3 +52,25 @@ class Quality:
         """Faults of both; of two reasons for the same fault, the first one's."""
         reasons = {**other.reasons, **self.reasons} if self.reasons else other.reasons
         return Quality(reasons, self.unjudged or other.unjudged)
+
+
+def sequence_quality(before: Counts, frame: Counts, elapsed_s: float) -> Quality:
+    """Find a camera that repeats itself, from two successive frames and the time between them on the camera's clock."""
+    reasons: dict[Fault, str] = {}
+    if before.shape == frame.shape and np.array_equal(before, frame):
+        reasons[Fault.FROZEN] = "this frame is identical to the one before: the camera repeats itself"
+    if elapsed_s <= 0:
+        moved = f"went back by {-elapsed_s:.3g} s" if elapsed_s < 0 else "stood still"
+        reasons[Fault.CLOCK] = f"the camera's clock {moved} between two frames"
+    return Quality(reasons)
+
+
+def repeated_reference(frame: Counts, reference: Counts) -> Quality:
+    """Find a frame that is the reference itself, perhaps rounded to whole counts: noise makes two exposures differ."""
+    if frame.dtype == reference.dtype:
+        is_same = np.array_equal(frame, reference)
+    else:
+        is_rounded = any(np.issubdtype(image.dtype, np.integer) for image in (frame, reference))
+        difference = np.abs(np.subtract(frame, reference, dtype=np.float64)).max()
+        is_same = bool(difference < 1 if is_rounded else difference == 0)
+    return Quality({Fault.FROZEN: "the frame is the reference itself: give another exposure"} if is_same else {})

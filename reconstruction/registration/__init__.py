@@ -1,1 +1,26 @@
-"""Registration: displacement of each subimage relative to the reference."""
+"""Registration: displacement of each subimage relative to the reference, by the method of the settings."""
+
+from importlib import import_module
+from typing import cast, get_args
+
+from reconstruction.displacement import RegistrationMethod
+from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import Field
+from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import Method, RegistrationSettings
+
+_MODULES = {"correlation_fft": "correlation"}  # of the other methods, the module has the method's name
+
+
+def prepare_registration(
+    reference: ReferenceSubimages, settings: RegistrationSettings, field: Field
+) -> RegistrationMethod:
+    """Prepare the method of the settings for one reference: `prepare` of the module of its name in this room."""
+    method = settings.method
+    if method not in get_args(Method):
+        raise ReconstructionError(
+            f"there is no registration method {method}: it must be one of {', '.join(get_args(Method))}; set"
+            " registration.method, for example to gauss_newton"
+        )
+    module = import_module(f"{__name__}.{_MODULES.get(method, method)}")
+    return cast("RegistrationMethod", module.prepare(reference, settings, field))

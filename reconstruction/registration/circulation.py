@@ -6,7 +6,7 @@ A warp that may rotate also measures the remaining components, the circulation, 
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple, TypeGuard
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import null_space
@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
-from reconstruction.modes.field_modes import FieldModes, PolynomialModes, gradient_basis
+from reconstruction.modes.field_modes import PolynomialModes, gradient_basis
 
 # A direction is judged if its error is at most so many times that of the best observed one: 2 - 9 for squares and
 # octagons, 14 - 40 for most directions of discs.
@@ -77,7 +77,7 @@ def measure_circulation(displacement: Displacement, half_width_px: float) -> Cir
         errors are correlated, or if no lenslet converged.
     """
     valid, modes = displacement.valid, displacement.modes
-    if not _is_polynomial(modes) or modes.count < 3 or not valid.any():
+    if not isinstance(modes, PolynomialModes) or modes.count < 3 or not valid.any():
         return None
     part = _parts(modes)
     count = 2 * modes.count
@@ -148,7 +148,3 @@ def _parts(modes: PolynomialModes) -> _Parts:
     translations[0, 0] = translations[1, modes.count] = 1  # T_0 is constant
     deformation = null_space(np.concatenate([circulation, translations])).T
     return _Parts(circulation, deformation, circulation @ np.concatenate([-y @ to_modes, x @ to_modes]))
-
-
-def _is_polynomial(modes: FieldModes) -> TypeGuard[PolynomialModes]:
-    return hasattr(modes, "gradients")

@@ -2,17 +2,18 @@
 
 A warp moves a blurred image, while diffraction blurs the moved one: the displacement found differs from the mean
 gradient of the wavefront by an amount that is linear in the wavefront. The response replaces the mean gradients in the
-modal reconstruction, like the synthetic interaction matrix of an adaptive optics system.
+modal reconstruction, like the synthetic interaction matrix of an adaptive optics system. The model has the source that
+the reference shows.
 """
 
 from typing import Protocol
 
 import numpy as np
+from scipy.optimize import nnls
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
-from reconstruction.registration.gauss_newton.estimator import GaussNewton
-from reconstruction.registration.source_brightness import mean_subimage
+from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.registration.subimages import ReferenceSubimages
 
 _DEGREE = 4  # of the local wavefronts
@@ -60,3 +61,29 @@ def linear_response(registration: GaussNewton, reference: ReferenceSubimages, mo
     x, y = model.position.T
     modes = registration.modes
     return registration.response(image, model.derivatives(_DEGREE, modes.values(x, y), modes.gradients(x, y)))
+
+
+# SciPy's default of 3 is too small, e.g. if the lattice's rotation is off by a pixel at the edge.
+_ITERATIONS_PER_POINT = 30
+
+
+def mean_subimage(reference: ReferenceSubimages) -> tuple[Floats, Floats]:
+    """Mean subimage of the lit lenslets, of unit sum, (width, width), and the light of each lenslet, counts.
+
+    The light is (lenslet_row, lenslet_column); 0 where the lenslet is dark.
+    """
+    light = np.where(reference.lit, np.sum(reference.light, axis=1), 0.0)
+    light = np.maximum(light, 0.0)
+    mean = np.sum(reference.light[reference.lit], axis=0) / np.sum(light)
+    return mean.reshape(reference.width, reference.width), light.reshape(reference.lenslets)
+
+
+def point_brightness(point_images: Image, subimage: Floats) -> Floats:
+    """Non-negative brightness (point,) whose point images (point, row, column) add up to a subimage."""
+    matrix = point_images.reshape(len(point_images), -1).T.astype(np.float64)
+    scale = np.max(matrix)  # the solver's tolerance is absolute
+    try:
+        found, _ = nnls(matrix / scale, subimage.ravel(), maxiter=_ITERATIONS_PER_POINT * len(point_images))
+    except RuntimeError as error:  # SciPy did not converge
+        raise ReconstructionError("the source's shape cannot be found in the reference: is it in focus?") from error
+    return np.asarray(found / scale)

@@ -1,14 +1,46 @@
-"""Persistent worker threads, and a limit on the threads of BLAS."""
+"""Persistent worker threads, and settings of the whole process, such as a limit on the threads of BLAS."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from functools import cache
+from threading import RLock
 
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped] # ships no types
 
-from reconstruction.runtime.process_setting import ProcessSetting
+
+class ProcessSetting:
+    """A setting in force while at least one `with ... .wanted()` block runs, in any thread."""
+
+    def __init__(self, begin: Callable[[], Callable[[], object]]) -> None:
+        """`begin` applies the setting and returns a function that restores the previous state."""
+        self._begin = begin
+        self._changing = RLock()  # re-entrant: garbage collection may end another block here
+        self._wanted_by = 0
+        self._restore: Callable[[], object] | None = None
+
+    @contextmanager
+    def wanted(self) -> Iterator[None]:
+        """Keep the setting in force inside a `with` block."""
+        self._enter()
+        try:
+            yield
+        finally:
+            self._leave()
+
+    def _enter(self) -> None:
+        with self._changing:
+            self._wanted_by += 1
+            if self._restore is None:
+                self._restore = self._begin()
+
+    def _leave(self) -> None:
+        with self._changing:
+            self._wanted_by -= 1
+            if not self._wanted_by and self._restore is not None:
+                self._restore()
+                self._restore = None
 
 
 @cache

@@ -11,6 +11,13 @@ import numpy as np
 from reconstruction.arrays import Floats
 from reconstruction.runtime.compilation import compiled
 
+# Ratios of prior to noise variance tried: every decade, then every quarter of a decade about the best.
+_PRIOR_DECADES = np.linspace(-4.0, 14.0, 19)
+_BETWEEN_DECADES = np.linspace(-0.75, 0.75, 7)
+_SIGNAL = 1000.0  # least expected variance of the displacements over that of their noise
+_TINY = np.finfo(np.float64).tiny
+_FACTORS = 16  # factors of up to 1e15, whose product does not overflow, per logarithm
+
 
 class FitQuality(NamedTuple):
     """How well a model explains the displacements of a frame."""
@@ -20,31 +27,56 @@ class FitQuality(NamedTuple):
     misfit: float  # RMS of the displacements not explained over that of all, both in expected errors
 
 
-# Ratios of prior to noise variance tried: every decade, then every quarter of a decade about the best.
-_PRIOR_DECADES = np.linspace(-4.0, 14.0, 19)
-_BETWEEN_DECADES = np.linspace(-0.75, 0.75, 7)
-_SIGNAL = 1000.0  # least expected variance of the displacements over that of their noise
-_TINY = np.finfo(np.float64).tiny
-_FACTORS = 16  # factors of up to 1e15, whose product does not overflow, per logarithm
+class Estimate(NamedTuple):
+    """Most probable components of one frame."""
+
+    values: Floats  # (n,)
+    ratio: float  # of the prior's variance to that of the noise; infinite without a prior
+    noise: float  # variance of the noise over that of the expected errors
+    freedom: float  # number of data minus that of the components which they determine
 
 
-def prior_and_noise(square: Floats, along: Floats, total: float, count: int) -> tuple[float, float]:
-    """Ratio of prior to noise variance for a solution, and noise variance; arguments as in `maximize_evidence`.
+class Components(NamedTuple):
+    """A frame's whitened data in independent components x: along = singular x + noise."""
 
-    The evidence of a weak wavefront allows any prior down to none, which would shrink the wavefront and its error bars
-    to nothing. So the prior expects at least `_SIGNAL` times the noise in the displacements.
-    """
-    ratio, noise = maximize_evidence(square, along, total, count)
-    return max(ratio, _SIGNAL * count / max(float(np.sum(square)), _TINY)), noise
+    singular: Floats  # (n,); 0 for what the data do not show
+    along: Floats  # the data along the singular vectors, (n,)
+    total: float  # sum of squares of the data
+    number: int  # of data
+
+    def estimate(self) -> Estimate:
+        """Estimate x with a prior whose strength maximises the evidence.
+
+        The evidence of a weak wavefront allows any prior down to none, which would shrink the wavefront and its error
+        bars to nothing. So the prior expects at least `_SIGNAL` times the noise in the displacements.
+        """
+        square = self.singular**2
+        relative = square / np.max(square)
+        ratio, noise = _maximize_evidence(relative, self.along, self.total, self.number)
+        ratio = max(ratio, _SIGNAL * self.number / max(float(np.sum(relative)), _TINY)) / np.max(square)
+        variance = ratio / (1 + ratio * square)  # over that of the noise
+        freedom = self.number - float(np.sum(variance * square))
+        return Estimate(variance * self.singular * self.along, float(ratio), noise, freedom)
+
+    def quality(self) -> FitQuality:
+        """Quality of the fit with the most probable strength of the prior."""
+        relative = (self.singular / np.max(self.singular)) ** 2
+        ratio, _ = _maximize_evidence(relative, self.along, self.total, self.number)
+        kept, energy = ratio * relative / (1 + ratio * relative), self.along**2
+        left = max(self.total - float(np.sum(energy * (1 - (1 - kept) ** 2))), 0.0)
+        chi_square = left / max(self.number - float(np.sum(kept)), 1.0)
+        beyond = max(self.total - float(self.along @ self.along), 0.0)
+        log_evidence, _ = _evidence(ratio, relative, energy, beyond, self.number)
+        return FitQuality(float(log_evidence), chi_square, math.sqrt(left / self.total) if self.total > 0 else 0.0)
 
 
 @compiled
-def maximize_evidence(square: Floats, along: Floats, total: float, count: int) -> tuple[float, float]:
+def _maximize_evidence(square: Floats, along: Floats, total: float, count: int) -> tuple[float, float]:
     """Most probable ratio of prior to noise variance, and noise variance.
 
-    `square` (n,): squared singular values, at most 1; `along` (n,): the `count` data along the singular vectors;
-    `total`: their sum of squares. Component n has the variance noise (1 + ratio square_n), the rest only noise. The
-    noise follows from the ratio in closed form; its variance is at least 1, that of the expected errors.
+    Component n, with the squared singular value `square` (n,), at most 1, has the variance noise (1 + ratio square_n),
+    the rest of the data only noise. The noise follows from the ratio in closed form; its variance is at least 1, that
+    of the expected errors.
     """
     energy = along**2
     beyond = max(total - np.sum(energy), 0.0)
@@ -56,21 +88,6 @@ def maximize_evidence(square: Floats, along: Floats, total: float, count: int) -
             if evidence > best:
                 best, decade, most_probable = evidence, around + between, noise
     return 10.0**decade, most_probable
-
-
-def log_evidence(ratio: float, square: Floats, along: Floats, total: float, count: int) -> float:
-    """Log evidence of a ratio of prior to noise variance, up to a constant; arguments as in `maximize_evidence`."""
-    evidence, _ = _evidence(ratio, square, along**2, max(total - float(along @ along), 0.0), count)
-    return float(evidence)
-
-
-def fit_quality(ratio: float, square: Floats, along: Floats, total: float, count: int) -> FitQuality:
-    """Quality of the fit with a ratio of prior to noise variance; arguments as in `maximize_evidence`."""
-    kept = ratio * square / (1 + ratio * square)
-    left = max(total - float(np.sum(along**2 * (1 - (1 - kept) ** 2))), 0.0)
-    chi_square = left / max(count - float(np.sum(kept)), 1.0)
-    evidence = log_evidence(ratio, square, along, total, count)
-    return FitQuality(evidence, chi_square, math.sqrt(left / total) if total > 0 else 0.0)
 
 
 @compiled

@@ -1,11 +1,75 @@
-"""Expected errors of one reference's displacements, in whose unit the solves work."""
+"""Expected displacements of one reference's lenslets and their expected errors, in whose unit the solves work.
+
+A lenslet's displacement is written in K parameters, the rows of `parameters` (K, x modes and then y modes).
+`Sensitivity` is the displacement caused by the modes of a wavefront: the design matrix of the modal reconstruction.
+"""
+
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.polynomial import legendre as series
+from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Mask
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement
-from reconstruction.modes.pupil_modes import PupilModes
-from reconstruction.solve.sensitivity import Lenslets, Sensitivity
+from reconstruction.geometry import Sensor
+from reconstruction.modes.polynomials import legendre_slopes
+from reconstruction.modes.pupil_modes import PupilModes, aperture_rule, local_wavefronts
+from reconstruction.runtime.compilation import compiled
+from reconstruction.solve.evidence import Estimate
+
+Lenslets: TypeAlias = slice | NDArray[np.intp]
+_DEGREE = 4  # of the local wavefronts whose mean gradients stand for a response
+
+
+class MeanGradients:
+    """Mean gradients of a wavefront over each lenslet, the same for all field modes."""
+
+    def __init__(self, sensor: Sensor, parameters: Floats) -> None:
+        """`parameters` (K, 2Q) found for a displacement (x modes, y modes)."""
+        self._sensor = sensor
+        self._along = parameters.reshape(len(parameters), 2, -1) / sensor.slope_per_px  # (K, xy, field_mode)
+
+    @property
+    def response(self) -> Floats:
+        """Parameters, px, per rad of local wavefronts P_m(xi) P_n(eta) T_q, (1, n, m, field_mode, K)."""
+        sensor = self._sensor
+        half_m = sensor.aperture_width_m / 2
+        position, weights = aperture_rule(sensor.arrangement)
+        xi, eta = position.T * sensor.lenslet_pitch_m / half_m
+        (p, slope_p), (r, slope_r) = ((series.legvander(at, _DEGREE), legendre_slopes(at, _DEGREE)) for at in (xi, eta))
+        along_x, along_y = (np.einsum("a,an,am->nm", weights, *pair) / half_m for pair in ((r, slope_p), (slope_r, p)))
+        within = np.add.outer(np.arange(_DEGREE + 1), np.arange(_DEGREE + 1)) <= _DEGREE
+        gradient = np.stack([along_x, along_y]) * within  # 1/m, (xy, n, m)
+        return np.asarray(np.einsum("anm,kaq->nmqk", gradient, self._along))[None]
+
+    def __call__(self, modes: PupilModes, lenslets: Lenslets) -> Floats:
+        """Parameters, px, of some lenslets per rad of each mode but the piston.
+
+        (lenslet, K, pupil_mode - 1, field_mode).
+        """
+        gradients = modes.gradients[1:].reshape(len(modes.gradients) - 1, -1, 2)[:, lenslets]
+        return np.asarray(np.einsum("plx,kxq->lkpq", gradients, self._along, optimize=True))
+
+
+class Response:
+    """Response of the registration to local wavefronts, see `registration.response`."""
+
+    def __init__(self, sensor: Sensor, response: Floats) -> None:
+        """`response` is (lenslet, n, m, field_mode, K), px per rad."""
+        self._sensor, self.response = sensor, response
+        self._n, self._m = np.nonzero(np.any(response, axis=(0, 3, 4)))
+
+    def __call__(self, modes: PupilModes, lenslets: Lenslets) -> Floats:
+        """Parameters per rad of each mode; see `MeanGradients`."""
+        local = local_wavefronts(modes.products[1:], self._sensor, self.response.shape[1] - 1)
+        local = local.reshape(-1, *local.shape[2:])[lenslets][:, self._n, self._m]  # (lenslet, j, pupil_mode - 1)
+        of_local = self.response[lenslets][:, self._n, self._m]
+        return np.asarray(np.einsum("ljp,ljqk->lkpq", local, of_local, optimize=True))
+
+
+Sensitivity: TypeAlias = MeanGradients | Response
+"""Parameters of the lenslets' warps per rad, of local wavefronts and of pupil modes."""
 
 _ALIKE = 0.1  # share of the systematic error that all parameters have alike, if the noise is unknown
 # Lenslets whose systematic errors count as one. So the error bars of single layers without noise cover 69 and 66 % of
@@ -13,6 +77,15 @@ _ALIKE = 0.1  # share of the systematic error that all parameters have alike, if
 _ALIKE_LENSLETS = 4.0
 _BY_CHANCE = 1.2  # noise found over that expected, below which it may be by chance
 _LEAST_NOISE = 1e-6  # variance of the noise over that of the systematic error, below which the noise is unknown
+
+
+class Whitened(NamedTuple):
+    """Displacements of a frame in units of their expected errors."""
+
+    share: Floats  # certainty of each lenslet over the expected one, (L,); 0 where lost
+    weighted: Floats  # share times displacements, (L, K)
+    total: float  # share times their squares, summed
+    number: int  # of displacements
 
 
 class ExpectedErrors:
@@ -40,30 +113,25 @@ class ExpectedErrors:
         self.colour = np.linalg.cholesky(expected)  # from whitened numbers to parameters, px, (L, K, K)
         self._whiten = np.linalg.inv(self.colour)
 
-    def share(self, displacement: Displacement, weights: Floats | None = None) -> Floats:
-        """Certainty of each lenslet over the expected one, (L,); 0 where lost.
-
-        `weights` (lenslet_row, lenslet_column) are 1 by default.
-        """
+    def whitened(self, displacement: Displacement, weights: Floats | None = None) -> Whitened:
+        """Whiten displacements; `weights` (lenslet_row, lenslet_column) of the lenslets are 1 by default."""
         used = displacement.valid.ravel() & self.is_usable
-        return np.where(used, 1.0 if weights is None else weights.ravel(), 0.0)
+        share = np.where(used, 1.0 if weights is None else weights.ravel(), 0.0)
+        px = displacement.coefficients.reshape(len(used), -1) @ self._to_parameters
+        data = np.matvec(self._whiten, np.where(used[:, None], px, 0.0))
+        weighted = share[:, None] * data
+        return Whitened(share, weighted, float(np.vdot(data, weighted)), np.count_nonzero(share) * data.shape[1])
 
-    def whitened(self, displacement: Displacement) -> Floats:
-        """Whitened displacements, (L, K); 0 where lost."""
-        data = displacement.coefficients.reshape(len(self.is_usable), -1) @ self._to_parameters
-        used = displacement.valid.ravel() & self.is_usable
-        return np.asarray(np.matvec(self._whiten, np.where(used[:, None], data, 0.0)))
+    def variance(self, estimate: Estimate, singular: Floats) -> Floats:
+        """Variance of the components of an estimate with those singular values (n,).
 
-    def variance(self, noise: float, ratio: float, square: Floats) -> Floats:
-        """Variance of solved components with squared singular values (n,), for the noise and prior of the evidence.
-
-        `ratio` is that of the prior's variance to the noise; infinite without a prior. Systematic errors are alike in
-        neighbouring lenslets, so that they average less than noise. The expected ones are an upper limit, which counts
-        where noise is smaller; if it is unknown, all errors count as systematic.
+        Systematic errors are alike in neighbouring lenslets, so that they average less than noise. The expected ones
+        are an upper limit, which counts where noise is smaller; if it is unknown, all errors count as systematic.
         """
+        noise = estimate.noise
         systematic = (1 - self.share_of_noise) ** 2 * min(noise, 1.0) + max(noise - _BY_CHANCE, 0.0)
         larger = noise + (_ALIKE_LENSLETS - 1) * systematic
-        return np.asarray(larger / (square + larger / (noise * ratio)))
+        return np.asarray(larger / (singular**2 + larger / (noise * estimate.ratio)))
 
     @property
     def response(self) -> Floats:
@@ -103,3 +171,24 @@ def _expected_covariance(covariance: Floats, to_parameters: Floats) -> tuple[Flo
     expected = (1 + SYSTEMATIC_PX**2 / usual) * of_noise + _LEAST_NOISE * usual * alike
     expected[~is_known] = alike
     return expected, is_known, usual / (usual + SYSTEMATIC_PX**2)
+
+
+_STEP = np.log(4.0)  # of weights, in powers of 4, so that factorisations can be reused from frame to frame
+
+
+@compiled
+def relative_weights(variance: Floats, expected: Floats) -> Floats:
+    """Weights (L,) of a frame's lenslets relative to those of the reference: 1, or less for noisier ones.
+
+    `variance` (L,) of the frame's displacements, px^2 (NaN: weight 0), `expected` (L,) of the reference. The weight is
+    divided by 4 for each factor of 4 by which the variance, relative to that of most lenslets, exceeds it.
+    """
+    ratio = variance / expected
+    known = np.isfinite(ratio)
+    weights = np.zeros(ratio.size)
+    if known.any():
+        most = np.median(ratio[known])
+        for lenslet in range(ratio.size):
+            if known[lenslet]:
+                weights[lenslet] = 4.0 ** -max(np.rint(np.log(ratio[lenslet] / most) / _STEP), 0.0)
+    return weights

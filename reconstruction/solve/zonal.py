@@ -31,7 +31,7 @@ class ZonalSolution:
     arrangement: Arrangement = "square"
 
     def wavefront(self, field_modes: Floats) -> Floats:
-        """Wavefront, rad, for values (..., field_mode) of the field modes; see `wavefront.Solution`."""
+        """Wavefront, rad, for values (..., field_mode) of the field modes; see `ModalSolution`."""
         slopes = np.tensordot(field_modes, self.slopes, axes=([-1], [2]))
         return zonal_wavefront(
             slopes, self.valid, pitch_m=self.pitch_m, weights=self.weights, arrangement=self.arrangement

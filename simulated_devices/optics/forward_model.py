@@ -1,4 +1,4 @@
-r"""Exact image of an incoherent object through a phase screen and a lenslet array.
+"""Exact image of an incoherent object through a phase screen and a lenslet array.
 
 For one object point x_o the field behind a lenslet is U(u) exp(i k u.x_o / f1), U that of the light behind the sample,
 sampled at n x n cell centres u; its image at the focal position y is I(y) = |sum_u field(u) exp(-i k u.y / f)|^2.
@@ -6,8 +6,8 @@ Points add up by their area.
 
 The image of n samples is exactly a trigonometric polynomial with 2n - 1 terms a side and period lambda f n / D, so
 that 2n positions a side define it. All object points are therefore summed on one grid, symmetric about the lenslet's
-axis, and the camera's pixels are evaluated once at the end. On symmetric grids the transform splits into real cosines
-and sines.
+axis (`ImageSum`), and the camera's pixels are evaluated once at the end. On symmetric grids the transform splits into
+real cosines and sines. "Folded" images are four sums, from which the four mirror-symmetric positions (+-y, +-x) follow.
 """
 
 import math
@@ -19,15 +19,107 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats
-from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, require
+from reconstruction.arrays import Floats, Image
+from reconstruction.geometry import Arrangement, Field, Lattice, Sensor, centered_steps, require
 from reconstruction.runtime.threads import one_blas_thread
-from simulated_devices.optics.aperture import lenslet_aperture
-from simulated_devices.optics.image_sum import ImageSum, unfold
-from simulated_devices.optics.pixel_grid import PixelGrid
+from simulated_devices.optics._pixel_grid import PixelGrid
+from simulated_devices.optics.compiled import compiled
 from simulated_devices.optics.source import SourcePoints
 
-Images: TypeAlias = NDArray[np.float32]
+
+class ImageSum:
+    """Accumulates |Fourier transform|^2 of every lenslet's field, object point by object point; used by one thread.
+
+    The four sums are (4, y, lenslet_row, lenslet_column, x) with y and x the positive half of the 2n positions.
+    """
+
+    def __init__(self, aperture: Floats, lenslet_rows: int, lenslet_columns: int) -> None:
+        """Prepare for lenslets with this amplitude (sample_row, sample_column), the same about both axes."""
+        n, half = len(aperture), len(aperture) // 2
+        self._half, self._rows, self._columns = half, lenslet_rows, lenslet_columns
+        # k u.y / f = 2 pi u' y' / (2n), u' in pupil samples, y' in steps of the 2n-point grid
+        angle = 2 * np.pi / (2 * n) * np.outer(np.arange(half) + 0.5, np.arange(n) + 0.5)
+        self._along_x = np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)  # each (u, x)
+        self._along_y = tuple(np.ascontiguousarray(matrix.T) for matrix in self._along_x)  # each (y, u)
+        quarter = aperture[half:, half:].astype(np.float32)
+        self._amplitude = None  # 1 everywhere
+        if not np.all(quarter == 1):
+            self._amplitude = np.tile(np.repeat(quarter, lenslet_rows, axis=0), (1, 2 * lenslet_columns))
+        lenslets = lenslet_rows * lenslet_columns
+        self.folded: Image = np.zeros((4, n * lenslets * n), np.float32)
+        # Work space: allocating it for every point would cost more than the arithmetic.
+        width = lenslet_columns * half
+        self._field = np.empty((2, 2, half * lenslet_rows, 2 * width), np.float32)  # (re|im, y half, row, column)
+        self._parity_y = np.empty_like(self._field[:, 0])
+        self._parity = np.empty((2, half * lenslets, half), np.float32)
+        self._half_way = np.empty((2, 2, 2, half * lenslets, n), np.float32)  # (y parity, re|im, x parity, ...)
+        self._transform = np.empty((2, 2, 2, n, lenslets * n), np.float32)
+
+    def add(self, field: NDArray[np.complex64], weight: float) -> None:
+        """Add one object point's image, `weight` times; `field` (row, column) in the order of `ForwardModel`."""
+        halves = field.reshape(self._field.shape[1:])
+        self._field[0], self._field[1] = halves.real, halves.imag
+        if self._amplitude is not None:
+            self._field *= self._amplitude
+        width = self._field.shape[-1] // 2
+        for odd_y, combine_y in enumerate((np.add, np.subtract)):
+            combine_y(self._field[:, 1], self._field[:, 0], out=self._parity_y)
+            for odd_x, combine_x in enumerate((np.add, np.subtract)):
+                parity = self._parity.reshape(2, -1, width)
+                combine_x(self._parity_y[..., width:], self._parity_y[..., :width], out=parity)
+                for part in range(2):
+                    half_way = self._half_way[odd_y, part, odd_x]
+                    np.matmul(self._parity[part], self._along_x[odd_x], out=half_way)
+                    across = half_way.reshape(self._half, -1)
+                    np.matmul(self._along_y[odd_y], across, out=self._transform[odd_y, part, odd_x])
+        _add_squares(self._transform.reshape(2, 2, 2, -1), np.float32(weight), self.folded)
+
+
+@compiled
+def _add_squares(transform: Image, weight: np.float32, folded: Image) -> None:
+    """Add weight * |F|^2 at the four positions (+-y, +-x), as four sums, from the parts a, b, c, d of even/odd y and x.
+
+    F(s_y y, s_x x) = a - i s_x b - i s_y c - s_y s_x d, so |F|^2 = sum of squares + s_y s_x 2 (-Re a d* + Re b c*)
+    + s_x 2 Im(a* b ...) + s_y 2 Im(a* c ...), with the signs written out below.
+    """
+    for k in range(transform.shape[3]):
+        ar, ai, br, bi = transform[0, 0, 0, k], transform[0, 1, 0, k], transform[0, 0, 1, k], transform[0, 1, 1, k]
+        cr, ci, dr, di = transform[1, 0, 0, k], transform[1, 1, 0, k], transform[1, 0, 1, k], transform[1, 1, 1, k]
+        squares = ar * ar + ai * ai + br * br + bi * bi + cr * cr + ci * ci + dr * dr + di * di
+        folded[0, k] += weight * squares
+        folded[1, k] += weight * (br * cr + bi * ci - ar * dr - ai * di)
+        folded[2, k] += weight * (ar * bi - ai * br + cr * di - ci * dr)
+        folded[3, k] += weight * (ar * ci - ai * cr + br * di - bi * dr)
+
+
+def unfold(folded: Image, lenslet_rows: int, lenslet_columns: int) -> Image:
+    """Turn the four sums into images on the whole grid: (lenslet_row, lenslet_column, y, x), each side 2n positions."""
+    n = math.isqrt(folded.shape[1] // (lenslet_rows * lenslet_columns))
+    squares, both, only_x, only_y = folded.reshape(4, n, lenslet_rows, lenslet_columns, n).transpose(0, 2, 3, 1, 4)
+    images = np.empty((lenslet_rows, lenslet_columns, 2 * n, 2 * n), np.float32)
+    for sign_y, along_y in ((-1, slice(n - 1, None, -1)), (1, slice(n, None))):
+        for sign_x, along_x in ((-1, slice(n - 1, None, -1)), (1, slice(n, None))):
+            images[:, :, along_y, along_x] = squares + 2 * (sign_y * sign_x * both + sign_x * only_x + sign_y * only_y)
+    return images
+
+
+_PARTS = 16  # of a sample, along each axis
+
+
+def lenslet_aperture(arrangement: Arrangement, pupil_samples: int) -> Floats:
+    """Share of each sample about a lenslet that lies in its aperture, (sample_row, sample_column).
+
+    The samples, `pupil_samples` or a few more to a pitch, fill a square of `Sensor.aperture_width_m`. A square lattice
+    has square lenslets, a hexagonal one hexagons that tile it, with corners at +-y.
+    """
+    if arrangement == "square":
+        return np.ones((pupil_samples, pupil_samples))
+    samples = 2 * math.ceil(pupil_samples / math.sqrt(3))
+    along = np.abs(centered_steps(samples * _PARTS)) / (samples * _PARTS)  # over the whole width
+    inside = (along <= np.sqrt(3) / 4) & (along[:, None] <= 0.5 - along / np.sqrt(3))
+    return np.asarray(inside.reshape(samples, _PARTS, samples, _PARTS).mean(axis=(1, 3)))
+
+
 PointField: TypeAlias = Callable[[float, float], NDArray[np.complex64]]
 """Field at the pupil samples, (sample_row, sample_column), that the object point (x_m, y_m) has behind the sample.
 
@@ -101,7 +193,7 @@ class ForwardModel:
 
     def irradiance(
         self, source: SourcePoints, field: PointField | None = None, *, progress: OnFraction | None = None
-    ) -> Images:
+    ) -> Image:
         """Image of `source` on the camera, (row, column), float32, in m^2; without `field` it is the reference.
 
         A pixel's value is the emitting area (m^2) whose light, collected by one lenslet, reaches that pixel: over one
@@ -115,7 +207,7 @@ class ForwardModel:
         shape = (1, 1) if alone else (self._lenslet_rows, self._lenslet_columns)
         return self._pixels.evaluate(unfold(folded, *shape))
 
-    def point_irradiances(self, position_m: Floats, field: PointField | None = None) -> Images:
+    def point_irradiances(self, position_m: Floats, field: PointField | None = None) -> Image:
         """Image of each object point (point, xy): (point, row, column), float32, `irradiance` for 1 m^2 of area each.
 
         One matrix product per lenslet evaluates all points; 16 points on 465 x 465 pixels take about 40 MB.
@@ -138,14 +230,14 @@ class ForwardModel:
             self._share_out(work, pool)
             return self._pixels.evaluate_each(waves, pool.map)
 
-    def _accumulate(self, source: SourcePoints, field: PointField | None, progress: OnFraction) -> Images:
+    def _accumulate(self, source: SourcePoints, field: PointField | None, progress: OnFraction) -> Image:
         # Points of one object column share the work along x: a thread takes whole columns.
         lit = np.flatnonzero(source.area_m2)  # grids of openings contain dark points
         order = lit[np.argsort(source.position_m[lit, 0], kind="stable")]
         columns = np.split(order, np.flatnonzero(np.diff(source.position_m[order, 0])) + 1)
         done, one_at_a_time = 0, Lock()
 
-        def work(first: int, ended: Event) -> Images:
+        def work(first: int, ended: Event) -> Image:
             nonlocal done
             lenslets = (1, 1) if field is None else (self._lenslet_rows, self._lenslet_columns)
             total = ImageSum(self._aperture, *lenslets)
@@ -197,6 +289,6 @@ class ForwardModel:
         return np.asarray(tilted, np.complex64)
 
 
-def phase_only(phase: Callable[[float, float], Images]) -> PointField:
+def phase_only(phase: Callable[[float, float], Image]) -> PointField:
     """Field of uniform light with a phase at the pupil samples, (sample_row, sample_column), rad."""
     return lambda x_m, y_m: np.exp(1j * phase(x_m, y_m)).astype(np.complex64)

@@ -14,19 +14,19 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor, centered_steps, require
-from simulated_devices.optics.field_spline import EDGE, FieldSpline
 from simulated_devices.optics.forward_model import PointField
 from simulated_devices.optics.phase_screen import PhaseScreen, middle_of
 from simulated_devices.optics.propagated_light import (
+    EDGE,
     LARGEST_STEP_RAD,
+    FieldSpline,
     edge_taper,
     fresnel_propagated,
     largest_step_rad,
     margin_m,
     unwrapped_phase,
 )
-from simulated_devices.optics.ray_map import RayMap
-from simulated_devices.optics.screen_light import ScreenLight
+from simulated_devices.optics.screen_light import RayMap, ScreenLight
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -16,7 +16,7 @@ from numpy.polynomial import legendre as series
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor, centered_steps
-from simulated_devices.optics.aperture import lenslet_aperture
+from simulated_devices.optics.forward_model import lenslet_aperture
 from simulated_devices.optics.source import SourcePoints
 
 _PIXEL_NODES = 4  # of Gauss-Legendre quadrature over a pixel

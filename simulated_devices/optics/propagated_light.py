@@ -1,23 +1,63 @@
-r"""Light of a thin screen at the lenslets, with what diffraction does on the way.
+"""Light of a thin screen at the lenslets, with what diffraction does on the way.
 
 The light of one object point behind the screen is exp(i Phi) sqrt(transmission) times the point's tilt. Fresnel
 propagation shifts with the tilt, so the field at the lenslets is U_z(u + r x) for all object points x: U_z is the
 screen's own field, propagated once by the distance z = -r f1 in pupil coordinates. A screen that moves shifts U_z.
+A bicubic spline gives it between its samples; products with sparse bases evaluate it on grids of x and y.
 """
 
 import math
 from collections.abc import Callable
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft
+from scipy import fft, ndimage, sparse
+from scipy.interpolate import BSpline
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import require
-from simulated_devices.optics.field_spline import EDGE, FieldSpline
 from simulated_devices.optics.phase_screen import PhaseScreen
-from simulated_devices.optics.ray_map import RayMap
+from simulated_devices.optics.screen_light import RayMap
+
+_CUBIC: Final = 3
+EDGE = 8
+"""Samples around the used part of a field; beyond them a spline does not feel that its edge is mirrored."""
+
+
+class FieldSpline:
+    """Field between its samples (row, column), complex; positions must lie within the edge, better by `EDGE`."""
+
+    def __init__(self, samples: NDArray[np.complex128], sample_spacing_m: float) -> None:
+        self._shape, self._spacing_m = samples.shape, sample_spacing_m
+        self._coefficients = ndimage.spline_filter(samples, _CUBIC, np.complex128, mode="mirror")
+        # Real and imaginary parts interleaved along y: (coefficient column, 2 x coefficient row).
+        self._by_column = np.ascontiguousarray(self._coefficients.T.astype(np.complex64)).view(np.float32)
+
+    def at(self, x_m: ArrayLike, y_m: ArrayLike) -> NDArray[np.complex128]:
+        """Field at positions in m, element by element; x and y broadcast against each other."""
+        x, y = np.broadcast_arrays(self._index(np.asarray(x_m), 1), self._index(np.asarray(y_m), 0))
+        return np.asarray(
+            ndimage.map_coordinates(self._coefficients, np.stack([y, x]), order=_CUBIC, prefilter=False, mode="mirror")
+        )
+
+    def column(self, x_m: Floats) -> Callable[[Floats], NDArray[np.complex64]]:
+        """Contract the spline at the positions x (m); return the field (y, x) as a function of the positions y (m)."""
+        product = self._basis(x_m, 1) @ self._by_column
+        by_row = product.reshape(len(x_m), -1, 2).transpose(1, 0, 2)
+        contracted = np.ascontiguousarray(by_row).reshape(self._shape[0], -1)  # (row, 2 x)
+        return lambda y_m: np.asarray(self._basis(y_m, 0) @ contracted).view(np.complex64)
+
+    def _index(self, position_m: Floats, axis: int) -> Floats:
+        """Position in samples from the first one."""
+        return np.asarray(position_m / self._spacing_m + (self._shape[axis] - 1) / 2, np.float64)
+
+    def _basis(self, position_m: Floats, axis: int) -> sparse.csr_array[np.float32]:
+        """Values of the spline's basis: sparse (position, coefficient), four entries a row."""
+        knots = np.arange(self._shape[axis] + _CUBIC + 1) - 2.0
+        return BSpline.design_matrix(self._index(position_m, axis), knots, _CUBIC).astype(np.float32)
+
 
 LARGEST_STEP_RAD = 0.5  # of the phase between samples; the spline then errs by about 1e-4
 _LARGEST_SIDE = 8192  # samples; takes 4 GB
@@ -71,7 +111,7 @@ def edge_taper(
     return np.asarray(np.outer(along_y, along_x), np.float64)
 
 
-class PropagatedLight:
+class PropagatedLight(FieldSpline):
     """Field U_z of a screen at the lenslets, in pupil coordinates."""
 
     def __init__(
@@ -124,21 +164,12 @@ class PropagatedLight:
         field = fresnel_propagated(field, spacing_m, distance_m, wavenumber_rad_per_m)
         rows, columns = (_middle(*sizes) for sizes in zip(pads, fine, used, strict=True))
         self._samples = field[rows, columns]
-        self._spacing_m = spacing_m
-        self._spline = FieldSpline(self._samples, spacing_m)
+        super().__init__(self._samples, spacing_m)
 
     @cached_property
     def phase(self) -> PhaseScreen:
         """Phase of U_z without jumps, in pupil coordinates."""
         return PhaseScreen(unwrapped_phase(self._samples), self._spacing_m)
-
-    def at(self, x_m: ArrayLike, y_m: ArrayLike) -> NDArray[np.complex128]:
-        """U_z at positions in m, element by element."""
-        return self._spline.at(x_m, y_m)
-
-    def column(self, x_m: Floats) -> Callable[[Floats], NDArray[np.complex64]]:
-        """U_z at the positions x (m), (y, x), as a function of the positions y (m)."""
-        return self._spline.column(x_m)
 
 
 def _resampled(screen: PhaseScreen, finer: int) -> Floats:

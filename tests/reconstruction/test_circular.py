@@ -9,12 +9,12 @@ from support.optics import FIELD, SmallBench, converged, sensor_of
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import ZernikeModes
+from reconstruction.modes.polynomials import zernike
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.modes.zernike import zernike
 from reconstruction.pipeline import Reconstructor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
+from reconstruction.solve.expected_errors import MeanGradients
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.sensitivity import MeanGradients
 from reconstruction.wavefront import rms
 
 CIRCLE = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3, shape="circle", view_spacing_m=0.4e-3)

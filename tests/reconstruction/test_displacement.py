@@ -11,7 +11,7 @@ from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.modes.field_modes import gradient_basis
-from reconstruction.registration.methods import prepare_registration
+from reconstruction.registration import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings
 

@@ -12,8 +12,8 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import RegistrationMethod
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.spline import noise_power
-from reconstruction.modes.legendre import legendre, legendre_gradients
-from reconstruction.registration.methods import prepare_registration
+from reconstruction.modes.polynomials import legendre, legendre_gradients
+from reconstruction.registration import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings
 
@@ -112,8 +112,8 @@ def test_scatter_of_coefficients_matches_sigma(checker_bench: SmallBench, is_kno
     solutions = [
         reconstructor(frame + generator.normal(0, noise, frame.shape).astype(np.float32)).solution for _ in range(DRAWS)
     ]
-    coefficients = np.array([solution.coefficients for solution in solutions])  # type: ignore[attr-defined] # modal
-    sigma = np.array([solution.coefficients_sigma for solution in solutions]).mean(axis=0)  # type: ignore[attr-defined] # the same
+    coefficients = np.array([solution.coefficients for solution in solutions])  # type: ignore[union-attr] # modal
+    sigma = np.array([solution.coefficients_sigma for solution in solutions]).mean(axis=0)  # type: ignore[union-attr] # the same
     ratio = coefficients.std(axis=0, ddof=1)[1:] / sigma[1:]  # without the piston
     # If it is unknown, all errors count as systematic, alike in four lenslets.
     assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1 if is_known else 0.5, abs=tolerance)
@@ -147,7 +147,7 @@ def test_unknown_noise_counts_the_parameters_that_fit_it(checker_bench: SmallBen
         for known in (None, CameraNoise(1e-9 * noise, noise)):
             reconstructor = checker_bench.reconstructor("quadratic", pupil_modes=modes, noise=known)
             solutions = [reconstructor(each).solution for each in noisy]
-            variance.append(np.mean([solution.coefficients_sigma[1:9] ** 2 for solution in solutions], axis=0))  # type: ignore[attr-defined] # modal
+            variance.append(np.mean([solution.coefficients_sigma[1:9] ** 2 for solution in solutions], axis=0))  # type: ignore[union-attr] # modal
         shares.append(variance[0] / variance[1])
     assert float(np.median(shares[1] / shares[0])) == pytest.approx(1, abs=0.08)
 

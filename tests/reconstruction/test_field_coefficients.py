@@ -18,7 +18,7 @@ from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_coefficients import FieldCoefficients, ModalFit, field_coefficients
 from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes, ZernikeModes
-from reconstruction.modes.legendre import legendre_orders
+from reconstruction.modes.polynomials import legendre_orders
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.settings import PupilBasis
 

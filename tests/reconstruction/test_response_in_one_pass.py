@@ -18,8 +18,8 @@ from app.bench.imaging_model import lenslet_model
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
-from reconstruction.layers.layer_fit import Layer, LayerFit
 from reconstruction.layers.layer_search import LayerSearch
+from reconstruction.layers.layer_solver import Layer, LayerFit
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.pipeline import Reconstructor
 from reconstruction.refinement import mean_rms

@@ -16,8 +16,7 @@ from reconstruction.geometry import Lattice
 from simulated_devices.optics.phase_screen import PhaseScreen, middle_of
 from simulated_devices.optics.propagated_light import PropagatedLight
 from simulated_devices.rendering import Renderer
-from simulated_devices.sample import Sample, make_sample, scintillation
-from simulated_devices.sample_screen import generated, screen_size
+from simulated_devices.sample import Sample, generated, make_sample, scintillation, screen_size
 from simulated_devices.settings import Screen, Simulation
 
 SENSOR = sensor_of(5, 7)

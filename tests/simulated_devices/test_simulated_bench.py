@@ -16,8 +16,7 @@ import pytest
 from support.patience import HANG_S, wait_until
 from support.simulated_scene import DRIFTING, LATTICE, STILL, open_bench
 
-from simulated_devices.bench import SimulatedBench
-from simulated_devices.playback import Playback
+from simulated_devices.bench import Playback, SimulatedBench
 from simulated_devices.rendering import ImageCache, RenderingAhead, render_missing
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation, Source
 

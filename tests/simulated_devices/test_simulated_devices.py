@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from support.camera_contract import CameraFaultContract
 from support.light_contract import LightFaultContract, StageContract
+from support.simulated_faults import stall
 from support.simulated_scene import CAMERA, STILL, SimulatedCameraFaults, SimulatedLightFaults, open_bench
 
 from drivers.interface import BadValue, DeviceTimeout, Range, Region
@@ -169,7 +170,7 @@ def test_change_during_exposure_counts_in_proportion(
 
 def test_stalled_camera_times_out_until_restart(camera: SimulatedCamera) -> None:
     camera.start()
-    camera.stall()
+    stall(camera)
     with pytest.raises(DeviceTimeout):
         camera.read(1.0)
     camera.stop()

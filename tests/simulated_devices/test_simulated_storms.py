@@ -10,6 +10,7 @@ from typing import Any
 from hypothesis import strategies as st
 from support.camera_storm import CameraStorm
 from support.light_storm import LightStorm
+from support.simulated_faults import is_calm
 from support.simulated_scene import SimulatedCameraFaults, SimulatedLightFaults, open_bench
 from support.storm import storm_settings
 
@@ -87,8 +88,7 @@ class SimulatedLightStorm(LightStorm):
         getattr(SimulatedLightFaults(self.device.bench, self.device.light), fault)()
 
     def is_calm(self) -> bool:
-        light = self.device.light
-        return not any([light._is_unplugged, light._refuses_next, light._fails_next])
+        return is_calm(self.device.light)
 
     def recover(self) -> None:
         """Nothing to do: a new light is plugged in."""

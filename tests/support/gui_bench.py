@@ -220,7 +220,7 @@ def make_measurement(
         outcome,
         *np.zeros((3, *shape)),
     )
-    wavefront = Wavefront(SENSOR, FIELD, displacement, _NoSolution(shape), views, FREE)
+    wavefront = Wavefront(SENSOR, FIELD, displacement, _NoSolution(shape), views, FREE)  # type: ignore[arg-type] # a stand-in
     return Measurement(
         make_frame(pixels, index=index), wavefront, "", FrameTotals(index + 1, index + 1, 0), time.perf_counter(), 0.004
     )

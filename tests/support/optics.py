@@ -9,19 +9,18 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, diagonal_covariance
 from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes
+from reconstruction.modes.field_modes import FieldModes
 from reconstruction.pipeline import Reconstructor
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel, Warp
-from simulated_devices.optics.forward_model import ForwardModel, Images, phase_only
+from simulated_devices.optics.forward_model import ForwardModel, phase_only
 from simulated_devices.optics.source import SourcePoints, square
 from simulated_devices.settings import Source
 
 VIEWS = np.array([-5.0, 0.0, 5.0]) / 6  # where the views of FIELD lie, in units of its half width
-FLOW_MODES: dict[str, FieldModes] = {"warp": LegendreModes(3), "views": SampledModes(VIEWS, VIEWS)}
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)  # in real light
 PAPER = replace(FIELD, neglect_propagation=True)  # the paper's simulation: uniform light, conserved flux
 
@@ -52,7 +51,7 @@ def converged(modes: FieldModes, coefficients: Floats, variance: Floats) -> Disp
     )
 
 
-PointValues = Callable[[float, float], Images]  # of an object point (x_m, y_m), at the pupil samples
+PointValues = Callable[[float, float], Image]  # of an object point (x_m, y_m), at the pupil samples
 
 
 def checkerboard(cells: int = 6, object_samples: int = 24) -> SourcePoints:

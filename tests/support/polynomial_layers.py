@@ -13,8 +13,8 @@ from reconstruction.layers.layer_solver import LayerSolver
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.solve.expected_errors import MeanGradients
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.sensitivity import MeanGradients
 from support.optics import FIELD, sensor_of
 
 SENSOR = sensor_of(7, 9)

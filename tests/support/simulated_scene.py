@@ -14,6 +14,7 @@ from simulated_devices.light_and_stage import SimulatedLight
 from simulated_devices.rendering import Scene
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation
 from support.optics import sensor_of
+from support.simulated_faults import fail_next, lose_frames, plug_in, refuse_next, stall, unplug
 
 SENSOR = sensor_of(3, 4)
 LATTICE = Lattice(center_x_px=70.0, center_y_px=50.0, pitch_px=31.25)
@@ -50,19 +51,19 @@ class SimulatedCameraFaults:
         self._camera = camera
 
     def unplug(self) -> None:
-        self._camera.unplug()
+        unplug(self._camera)
 
     def plug_in(self) -> None:
-        self._camera._is_unplugged = False
+        plug_in(self._camera)
 
     def stall(self) -> None:
-        self._camera.stall()
+        stall(self._camera)
 
     def lose_frames(self, count: int) -> None:
-        self._camera.lose_frames(count)
+        lose_frames(self._camera, count)
 
     def refuse_next(self) -> None:
-        self._camera.refuse_next()
+        refuse_next(self._camera)
 
 
 class SimulatedLightFaults:
@@ -76,13 +77,13 @@ class SimulatedLightFaults:
         return self._bench.condition.is_light_on
 
     def unplug(self) -> None:
-        self._light.unplug()
+        unplug(self._light)
 
     def plug_in(self) -> None:
-        self._light._is_unplugged = False
+        plug_in(self._light)
 
     def refuse_next(self) -> None:
-        self._light.refuse_next()
+        refuse_next(self._light)
 
     def fail_next(self) -> None:
-        self._light.fail_next()
+        fail_next(self._light)

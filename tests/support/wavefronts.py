@@ -9,8 +9,8 @@ from reconstruction.displacement import diagonal_covariance
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.settings import PupilBasis
+from reconstruction.solve.expected_errors import MeanGradients
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.sensitivity import MeanGradients
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Wavefront
 from support.gui_bench import FIELD, SENSOR

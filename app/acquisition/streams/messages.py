@@ -14,7 +14,7 @@ from app.bench.config import Bench
 from app.measurement.measurement import Measurement
 from reconstruction.geometry import Sensor
 from reconstruction.layers.layered_wavefront import AssumedSample
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
 
 FORMAT = 1  # increased when subscribers must change

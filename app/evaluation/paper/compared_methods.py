@@ -12,8 +12,10 @@ import numpy as np
 import reconstruction
 from app.bench.config import Bench, write_bench
 from app.cache import Arrays, cached
+from app.evaluation.paper import nonrigid_methods
 from app.evaluation.paper.frame_pairs import FramePair, Mask
 from reconstruction.arrays import Floats
+from reconstruction.pipeline import OwnMethods, OwnRegistration
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 
 
@@ -22,13 +24,17 @@ class Method:
     """One row of a table."""
 
     mask: Mask = "square"
-    registration: RegistrationSettings
+    registration: RegistrationSettings = RegistrationSettings()
+    own: OwnRegistration | None = None  # in place of that of the settings
     reconstruction: ReconstructionSettings
 
     @property
     def is_peer(self) -> bool:
         """True if it needs the extra `svwfs[peers]`."""
-        return self.registration.method in {"itk_affine", "demons", "ffd"}
+        return self.registration.method == "itk_affine" or self.own in {
+            nonrigid_methods.Demons,
+            nonrigid_methods.FreeForm,
+        }
 
 
 ZONAL = ReconstructionSettings(method="zonal")
@@ -45,9 +51,9 @@ METHODS: dict[str, Method] = {
     "correlation_zonal": Method(registration=RegistrationSettings(method="correlation"), reconstruction=ZONAL),
     "itk_affine_zonal": Method(registration=_ITK, reconstruction=ZONAL),
     "itk_affine_modal": Method(registration=_ITK, reconstruction=MODAL),
-    "block_flow_zonal": Method(registration=RegistrationSettings(method="block_flow"), reconstruction=ZONAL),
-    "demons_zonal": Method(registration=RegistrationSettings(method="demons"), reconstruction=ZONAL),
-    "ffd_zonal": Method(registration=RegistrationSettings(method="ffd"), reconstruction=ZONAL),
+    "block_flow_zonal": Method(own=nonrigid_methods.BlockFlow, reconstruction=ZONAL),
+    "demons_zonal": Method(own=nonrigid_methods.Demons, reconstruction=ZONAL),
+    "ffd_zonal": Method(own=nonrigid_methods.FreeForm, reconstruction=ZONAL),
     "affine_zonal": Method(registration=_AFFINE, reconstruction=ZONAL),
     "affine_modal": Method(registration=_AFFINE, reconstruction=MODAL),
     "affine_gradient_zonal": Method(registration=_GRADIENT_AFFINE, reconstruction=ZONAL),
@@ -92,14 +98,15 @@ def reconstructed(bench: Bench, frames: Mapping[str, FramePair], method: Method)
         star_spacing_m=stars.star_spacing_m,
     )
     bench = replace(bench, registration=registration, reconstruction=method.reconstruction)
-    kept = cached("paper", _fingerprint(bench, pair), lambda: _reconstruct(bench, pair))
+    own = OwnMethods(method.own)
+    kept = cached("paper", _fingerprint(bench, own, pair), lambda: _reconstruct(bench, own, pair))
     return MethodResult(kept["views"], int(kept["lost"]), float(kept["seconds"]))
 
 
-def _reconstruct(bench: Bench, pair: FramePair) -> Arrays:
+def _reconstruct(bench: Bench, own: OwnMethods, pair: FramePair) -> Arrays:
     """Return the fields of `MethodResult`."""
     lattice = bench.design_lattice(*pair.reference.shape)
-    reconstructor = bench.reconstructor(pair.reference, lattice=lattice, dark=np.zeros_like(pair.reference))
+    reconstructor = bench.reconstructor(pair.reference, lattice=lattice, dark=np.zeros_like(pair.reference), own=own)
     start_s = time.perf_counter()
     wavefront = reconstructor(pair.frame)
     seconds = time.perf_counter() - start_s
@@ -107,8 +114,8 @@ def _reconstruct(bench: Bench, pair: FramePair) -> Arrays:
     return {"views": wavefront.views, "lost": np.array(lost), "seconds": np.array(seconds)}
 
 
-def _fingerprint(bench: Bench, pair: FramePair) -> str:
-    digest = hashlib.sha256(write_bench(bench).encode())
+def _fingerprint(bench: Bench, own: OwnMethods, pair: FramePair) -> str:
+    digest = hashlib.sha256(f"{write_bench(bench)}{own}".encode())
     digest.update(_source_code())
     digest.update(pair.reference.tobytes())
     digest.update(pair.frame.tobytes())
@@ -117,6 +124,6 @@ def _fingerprint(bench: Bench, pair: FramePair) -> str:
 
 @cache
 def _source_code() -> bytes:
-    """The source code of `reconstruction`."""
+    """The source code of `reconstruction` and of the paper's non-rigid methods."""
     folder = Path(str(reconstruction.__file__)).parent
-    return b"".join(path.read_bytes() for path in sorted(folder.rglob("*.py")))
+    return b"".join(path.read_bytes() for path in (*sorted(folder.rglob("*.py")), Path(nonrigid_methods.__file__)))

@@ -15,9 +15,9 @@ from app.evaluation.study_kinds import PhotographStudy
 from app.measurement.bench_reconstructor import BenchReconstructor
 from app.progress import Progress
 from reconstruction.arrays import Floats
+from reconstruction.deconvolution.blur import reach_px
 from reconstruction.deconvolution.corrected_image import PhaseAt, corrected_image
 from reconstruction.deconvolution.imaging import Imaging
-from reconstruction.deconvolution.psf_optics import reach_px
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from simulated_devices.optics.photograph import PupilField, cells, photographs, resolution_target, stars, true_psf
 from simulated_devices.sample import Sample

@@ -33,7 +33,7 @@ from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.registration.gauss_newton.estimator import GaussNewton
+from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.settings import Warp
 from simulated_devices.optics.source import read_grey_image
 from simulated_devices.sample import Sample

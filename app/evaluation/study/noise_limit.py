@@ -12,7 +12,7 @@ from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.information import layered_information, wavefront_bound
-from reconstruction.registration.source_brightness import mean_subimage
+from reconstruction.registration.response import mean_subimage
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import Wavefront, without_piston
 from simulated_devices.optics.lenslet_image import LensletImage

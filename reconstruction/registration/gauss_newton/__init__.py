@@ -1,1 +1,5 @@
-"""Registration by Gauss-Newton steps, the reference's brightness conserved."""
+"""Registration by Gauss-Newton steps: the method of this instrument."""
+
+from reconstruction.registration.gauss_newton._estimator import GaussNewton, prepare
+
+__all__ = ["GaussNewton", "prepare"]

@@ -3,6 +3,10 @@
 The steepest-descent images, d(residual)/dc_q = d(I0 T_q)/dx, are those of the reference, so that their pseudo-inverse
 does not depend on the frame and a step is one product with the residual (after Baker and Matthews 2004, International
 Journal of Computer Vision 56, 221). With known noise, pixels have inverse-variance weights: A = (J W J^T)^-1 J W.
+
+Which displacements are fitted (`visible_warp`), and on which pixels, is chosen by the Fisher information of the mean
+subimage. Inside a uniform source nothing moves visibly, so that some displacements are hidden and many pixels tell
+nothing.
 """
 
 from dataclasses import dataclass
@@ -13,13 +17,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from reconstruction.arrays import Floats, Image, Mask
-from reconstruction.frame.interpolation_blur import mean_interpolation
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.frame.spline import sample, spline_coefficients
+from reconstruction.frame.spline import mean_interpolation, sample, spline_coefficients
 from reconstruction.geometry import require
 from reconstruction.modes.field_modes import PolynomialModes, gradient_basis
-from reconstruction.registration.gauss_newton.alignment import Grid
-from reconstruction.registration.gauss_newton.warped_sampling import MONOMIALS, window_of
+from reconstruction.registration.gauss_newton._alignment import Grid
+from reconstruction.registration.gauss_newton._lenslet_fits import WholePixelSearch
+from reconstruction.registration.gauss_newton._warped_sampling import MONOMIALS, window_of
 from reconstruction.registration.subimages import ReferenceSubimages
 
 # Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds
@@ -29,6 +33,11 @@ _MODEL_ERROR = 0.02
 _NOTHING = 1e-12
 _UNSEEN = 1e-6  # singular value over the largest, below which a reference does not show a parameter
 _AT_ONCE = 64  # lenslets at a time, whose arrays fit into the processor's cache
+# Standard error over the least one, of a displacement that the reference hardly shows.
+_BLIND = 6.0
+_ROUGHER = 3.0  # weight of a degree over the one below it, in choosing the smoothest of displacements that look alike
+# By which the standard errors may grow for fewer pixels: with 1.01, systematic errors grow by a third.
+_SCATTER = 1.002
 
 
 class Propagated(NamedTuple):
@@ -38,6 +47,13 @@ class Propagated(NamedTuple):
     square: Floats  # expected weighted sum of its squares, (L,)
     fitted: Floats  # part of `square` absorbed by the fit, (L,)
     trace: Floats  # sum of the parameters' variances, (L,)
+
+    def replaced(self, lenslets: NDArray[np.intp], by: "Propagated") -> "Propagated":
+        """The same with another effect on some lenslets (K,)."""
+        arrays = [array.copy() for array in self]
+        for array, some in zip(arrays, by, strict=True):
+            array[lenslets] = some
+        return Propagated(*arrays)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +85,46 @@ class Template:
         return *(_propagated(v, inverse, weight, descent) for v in (np.ones_like(light), light)), share
 
 
+class SteepestDescent:
+    """Changes of subimages per unit of each parameter of a warp on some pixels, gain and offset last.
+
+    For d along x they are d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx, the second term only if flux is conserved; those of
+    gain and offset are I0 and 1.
+    """
+
+    def __init__(
+        self, reference: ReferenceSubimages, modes: PolynomialModes, pixels: Mask, basis: Floats, *, conserve_flux: bool
+    ) -> None:
+        """Prepare displacements (x modes, y modes), the rows of `basis` (P - 2, 2Q), on pixels (width, width)."""
+        self.u, self.v = reference.offset_px[pixels.ravel()].T / reference.half_width_px
+        self._basis, self._conserves_flux, self._values = basis, conserve_flux, modes.values(self.u, self.v)
+        self._slopes = modes.gradients(self.u, self.v) / reference.half_width_px * conserve_flux
+
+    def __call__(self, light: Floats, gradient: Floats) -> Floats:
+        """Images (L, P, N) of subimages with that light (L, N), and its gradient (L, N, xy)."""
+        along = [
+            gradient[:, None, :, axis] * self._values + light[:, None] * self._slopes[..., axis] for axis in (0, 1)
+        ]
+        ones = np.ones((len(light), 1, light.shape[1]))
+        return np.concatenate([self._basis @ np.concatenate(along, axis=1), light[:, None], ones], axis=1)
+
+    def without_brightness(self, descent: Floats, weight: Floats) -> Floats:
+        """Part of images (L, P, N) that no brightness of the source, linear in u and v, explains.
+
+        With weights (L, N) of the pixels; all of them where flux is conserved. A sample that absorbs, scintillation and
+        uneven light change the brightness over the field. What looks like that would count as a displacement: a sample
+        with 16 % RMS of absorption left 0.26 rad behind a checkerboard, and leaves 0.07. In noise the wavefront's error
+        grows by 2 %.
+        """
+        if self._conserves_flux:
+            return descent
+        varying = descent[:, -2, None] * np.stack([self.u, self.v])
+        weighted = varying * weight[:, None]
+        squares = weighted @ np.swapaxes(varying, 1, 2)
+        share = np.linalg.pinv(squares, rcond=1e-9, hermitian=True) @ (weighted @ np.swapaxes(descent, 1, 2))
+        return np.asarray(descent - np.swapaxes(share, 1, 2) @ varying)
+
+
 def respond(
     reference: ReferenceSubimages, modes: PolynomialModes, template: Template, image: Floats, changes: Floats
 ) -> Floats:
@@ -76,32 +132,26 @@ def respond(
 
     The displaced subimage is interpolated. The steps of the template are scaled by those for a warp of that subimage.
     """
-    u, v = reference.offset_px[template.pixels.ravel()].T / reference.half_width_px
+    basis, conserves_flux = np.asarray(template.grid.basis, np.float64), bool(template.grid.scale[1])
+    images = SteepestDescent(reference, modes, template.pixels, basis, conserve_flux=conserves_flux)
 
     def descent(light: Floats, gradient: Floats) -> Floats:
-        images = steepest_descent(
-            light.reshape(1, -1),
-            gradient.reshape(1, -1, 2),
-            modes.values(u, v),
-            modes.gradients(u, v) * template.grid.scale[1],
-            np.asarray(template.grid.basis, np.float64),
-        )[0]
-        images[-1] *= np.mean(image)  # of the size of the others
-        return np.asarray(images)
+        found = images(light.reshape(1, -1), gradient.reshape(1, -1, 2))
+        found[:, -1] *= np.mean(image)  # of the size of the others
+        return found
 
     row, column = np.nonzero(template.pixels)
     coefficients = spline_coefficients(np.asarray(image / np.max(image), np.float32))
     still = descent(*(np.max(image) * part for part in sample(coefficients, np.stack([column, row], -1).astype(float))))
     blur, slope = mean_interpolation(reference.width)
     slopes = np.stack([blur @ image @ slope.T, slope @ image @ blur.T], axis=-1)
-    moved = descent((blur @ image @ blur.T)[row, column], slopes[row, column])
+    moved = descent((blur @ image @ blur.T)[row, column], slopes[row, column])[0]
     # Not the lenslet's own light: it may lie beside the middle of its window, where the image is.
     weight = np.asarray(template.grid.weight, np.float64)
-    shown = still[None] if template.grid.scale[1] else without_brightness(still[None], weight, u, v)
-    projected = shown * weight[:, None]  # (lenslet, P, pixel)
-    found = projected @ (blur @ changes @ blur.T)[..., row, column].reshape(-1, len(u)).T  # (lenslet, P, change)
+    projected = images.without_brightness(still, weight) * weight[:, None]  # (lenslet, P, pixel)
+    found = projected @ (blur @ changes @ blur.T)[..., row, column].reshape(-1, len(row)).T  # (lenslet, P, change)
     found = -np.linalg.pinv(projected @ moved.T, rcond=_UNSEEN**2) @ found  # of squares
-    warp = np.swapaxes(found[:, : len(template.grid.basis)], 1, 2)
+    warp = np.swapaxes(found[:, : len(basis)], 1, 2)
     return np.asarray(warp.reshape(len(projected), *changes.shape[:-2], -1))
 
 
@@ -116,19 +166,16 @@ def prepare_template(
 ) -> Template:
     """Prepare a warp with the field modes T_q on some pixels (width, width) of the windows.
 
-    The rows of `basis` (P - 2, 2Q) are its displacements (x modes, y modes). For d along x the steepest-descent images
-    are d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx, the second term only if flux is conserved; those of gain and offset are
-    I0 and 1. In real light the part that a brightness linear over the field explains is taken out. Without `noise` all
-    pixels have equal weight.
+    The rows of `basis` (P - 2, 2Q) are its displacements (x modes, y modes). In real light the part of the
+    steepest-descent images that a brightness linear over the field explains is taken out. Without `noise` all pixels
+    have equal weight.
     """
     of_window = pixels.ravel()
-    u, v = reference.offset_px[of_window].T / reference.half_width_px
-    values = modes.values(u, v)
-    slopes = modes.gradients(u, v) / reference.half_width_px * conserve_flux
+    images = SteepestDescent(reference, modes, pixels, basis, conserve_flux=conserve_flux)
     flux = 1 / reference.half_width_px if conserve_flux else 0.0
-    smooth = smooth_light(reference)[:, of_window]
+    smooth = _smooth_light(reference)[:, of_window]
     gradients = gradient_basis(modes)
-    lenslets, parameters, count = len(reference.light), len(basis) + 2, len(u)
+    lenslets, parameters, count = len(reference.light), len(basis) + 2, len(images.u)
     grid = Grid(
         window=window_of(pixels, reference.steps_px / reference.half_width_px),
         scale=(np.float32(reference.half_width_px), np.float32(flux)),
@@ -146,16 +193,14 @@ def prepare_template(
     for first in range(0, lenslets, _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         light, gradient = reference.light[some][:, of_window], reference.gradient[some][:, of_window]
-        descent = steepest_descent(light, gradient, values, slopes, basis)
-        expected = smooth[some]
-        weight = np.ones_like(light) if noise is None else pixel_weights(expected, noise)
+        descent = images(light, gradient)
+        weight = np.ones_like(light) if noise is None else _pixel_weights(smooth[some], noise)
         weight *= reference.usable[some][:, of_window] & reference.lit[some, None]
         weight /= np.maximum(weight.mean(axis=1, keepdims=True), _NOTHING)
         weighted = descent * weight[:, None]
         grid.descent[some], grid.normal[some] = descent, weighted @ np.swapaxes(descent, 1, 2)
-        if not conserve_flux:
-            descent = without_brightness(descent, weight, u, v)
-            weighted = descent * weight[:, None]
+        descent = images.without_brightness(descent, weight)
+        weighted = descent * weight[:, None]
         norm = np.sqrt(np.einsum("lkn,lkn->lk", descent, weighted))[..., None]
         norm[norm == 0] = 1
         normal = weighted @ np.swapaxes(descent, 1, 2) / norm / np.swapaxes(norm, 1, 2)
@@ -165,30 +210,6 @@ def prepare_template(
         per_light.append(_propagated(np.maximum(light, 0), inverse, weight, descent))
     whole = [Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)]
     return Template(grid, pixels, reference.light[:, of_window].std(axis=1), *whole)
-
-
-def steepest_descent(light: Floats, gradient: Floats, values: Floats, slopes: Floats, basis: Floats) -> Floats:
-    """Changes of subimages (L, N) per unit of each parameter, gain and offset last: (L, P, N).
-
-    `gradient` (L, N, xy) of the light; `values` (Q, N) and `slopes` (Q, N, xy) of the field modes, per pixel.
-    """
-    along = [gradient[:, None, :, axis] * values + light[:, None] * slopes[..., axis] for axis in (0, 1)]
-    ones = np.ones((len(light), 1, light.shape[1]))
-    return np.concatenate([basis @ np.concatenate(along, axis=1), light[:, None], ones], axis=1)
-
-
-def without_brightness(descent: Floats, weight: Floats, u: Floats, v: Floats) -> Floats:
-    """Part of steepest-descent images (L, P, N) that no brightness of the source, linear in u and v, explains.
-
-    With weights (L, N) of the pixels at u, v (N,). A sample that absorbs, scintillation and uneven light change the
-    brightness over the field. What looks like that would count as a displacement: a sample with 16 % RMS of absorption
-    left 0.26 rad behind a checkerboard, and leaves 0.07. In noise the wavefront's error grows by 2 %.
-    """
-    varying = descent[:, -2, None] * np.stack([u, v])
-    weighted = varying * weight[:, None]
-    squares = weighted @ np.swapaxes(varying, 1, 2)
-    share = np.linalg.pinv(squares, rcond=1e-9, hermitian=True) @ (weighted @ np.swapaxes(descent, 1, 2))
-    return np.asarray(descent - np.swapaxes(share, 1, 2) @ varying)
 
 
 def _mean_square_gradient(modes: PolynomialModes, basis: Floats, half_width_px: float) -> Floats:
@@ -209,7 +230,7 @@ def _monomials(modes: PolynomialModes, basis: Floats) -> Image:
     return (basis.reshape(-1, 2, modes.count) @ monomials).astype(np.float32)
 
 
-def pixel_weights(expected: Floats, noise: CameraNoise) -> Floats:
+def _pixel_weights(expected: Floats, noise: CameraNoise) -> Floats:
     """Inverse square of the residual expected for that light, (L, N): noise, and model error."""
     peak = np.maximum(expected.max(axis=1, keepdims=True), np.finfo(np.float32).tiny)
     return np.asarray(1 / (noise.variance(expected) / peak**2 + _MODEL_ERROR**2))
@@ -219,9 +240,7 @@ def coefficient_covariance(covariance: Floats, basis: Floats) -> Floats:
     """Covariance (L, Q, xy, Q, xy) of the coefficients, given that of the parameters (L, P, P) of a basis (P, 2Q)."""
     parameters, modes = len(basis), basis.shape[1] // 2
     basis = np.swapaxes(basis.reshape(parameters, 2, modes), 1, 2).reshape(parameters, -1)
-    half = (covariance.reshape(-1, parameters) @ basis).reshape(
-        -1, parameters, 2 * modes
-    )  # one product is faster than L
+    half = (covariance.reshape(-1, parameters) @ basis).reshape(-1, parameters, 2 * modes)  # one product: faster than L
     whole = np.swapaxes(half, 1, 2).reshape(-1, parameters) @ basis
     return whole.reshape(-1, modes, 2, modes, 2)
 
@@ -239,8 +258,86 @@ def _propagated(variance: Floats, inverse: Floats, weight: Floats, descent: Floa
     )
 
 
-def smooth_light(reference: ReferenceSubimages) -> Floats:
+def _smooth_light(reference: ReferenceSubimages) -> Floats:
     """Expected light, (L, N), a mean over neighbours: weights from single noisy pixels would favour dark ones."""
     light = reference.light.reshape(-1, reference.width, reference.width)
     smooth = ndimage.uniform_filter(light, (0, 3, 3), mode="nearest").reshape(reference.light.shape)
     return np.maximum(smooth, 0.0)
+
+
+def visible_warp(
+    reference: ReferenceSubimages, modes: PolynomialModes, pixels: Mask, *, conserve_flux: bool, rotation: bool
+) -> tuple[Floats, Floats, Mask]:
+    """Find what the mean subimage shows of a warp with some field modes on some pixels (width, width).
+
+    Without `rotation` the displacement is the gradient of a potential over the field. Of displacements that look
+    alike, the smoothest stand for the others.
+
+    Returns
+    -------
+    basis : (K, 2Q)
+        Orthonormal displacements (x modes, y modes) that are shown.
+    alike : (K, 2Q)
+        From any displacement to the parameters of the one that stands for it.
+    pixels : (width, width)
+        Those that tell most of them.
+    """
+    possible = np.eye(2 * modes.count) if rotation else gradient_basis(modes)
+    images = SteepestDescent(reference, modes, pixels, possible, conserve_flux=conserve_flux)
+    light, gradient, expected = (
+        of_lenslets[:, pixels.ravel()][reference.lit].mean(axis=0, keepdims=True)
+        for of_lenslets in (reference.light, reference.gradient, _smooth_light(reference))
+    )
+    weight = np.ones(light.shape) if reference.noise is None else _pixel_weights(expected, reference.noise)
+    descent, weight = images.without_brightness(images(light, gradient), weight)[0], weight[0]
+    normal = (descent * weight) @ descent.T
+    # Without what gain and offset explain.
+    shown = normal[:-2, :-2] - normal[:-2, -2:] @ np.linalg.solve(normal[-2:, -2:], normal[-2:, :-2])
+    certainty, vectors = np.linalg.eigh(shown)
+    kept = certainty > certainty[-1] / _BLIND**2
+    combined = alike = np.eye(len(certainty))
+    if not kept.all():
+        roughness = (possible * np.tile(_ROUGHER ** (2 * modes.degree), 2)) @ possible.T
+        combined = np.linalg.qr(np.linalg.solve(roughness, vectors[:, kept]))[0].T  # with what does not show
+        alike = np.linalg.solve(vectors[:, kept].T @ combined.T, vectors[:, kept].T)
+    chosen = pixels.copy()
+    chosen[pixels] = _informative(np.concatenate([combined @ descent[:-2], descent[-2:]]), weight)
+    return combined @ possible, alike @ possible, chosen
+
+
+def _informative(descent: Floats, weight: Floats) -> Mask:
+    """Fewest pixels (N,), those with most leverage, that let the standard errors grow by `_SCATTER` at most."""
+    scale = np.sqrt(np.sum(descent**2 * weight, axis=1, keepdims=True))
+    scaled = descent / scale
+    leverage = weight * np.einsum("pn,pq,qn->n", scaled, np.linalg.pinv((scaled * weight) @ scaled.T), scaled)
+    order = np.argsort(-leverage)
+
+    def scatter(count: int) -> float:
+        some = order[:count]
+        covariance = np.linalg.pinv((scaled[:, some] * weight[some]) @ scaled[:, some].T, hermitian=True)
+        return float(np.sqrt(np.trace((covariance / scale / scale.T)[:-2, :-2])))
+
+    whole, counts = scatter(len(order)), np.linspace(0.4, 1.0, 25) * len(order)
+    enough = next(int(count) for count in counts if scatter(int(count)) <= _SCATTER * whole)
+    chosen = np.zeros(len(order), np.bool_)
+    chosen[order[:enough]] = True
+    return chosen
+
+
+def prepare_search(reference: ReferenceSubimages) -> WholePixelSearch:
+    """Prepare the search for shifts that keep the field, with half its blur, inside the lenslet's cell."""
+    reach = max(int(reference.reach_px - reference.half_width_px), 0)
+    width = 2 * int(reference.half_width_px + reference.blur_px / 2) + reference.width % 2
+    width = min(width, reference.width - 2 * reach)  # the patch must not exceed the window
+    inner = slice((reference.width - width) // 2, (reference.width + width) // 2)
+    light = reference.light.reshape(-1, reference.width, reference.width)[:, inner, inner]
+    light = light - light.mean(axis=(1, 2), keepdims=True)
+    light /= np.maximum(light.std(axis=(1, 2), keepdims=True), np.finfo(np.float32).tiny)
+    steps_px = reference.steps_px
+    steps_px = steps_px[np.abs(steps_px) <= (width - 1) / 2 + reach]
+    return WholePixelSearch(
+        light=light.astype(np.float32),
+        window=window_of(np.ones((steps_px.size, steps_px.size), np.bool_), steps_px / reference.half_width_px),
+        scale=(np.float32(reference.half_width_px), np.float32(0.0)),
+        reach=reach,
+    )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from support.patience import HANG_S, wait_until
 from support.recording_crash import kill_one
+from support.simulated_faults import lose_frames, unplug
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
@@ -78,7 +79,7 @@ def assert_made_again(recording: Recording) -> None:
         assert made.registered is not None
         assert made.wavefront is not None
         np.testing.assert_array_equal(made.registered.coefficients, recording.displacement(index))
-        np.testing.assert_array_equal(made.wavefront.solution.coefficients, recording.coefficients(index))  # type: ignore[attr-defined] # modal
+        np.testing.assert_array_equal(made.wavefront.solution.coefficients, recording.coefficients(index))  # type: ignore[union-attr] # modal
 
 
 @pytest.mark.slow
@@ -135,7 +136,7 @@ def test_gaps_and_skipped_frames_are_recorded(
 ) -> None:
     live = make_live("camera.exposure_s=0.0139")
     live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
-    live.acquisition.submit(lambda _: live.camera.lose_frames(5)).result(HANG_S)  # not while a frame is read
+    live.acquisition.submit(lambda _: lose_frames(live.camera, 5)).result(HANG_S)  # not while a frame is read
     wait_until(lambda: live.recording.frames > 5)
     fast = len(live.measurements)
     measure_slowly(monkeypatch)
@@ -179,7 +180,7 @@ def test_lost_camera_leaves_readable_recording(make_live: Callable[..., Live], t
     live = make_live()
     live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
     wait_until(lambda: live.recording.frames > 5)
-    live.camera.unplug()
+    unplug(live.camera)
     wait_until(lambda: not live.acquisition.is_alive)
     recording = Recording(tmp_path / "r")
     assert recording.is_complete

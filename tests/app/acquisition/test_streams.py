@@ -40,7 +40,7 @@ from app.recording.reader import Recording
 from drivers.interface import Frame
 from reconstruction.layers.layered_wavefront import AssumedSample
 from reconstruction.settings import ReconstructionSettings
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
 DOCUMENT = DOCS / "streams.md"

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.patience import HANG_S, own_time, wait_until
+from support.simulated_faults import lose_frames, stall, unplug
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument, Status
@@ -271,7 +272,7 @@ def test_stale_dark_or_reference_is_a_warning(
 
 def test_lost_frames_are_counted(running: Running) -> None:
     running.begin()
-    running.acquisition.submit(lambda _: running.camera.lose_frames(5)).result(HANG_S)  # not while a frame is read
+    running.acquisition.submit(lambda _: lose_frames(running.camera, 5)).result(HANG_S)  # not while a frame is read
     wait_until(lambda: running.measurements[-1].counts.lost >= 5)  # a busy computer loses more
     last = running.measurements[-1]
     assert last.counts.acquired + last.counts.lost == last.frame.index + 1
@@ -279,7 +280,7 @@ def test_lost_frames_are_counted(running: Running) -> None:
 
 def test_unplugged_camera_ends_loop_with_light_off(running: Running) -> None:
     running.begin()
-    running.camera.unplug()
+    unplug(running.camera)
     wait_until(lambda: not running.acquisition.is_alive)
     assert isinstance(running.acquisition.error, Disconnected)
     assert "camera" in running.acquisition.failure
@@ -294,7 +295,7 @@ def test_unplugged_camera_ends_loop_with_light_off(running: Running) -> None:
 def test_stalled_camera_ends_loop(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     running.begin()
     monkeypatch.setattr("app.measurement.routines.frames._MARGIN_S", 0.3)
-    running.camera.stall()
+    stall(running.camera)
     wait_until(lambda: not running.acquisition.is_alive)
     assert "no frame" in running.acquisition.failure
 

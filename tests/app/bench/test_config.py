@@ -127,6 +127,19 @@ def test_flux_not_conserved_is_dropped_from_a_recorded_bench_and_refused_in_a_ne
         parse_bench(with_flux("3"), "b")
 
 
+@pytest.mark.parametrize("method", ["block_flow", "demons", "ffd"])
+def test_non_rigid_method_is_kept_in_a_recorded_bench_and_refused_in_a_new_one(method: str) -> None:
+    text = MINIMAL.replace("[registration]", f'[registration]\nmethod = "{method}"\nflow = "warp"', 1)
+    assert str(parse_bench(text, "b", is_recorded=True).registration.method) == method
+    with pytest.raises(BenchError, match=rf'b: registration\.method = "{method}" is no longer offered: ') as fault:
+        parse_bench(text, "b")
+    assert fault.value.line == text.splitlines().index(f'method = "{method}"') + 1
+    assert parse_bench(text, "b", ("registration.method=centroids",)).registration.method == "centroids"
+    for other in ("flow = 3", 'flow = "other"'):
+        with pytest.raises(BenchError, match="unknown key flow"):
+            parse_bench(MINIMAL.replace("[registration]", f"[registration]\n{other}", 1), "b")
+
+
 def test_recorded_bench_of_version_0_2_neglects_propagation_and_says_so() -> None:
     bench = parse_bench(MINIMAL, "b", is_recorded=True)
     assert (bench.field.neglect_propagation, bench.reconstruction.sample) == (True, "free")

@@ -25,6 +25,7 @@ from support.command_line import run
 from support.paths import FOREIGN_FRAMES
 from support.patience import HANG_S, wait_until
 from support.pictures import assert_drawn
+from support.simulated_faults import unplug
 
 from app.acquisition import start_up
 from app.acquisition.devices import open_devices
@@ -292,7 +293,7 @@ def test_unplugged_camera_keeps_measured_frames(
         def read_while_plugged(timeout_s: float) -> Frame:
             frame = read(timeout_s)
             if next(left) == 0:
-                camera.unplug()
+                unplug(camera)
             return frame
 
         monkeypatch.setattr(camera, "read", read_while_plugged)

@@ -20,6 +20,7 @@ import pytest
 from PyQt6.QtCore import QTimer
 from PyQt6.QtWidgets import QApplication
 from support.gui_bench import BENCH, FakeCamera, make_measurement, opener
+from support.simulated_faults import lose_frames
 
 import app.commands.benchmark
 from app import cli
@@ -88,7 +89,7 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
             frames.append(frame)
             if not is_lost and reports and reports[-1][0] == "unseen window: measuring":
                 is_lost = True
-                camera.lose_frames(LOST)
+                lose_frames(camera, LOST)
             return frame
 
         camera.read = watch  # type: ignore[method-assign] # every frame goes through here

@@ -19,8 +19,7 @@ from app.evaluation.study.mask import LinearPass, local_screen
 from app.evaluation.study.sources import lit_views
 from reconstruction.modes.field_modes import LegendreModes
 from simulated_devices.optics.phase_screen import PhaseScreen
-from simulated_devices.optics.ray_map import RayMap
-from simulated_devices.optics.screen_light import ScreenLight
+from simulated_devices.optics.screen_light import RayMap, ScreenLight
 from simulated_devices.sample import Sample
 
 

@@ -143,7 +143,7 @@ def test_views_without_values_are_shown_for_every_quantity(make_window: MakeWind
     window = make_window()
     unknown = bowl()
     unknown.views[:] = np.nan
-    unknown.solution.valid[:] = False  # type: ignore[attr-defined] # a zonal one
+    unknown.solution.valid[:] = False  # type: ignore[union-attr] # a zonal one
     unknown.displacement.outcome[:] = 3
     show(window, unknown)
     thread = window._analysis._thread

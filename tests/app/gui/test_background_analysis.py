@@ -62,7 +62,7 @@ def test_error_of_analysis_is_raised_and_thread_continues(thread: AnalysisThread
 
         sigma = wavefront
 
-    thread.submit(request(Quantity.UNCERTAINTY, replace(bowl(), solution=Broken())))
+    thread.submit(request(Quantity.UNCERTAINTY, replace(bowl(), solution=Broken())))  # type: ignore[arg-type] # a stand-in
     with pytest.raises(NotImplementedError, match="broken"):
         wait(thread)
     thread.submit(request(Quantity.PSF))

@@ -216,9 +216,6 @@ def test_method_has_a_human_name_and_keeps_its_word(live: tuple[MainWindow, Fake
         ({"method": "correlation"}, False),
         ({"method": "centroids"}, False),
         ({"method": "itk_affine"}, False),
-        ({"method": "block_flow"}, False),
-        ({"method": "demons", "flow": "warp"}, True),
-        ({"method": "ffd", "flow": "warp"}, True),
     ],
 )
 def test_warp_is_enabled_only_where_it_has_an_effect(

@@ -17,7 +17,7 @@ from app.measurement.calibration import Calibration
 from app.measurement.measurement import SKIPPED
 from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 
 
 def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings: str) -> list[Measurement]:

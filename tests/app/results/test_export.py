@@ -26,7 +26,7 @@ from app.results import dataset
 from app.results.export import Format, export, psf_grid, psf_reach, write_psf_grid, write_stack
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import diffraction_rad
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import rms
 
 SENSOR = sensor_of(7, 9)

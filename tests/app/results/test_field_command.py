@@ -15,7 +15,7 @@ from support.recordings import record
 import svwfs
 from app.bench.config import Bench, load_bench
 from reconstruction.arrays import Floats
-from reconstruction.modes.zernike import zernike
+from reconstruction.modes.polynomials import zernike
 from reconstruction.wavefront import without_piston
 
 RADIUS_M, HALF_WIDTH_M = 3.5 * 0.5e-3, 0.6e-3  # of small_demo's pupil and field

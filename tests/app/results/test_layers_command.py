@@ -37,8 +37,8 @@ from app.results.layers import (
     shown_range_m,
 )
 from reconstruction.layers.corrector import Corrector
-from reconstruction.layers.layer_fit import Layer
 from reconstruction.layers.layer_search import find_layers
+from reconstruction.layers.layer_solver import Layer
 from simulated_devices.sample import make_sample
 
 DISTANCE_M = 0.195  # of the screen in small_demo

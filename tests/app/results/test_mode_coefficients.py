@@ -9,9 +9,10 @@ import pytest
 from support.gui_bench import FIELD, SENSOR
 from support.wavefronts import bowl, modal
 
-from app.results.mode_coefficients import ModeChoice, mode_coefficients, mode_names
+from app.results.mode_coefficients import ModeChoice, mode_coefficients
 from reconstruction.arrays import Floats
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.modes.pupil_modes import BASES
+from reconstruction.solve.modal import ModalSolution
 
 CENTRE, CORNER = (1, 1), (0, 2)  # views
 
@@ -84,6 +85,6 @@ def test_field_map_of_a_coefficient() -> None:
 
 
 def test_names_count_as_noll_and_as_the_paper_do() -> None:
-    assert mode_names("zernike", 11)[3::7] == ("Z4 defocus", "Z11 spherical aberration")
-    assert mode_names("zernike", 8)[6:] == ("Z7 coma along y", "Z8 coma along x")
-    assert mode_names("legendre", 6) == ("L0 piston", "L1 P1(x)", "L2 P1(y)", "L3 P2(x)", "L4 P1(x) P1(y)", "L5 P2(y)")
+    assert BASES["zernike"].names(11)[3::7] == ("Z4 defocus", "Z11 spherical aberration")
+    assert BASES["zernike"].names(8)[6:] == ("Z7 coma along y", "Z8 coma along x")
+    assert BASES["legendre"].names(6) == ("L0 piston", "L1 P1(x)", "L2 P1(y)", "L3 P2(x)", "L4 P1(x) P1(y)", "L5 P2(y)")

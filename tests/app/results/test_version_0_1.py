@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import shutil
 import tomllib
 from dataclasses import replace
@@ -41,6 +42,7 @@ def test_bench_of_0_1_loads_with_all_its_settings() -> None:
     assert bench.reconstruction.refine
     then, now = tomllib.loads((FILES / "bench.toml").read_text()), tomllib.loads(write_bench(bench))
     assert then["registration"].pop("conserve_flux")
+    assert then["registration"].pop("flow") == "views"  # only the non-rigid methods read it
     assert now["field"]["neglect_propagation"]
     assert has_all(now, then)
 
@@ -90,6 +92,23 @@ def test_results_beside_a_recording_of_0_1_are_its_own(tmp_path: Path) -> None:
     with h5netcdf.File(tmp_path / "r/results.nc", "r+") as file:
         file.attrs["bench"] = (FILES / "bench.toml").read_text()  # as version 0.1 wrote it: without the key
     assert OpenedRecording(tmp_path / "r").results()["mark"].values.tolist() == [7.0] * FRAMES
+
+
+def test_recording_with_a_non_rigid_method_opens_and_is_reconstructed_with_another(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "r"
+    shutil.copytree(RECORDING, folder)
+    for file in (folder / "run.json", folder / "calibrations/0/bench.toml"):
+        file.write_text(re.sub(r'(\\?")gauss_newton\1', r"\1demons\1", file.read_text()))
+    recording = Recording(folder)
+    assert str(recording.bench.registration.method) == "demons"
+    assert parse_bench(write_bench(recording.bench), "again", is_recorded=True) == recording.bench
+    assert len(OpenedRecording(folder)) == FRAMES
+    assert run(monkeypatch, "replay", folder) == 2
+    said = capsys.readouterr().err
+    assert "there is no registration method demons: it must be one of gauss_newton, " in said
+    assert run(monkeypatch, "replay", folder, "--set", "registration.method=gauss_newton") == 0
 
 
 def test_recording_of_0_1_opens() -> None:

@@ -9,7 +9,7 @@ import pytest
 from scipy import signal
 
 from reconstruction.deconvolution.blur import SpaceVariantBlur
-from reconstruction.deconvolution.restoration import regularised, richardson_lucy
+from reconstruction.deconvolution.corrected_image import regularised, richardson_lucy
 from reconstruction.frame.noise import CameraNoise
 
 SHAPE, REACH = (70, 90), 6

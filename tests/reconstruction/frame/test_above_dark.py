@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.above_dark import AboveDark
+from reconstruction.frame.pixels import AboveDark
 
 SHAPE = (40, 56)
 DARK = np.random.default_rng(1).normal(100.0, 3.0, SHAPE)

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from reconstruction.arrays import Floats
-from reconstruction.frame.interpolation_blur import mean_interpolation
+from reconstruction.frame.spline import mean_interpolation
 
 PIXELS = 48
 AT = np.arange(PIXELS, dtype=np.float64)

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from reconstruction.frame.spline import sample, spline_coefficients
-from reconstruction.registration.gauss_newton.warped_sampling import new_scratch, sample_warped, window_of
+from reconstruction.registration.gauss_newton._warped_sampling import new_scratch, sample_warped, window_of
 
 
 @pytest.mark.parametrize("shape", [(40, 60), (3, 40), (8, 8), (64, 9), (150, 2), (1, 1), (1, 30), (30, 1), (2, 2)])

@@ -12,10 +12,10 @@ from app.results.dataset import result_dataset, stack_frames
 from reconstruction.field_coefficients import ModalFit, field_coefficients
 from reconstruction.geometry import nominal_lattice
 from reconstruction.layers.layered_wavefront import FREE
-from reconstruction.modes.zernike import zernike
+from reconstruction.modes.polynomials import zernike
 from reconstruction.quality.isoplanatism import isoplanatism
 from reconstruction.settings import ReconstructionSettings
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, without_piston
 
 BENCH = svwfs.load_bench("small_demo", "simulation.source.mask='checkerboard'", "registration.warp=quartic")

@@ -12,10 +12,9 @@ from support.optics import FIELD, sensor_of
 from reconstruction.arrays import Floats
 from reconstruction.displacement import diagonal_covariance
 from reconstruction.geometry import Arrangement, Field
-from reconstruction.layers.layer_design import LayerDesign, layer_orders
+from reconstruction.layers.layer_solver import LayerDesign, layer_orders
 from reconstruction.modes.field_modes import LegendreModes, ZernikeModes, gradient_basis
-from reconstruction.solve.expected_errors import ExpectedErrors
-from reconstruction.solve.sensitivity import MeanGradients
+from reconstruction.solve.expected_errors import ExpectedErrors, MeanGradients
 
 DEGREE = 4  # whose gradients over a lenslet local wavefronts hold exactly, and whose change over the field the modes
 ROWS, COLUMNS = 4, 3

@@ -23,9 +23,8 @@ from support.polynomial_layers import (
 
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
-from reconstruction.layers.layer_fit import Layer, LayerFit
-from reconstruction.layers.layer_modes import LayerModes
 from reconstruction.layers.layer_search import LayerSearch, find_layers
+from reconstruction.layers.layer_solver import Layer, LayerFit, LayerModes
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample, LayeredWavefronts, most_probable
 from reconstruction.modes.field_modes import gradient_basis
 from reconstruction.solve.evidence import FitQuality

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import special
+from support.optics import sensor_of
 
-from reconstruction.modes.legendre import legendre, legendre_gradients, legendre_lenslet_gradients, legendre_orders
+from reconstruction.modes.polynomials import legendre, legendre_gradients, legendre_orders
+from reconstruction.modes.pupil_modes import pupil_modes
 
 
 def test_order_matches_paper() -> None:
@@ -49,7 +51,8 @@ def test_gradients_match_numerical_derivatives() -> None:
 @pytest.mark.parametrize("k", [1, 4, 13, 40])
 def test_lenslet_means_match_numerical_integrals(k: int) -> None:
     rows, columns = 3, 5
-    means = legendre_lenslet_gradients(k + 1, rows, columns)[k]
+    sensor = sensor_of(rows, columns)
+    means = pupil_modes(sensor, "legendre", k + 1).gradients[k] * sensor.pupil_half_width_m
     node, weight = np.polynomial.legendre.leggauss(16)  # exact for these polynomials
     for row, column in np.ndindex(rows, columns):
         x, y = -1 + (2 * column + 1 + node) / columns, -1 + (2 * row + 1 + node[:, None]) / rows

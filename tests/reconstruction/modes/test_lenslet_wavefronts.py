@@ -9,10 +9,8 @@ import pytest
 from support.optics import sensor_of
 
 from reconstruction.geometry import Arrangement
-from reconstruction.modes.legendre import legendre, legendre_products
-from reconstruction.modes.lenslet_wavefronts import local_wavefronts
-from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.modes.zernike import zernike, zernike_products
+from reconstruction.modes.polynomials import legendre, legendre_products, zernike, zernike_products
+from reconstruction.modes.pupil_modes import local_wavefronts, pupil_modes
 from reconstruction.settings import PupilBasis
 
 X, Y = np.random.default_rng(0).uniform(-1, 1, (2, 50))

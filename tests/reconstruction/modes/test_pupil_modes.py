@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from support.optics import sensor_of
 
-from reconstruction.modes.legendre import legendre
+from reconstruction.modes.polynomials import legendre, zernike
 from reconstruction.modes.pupil_modes import PupilGrid, pupil_modes
-from reconstruction.modes.zernike import zernike
 
 SENSOR = sensor_of(6, 9)
 X_M, Y_M = np.linspace(-2.2e-3, 2.0e-3, 7), np.linspace(-1.4e-3, 1.5e-3, 5)

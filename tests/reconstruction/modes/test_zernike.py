@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.optics import sensor_of
 
+from reconstruction.modes.polynomials import noll_orders, zernike, zernike_gradients
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.modes.zernike import noll_orders, zernike, zernike_gradients
 
 X, Y = np.random.default_rng(0).uniform(-0.7, 0.7, (2, 40))
 R, THETA = np.hypot(X, Y), np.arctan2(Y, X)

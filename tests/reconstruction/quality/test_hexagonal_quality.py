@@ -10,10 +10,9 @@ from support.optics import sensor_of
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Lattice
-from reconstruction.quality.image_quality import mtf, psf, psf_reach_rad
-from reconstruction.quality.low_orders import without_low_orders
+from reconstruction.quality.image_quality import aligned, mtf, psf, psf_reach_rad
 from reconstruction.quality.reference_quality import lattice_error_px
-from reconstruction.quality.row_alignment import aligned
+from reconstruction.wavefront import without_low_orders
 
 SENSOR = replace(sensor_of(8, 7), arrangement="hexagonal")
 X_M, Y_M = np.moveaxis(SENSOR.lenslet_centers_m, -1, 0)

@@ -9,8 +9,7 @@ from support.optics import sensor_of
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor
-from reconstruction.quality.extrapolation import extrapolate
-from reconstruction.quality.image_quality import diffraction_rad, mtf, psf, psf_angles_rad, psf_reach_rad
+from reconstruction.quality.image_quality import diffraction_rad, extrapolate, mtf, psf, psf_angles_rad, psf_reach_rad
 
 SENSOR = sensor_of(9, 15)  # wider than high, so that x is not y
 WIDTH_M, HEIGHT_M = 15 * 500e-6, 9 * 500e-6

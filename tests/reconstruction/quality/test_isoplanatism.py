@@ -10,8 +10,7 @@ from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.quality.isoplanatism import field_positions_m, global_error_rad, isoplanatism, structure_curve
-from reconstruction.quality.low_orders import without_tilt
-from reconstruction.wavefront import Wavefront
+from reconstruction.wavefront import Wavefront, without_tilt
 
 ROWS, COLUMNS = 9, 13
 U, V = np.meshgrid(np.arange(COLUMNS) - 6.0, np.arange(ROWS) - 4.0)  # in lenslets
@@ -35,7 +34,7 @@ class Tilting:
 def wavefront(along_x: float, along_y: float, field: Field = FIELD) -> Wavefront:
     zeros = np.zeros((ROWS, COLUMNS, 3, 2))
     displacement = converged(LegendreModes(3), zeros, zeros)
-    return Wavefront.of(sensor_of(ROWS, COLUMNS), field, displacement, Tilting(along_x, along_y))
+    return Wavefront.of(sensor_of(ROWS, COLUMNS), field, displacement, Tilting(along_x, along_y))  # type: ignore[arg-type] # a stand-in
 
 
 def test_linear_tilt_differs_in_proportion_to_separation() -> None:

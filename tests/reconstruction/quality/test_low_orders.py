@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from reconstruction.quality.low_orders import without_low_orders
+from reconstruction.wavefront import without_low_orders
 
 U, V = np.meshgrid(np.arange(13) - 6.0, np.arange(9) - 4.0)
 TILT, DEFOCUS, ASTIGMATISM = 0.2 * U - 0.1 * V, 0.05 * (U**2 + V**2), 0.03 * U * V

@@ -12,12 +12,11 @@ from support.optics import SmallBench
 
 from reconstruction.arrays import Counts
 from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.pixels import clipped_fraction
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import find_lattice
-from reconstruction.quality.clipping import clipped_fraction
 from reconstruction.quality.reference_quality import lattice_error_px, reference_quality
-from reconstruction.quality.sequence import sequence_quality
-from reconstruction.quality.verdict import Fault, Quality
+from reconstruction.quality.verdict import Fault, Quality, sequence_quality
 
 BENCH = SmallBench()
 LIGHT = np.asarray(BENCH.reference / BENCH.reference.max() * 1e4, np.float32)

@@ -11,7 +11,7 @@ from support.polynomial_layers import PHASE, light
 
 from app.measurement.judging import frame_judge
 from reconstruction.arrays import Floats, Image
-from reconstruction.quality.reference_sample import sample_quality, shared_deformation_px
+from reconstruction.quality.reference_quality import sample_quality, shared_deformation_px
 from reconstruction.quality.verdict import Fault
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings

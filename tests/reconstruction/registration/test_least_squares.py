@@ -12,8 +12,8 @@ from support.optics import FIELD, PAPER, sensor_of
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice
-from reconstruction.registration.gauss_newton.estimator import GaussNewton
-from reconstruction.registration.methods import prepare_registration
+from reconstruction.registration import prepare_registration
+from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings, Warp
 

@@ -9,8 +9,8 @@ from support.plain_registration import plain_registration
 
 from reconstruction.arrays import Image
 from reconstruction.displacement import Displacement
-from reconstruction.registration.gauss_newton.estimator import GaussNewton
-from reconstruction.registration.methods import prepare_registration
+from reconstruction.registration import prepare_registration
+from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.settings import FIELD_MODES, RegistrationSettings, Warp
 
 SAME_PX = 1e-3

@@ -10,7 +10,7 @@ from support.optics import SmallBench
 from reconstruction.arrays import Image, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.registration.methods import prepare_registration
+from reconstruction.registration import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import Method, RegistrationSettings
 
@@ -165,7 +165,7 @@ def test_all_pixels_bad_loses_all_lenslets(checker_bench: SmallBench, electrons:
     assert not found.valid.any()
 
 
-@pytest.mark.parametrize("method", ["correlation", "correlation_fft", "block_flow"])
+@pytest.mark.parametrize("method", ["correlation", "correlation_fft"])
 def test_other_methods_tolerate_dead_pixels(small_bench: SmallBench, method: Method) -> None:
     reference, light = _electrons(small_bench)
     bad = _pixels(small_bench, SPOTS["one"])

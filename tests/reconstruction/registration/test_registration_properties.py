@@ -20,7 +20,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Lattice
 from reconstruction.pipeline import Reconstructor
-from reconstruction.registration.methods import prepare_registration
+from reconstruction.registration import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.threads import worker_pool
 from reconstruction.settings import RegistrationSettings

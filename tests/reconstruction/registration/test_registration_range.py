@@ -9,7 +9,7 @@ from support.optics import FIELD, SmallBench
 from reconstruction.arrays import Image
 from reconstruction.displacement import Outcome, RegistrationMethod
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.registration.gauss_newton.estimator import GaussNewton
+from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.registration.subimages import ReferenceSubimages
 from simulated_devices.optics.forward_model import phase_only
 from simulated_devices.optics.source import stars

@@ -55,7 +55,7 @@ def bench() -> RoundBench:
 def circulation(displacement: Displacement) -> Floats:
     """Curl of every lenslet's displacement at points of the field, px per half width, (row, column, point)."""
     x, y = np.random.default_rng(0).uniform(-0.9, 0.9, (2, 20))
-    slopes = displacement.modes.gradients(x, y)  # type: ignore[attr-defined] # Legendre
+    slopes = displacement.modes.gradients(x, y)  # type: ignore[union-attr] # Legendre
     c = displacement.coefficients
     return np.asarray(c[..., 1] @ slopes[..., 0] - c[..., 0] @ slopes[..., 1])
 

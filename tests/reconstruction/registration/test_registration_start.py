@@ -11,7 +11,7 @@ from support.optics import FIELD, SmallBench
 from reconstruction.arrays import Image
 from reconstruction.displacement import Displacement, RegistrationMethod
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.registration.methods import prepare_registration
+from reconstruction.registration import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import Method, RegistrationSettings
 
@@ -89,7 +89,7 @@ def test_start_of_another_warp_is_ignored(small_bench: SmallBench, frames: list[
     np.testing.assert_array_equal(quadratic(frames[0], saturated=nowhere, start=other).coefficients, cold.coefficients)
 
 
-@pytest.mark.parametrize("method", ["correlation", "block_flow"])
+@pytest.mark.parametrize("method", ["correlation", "correlation_fft"])
 def test_searching_methods_ignore_start(small_bench: SmallBench, frames: list[Image], method: Method) -> None:
     nowhere = np.zeros(frames[0].shape, np.bool_)
     estimate = _prepared(small_bench, RegistrationSettings(method=method))

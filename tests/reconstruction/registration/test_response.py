@@ -9,13 +9,12 @@ import pytest
 from numpy.polynomial import Legendre
 from support.optics import FIELD, SmallBench
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import LegendreModes, ZernikeModes
-from reconstruction.registration.gauss_newton.estimator import GaussNewton
+from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.registration.response import linear_response
 from reconstruction.registration.subimages import ReferenceSubimages
-from simulated_devices.optics.forward_model import Images
 from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import SourcePoints
 
@@ -118,11 +117,11 @@ def test_response_matches_complete_registrations(registered: Registered, n: int,
     gathered = FIELD.collimator_focal_length_m / bench.sensor.wavenumber_rad_per_m / FIELD.half_width_m * 2 / pitch_m
 
     def registered_px(amplitude: float, tilt: Floats) -> Floats:
-        def phase(x_m: float, y_m: float) -> Images:
+        def phase(x_m: float, y_m: float) -> Image:
             at_point = MODES.values(x_m / FIELD.half_width_m, y_m / FIELD.half_width_m)[q]
             return np.asarray(tilt[0] * u + tilt[1] * v + amplitude * at_point * local, np.float32)
 
-        def light(x_m: float, y_m: float) -> Images:
+        def light(x_m: float, y_m: float) -> Image:
             along_x, along_y = MODES.gradients(x_m / FIELD.half_width_m, y_m / FIELD.half_width_m)[q]
             stretch = 1 + amplitude * gathered * (along_x * slope_u + along_y * slope_v)  # a tensor product
             return np.asarray(np.sqrt(stretch), np.float32)

@@ -13,9 +13,9 @@ from app.bench.config import Bench
 from app.bench.imaging_model import lenslet_model
 from reconstruction.arrays import Image
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
-from reconstruction.registration.gauss_newton.estimator import GaussNewton
+from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.settings import FIELD_MODES, Warp
-from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.solve.modal import ModalSolution
 from simulated_devices.optics.lenslet_image import LensletImage
 
 

@@ -7,8 +7,8 @@ import threading
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.registration.gauss_newton._lenslet_fits import Ledger, finish, is_finished, new_ledger, take
 from reconstruction.runtime.compilation import compiled
-from reconstruction.runtime.shared_work import Ledger, finish, is_finished, new_ledger, take
 
 
 @compiled

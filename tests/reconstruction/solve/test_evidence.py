@@ -14,8 +14,8 @@ from reconstruction.modes.field_modes import LegendreModes, gradient_basis
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.solve.evidence import FitQuality
+from reconstruction.solve.expected_errors import MeanGradients
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.sensitivity import MeanGradients
 
 SENSOR, MODES, FIELD_MODES = sensor_of(3, 4), pupil_modes(sensor_of(3, 4), "legendre", 6), LegendreModes(3)
 GRADIENTS = gradient_basis(FIELD_MODES)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from reconstruction.solve.weights import relative_weights
+from reconstruction.solve.expected_errors import relative_weights
 
 
 def test_noisier_frame_lowers_weight_and_never_raises_it() -> None:

@@ -14,8 +14,8 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
 from reconstruction.modes.layered_modes import layered_basis
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
+from reconstruction.solve.expected_errors import MeanGradients
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.sensitivity import MeanGradients
 
 ROWS, COLUMNS, FIELD_MODES = 7, 8, 3
 SENSOR = sensor_of(ROWS, COLUMNS)

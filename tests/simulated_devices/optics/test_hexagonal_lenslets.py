@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from support.optics import FIELD, sensor_of
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, Image
 from reconstruction.geometry import Field, Lattice, nominal_lattice
-from simulated_devices.optics.forward_model import ForwardModel, Images, phase_only
+from simulated_devices.optics.forward_model import ForwardModel, phase_only
 from simulated_devices.optics.phase_screen import PhaseScreen
-from simulated_devices.optics.ray_map import RayMap, truth_wavefront
+from simulated_devices.optics.screen_light import RayMap, truth_wavefront
 from simulated_devices.optics.source import SourcePoints
 
 SENSOR = replace(sensor_of(6, 5), arrangement="hexagonal")
@@ -77,7 +77,7 @@ def test_spots_move_by_the_slope_at_the_centres_of_their_hexagons() -> None:
     forward = model()
     phase = curved(forward.sample_x_m, forward.sample_y_m[:, None]).astype(np.float32)
 
-    def at_point(_x_m: float, _y_m: float) -> Images:
+    def at_point(_x_m: float, _y_m: float) -> Image:
         return phase
 
     reference, frame = forward.irradiance(ON_AXIS), forward.irradiance(ON_AXIS, phase_only(at_point))

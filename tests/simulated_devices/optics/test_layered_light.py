@@ -13,8 +13,7 @@ from reconstruction.arrays import Floats
 from simulated_devices.optics.layered_light import Layer, LayeredLight
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
 from simulated_devices.optics.propagated_light import PropagatedLight
-from simulated_devices.optics.ray_map import RayMap, truth_wavefront
-from simulated_devices.optics.screen_light import point_field
+from simulated_devices.optics.screen_light import RayMap, point_field, truth_wavefront
 
 SENSOR = sensor_of(5, 7)
 WAVENUMBER = 2 * math.pi / 462e-9

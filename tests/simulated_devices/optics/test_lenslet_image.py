@@ -10,10 +10,10 @@ from numpy.polynomial import legendre as series
 from numpy.typing import NDArray
 from support.optics import FIELD, PAPER, checkerboard, sensor_of
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, Image
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.modes.field_modes import LegendreModes
-from simulated_devices.optics.forward_model import ForwardModel, Images
+from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import SourcePoints
 
@@ -80,7 +80,7 @@ def test_derivatives_are_those_of_the_forward_model(field: Field, sensor: Sensor
     amplitude = 0.03
     largest = np.abs(found).max()
 
-    def image_of(n: int, m: int, q: int, rad: float) -> Images:
+    def image_of(n: int, m: int, q: int, rad: float) -> Image:
         def light(x_m: float, y_m: float) -> NDArray[np.complex64]:
             x, y = x_m / field.half_width_m, y_m / field.half_width_m
             wave = np.exp(1j * rad * MODES.values(x, y)[q] * np.outer(along_y[n], along_x[m]))

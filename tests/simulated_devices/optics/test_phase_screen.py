@@ -14,9 +14,8 @@ from support.optics import FIELD, sensor_of
 
 from app.bench.config import load_bench
 from simulated_devices.optics.phase_screen import PhaseScreen, read_screen, shape_to_pv_and_rms, smooth_screen
-from simulated_devices.optics.ray_map import truth_wavefront
-from simulated_devices.sample import make_sample, mean_view_rms, ray_map
-from simulated_devices.sample_screen import screen_size, shift_m
+from simulated_devices.optics.screen_light import truth_wavefront
+from simulated_devices.sample import make_sample, mean_view_rms, ray_map, screen_size, shift_m
 from simulated_devices.settings import Screen, Simulation
 
 SENSOR = sensor_of(15, 15)

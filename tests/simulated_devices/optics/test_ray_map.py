@@ -8,7 +8,7 @@ from support.optics import sensor_of
 
 from reconstruction.geometry import Field
 from simulated_devices.optics.phase_screen import PhaseScreen
-from simulated_devices.optics.ray_map import RayMap, truth_wavefront
+from simulated_devices.optics.screen_light import RayMap, truth_wavefront
 
 SENSOR = sensor_of(7, 9)
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3, view_rows=2, view_columns=3, view_spacing_m=0.5e-3)

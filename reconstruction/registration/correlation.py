@@ -12,16 +12,21 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from reconstruction.arrays import Floats, Image, Mask
-from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
+from reconstruction.displacement import Displacement, Outcome, RegistrationMethod, diagonal_covariance
 from reconstruction.errors import ReconstructionError
-from reconstruction.geometry import require
+from reconstruction.geometry import Field, require
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.registration.classification import classify_lenslets
-from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.registration.subimages import ReferenceSubimages, classify_lenslets
+from reconstruction.settings import RegistrationSettings
 
 Mismatch = Literal["square_difference", "fft"]
 
 _MISFIT = 0.7  # residual over contrast above which the frame does not match, however deformed
+
+
+def prepare(reference: ReferenceSubimages, settings: RegistrationSettings, _field: Field) -> RegistrationMethod:
+    """Prepare the method `correlation` or `correlation_fft`."""
+    return Correlation(reference, method="fft" if settings.method == "correlation_fft" else "square_difference")
 
 
 class Correlation:

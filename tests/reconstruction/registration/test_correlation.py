@@ -12,8 +12,8 @@ from reconstruction.arrays import Image
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
-from reconstruction.registration.methods import prepare_registration
-from reconstruction.registration.peers.correlation import Correlation, Mismatch
+from reconstruction.registration import prepare_registration
+from reconstruction.registration.correlation import Correlation, Mismatch
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings
 

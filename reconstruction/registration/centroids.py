@@ -11,13 +11,13 @@ import numpy as np
 from scipy import ndimage
 
 from reconstruction.arrays import Floats, Image, Mask
-from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
+from reconstruction.displacement import Displacement, Outcome, RegistrationMethod, diagonal_covariance
 from reconstruction.errors import ReconstructionError
-from reconstruction.geometry import require
+from reconstruction.geometry import Field, centered_steps, require
 from reconstruction.modes.field_modes import SampledModes
-from reconstruction.registration.classification import classify_lenslets
-from reconstruction.registration.peers.correlation import correlation_spectrum, cross_correlation, normalised
-from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.registration.correlation import correlation_spectrum, cross_correlation, normalised
+from reconstruction.registration.subimages import ReferenceSubimages, classify_lenslets
+from reconstruction.settings import RegistrationSettings
 
 _THRESHOLD = 0.1  # of the star's height above the background
 _WINDOW_BLURS = 1.5  # largest half width of a window over the first zero of a star's image
@@ -27,6 +27,16 @@ _CONVERGED_PX = 0.05  # largest last step of a converged window
 _FAINT = 0.2  # of the median star's height; fainter stars are lost
 _MISFIT = 0.5  # residual over contrast above which a star is lost
 _STARLESS_FRACTION = 0.5  # of the lit lenslets; if more lack a star, the reference shows another source
+
+
+def prepare(reference: ReferenceSubimages, settings: RegistrationSettings, field: Field) -> RegistrationMethod:
+    """Prepare the method `centroids` for the stars of the settings."""
+    spacing = settings.star_spacing_m / field.half_width_m
+    columns, rows = centered_steps(settings.star_columns), centered_steps(settings.star_rows)
+    try:
+        return Centroids(reference, star_x=columns * spacing, star_y=rows * spacing)
+    except ValueError as error:
+        raise ReconstructionError(f"registration.star_spacing_m does not suit the lenslets: {error}") from error
 
 
 class _Stars(NamedTuple):

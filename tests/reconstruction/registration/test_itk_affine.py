@@ -1,18 +1,17 @@
-"""SimpleITK's affine and non-rigid registration: known displacements through the forward model and back."""
+"""SimpleITK's affine registration: known displacements through the forward model and back."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 
 import numpy as np
 import pytest
-from support.optics import FIELD, FLOW_MODES, VIEWS, SmallBench, at_views
+from support.optics import FIELD, SmallBench
 
 from reconstruction.arrays import Floats, Image, Mask
-from reconstruction.displacement import Outcome, RegistrationMethod
+from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.registration.peers.simple_itk import Demons, FreeForm, ItkAffine
+from reconstruction.registration.itk_affine import ItkAffine
 from reconstruction.registration.subimages import ReferenceSubimages
 
 ROWS, COLUMNS = 3, 4
@@ -90,39 +89,12 @@ def test_affine_map_loses_dark_saturated_and_foreign_lenslets(bench: SmallBench,
         np.testing.assert_array_equal(np.isnan(values.reshape(ROWS, COLUMNS, -1)).any(axis=2), expected != 0)
 
 
-@pytest.mark.parametrize(
-    ("method", "bend", "limit"),
-    [(Demons, lambda x, y: x * y, 0.9), (FreeForm, lambda _x, y: y**2, 0.4)],  # the bends that each follows best
-)
-def test_non_rigid_methods_follow_a_bend_beyond_the_affine_map(
-    bench: SmallBench,
-    reference: ReferenceSubimages,
-    method: type[Demons | FreeForm],
-    bend: Callable[[float, float], float],
-    limit: float,
-) -> None:
-    u, v = bench.samples()
-    half_m = FIELD.half_width_m
-    frame = bench.frame(lambda x, y: (4000.0 * bend(x / half_m, y / half_m) * u + 0 * v).astype(np.float32))
-    expected = np.array([[4000.0 * bend(x, y) for x in VIEWS] for y in VIEWS]) / bench.sensor.slope_per_px
-    errors = []
-    for register in (ItkAffine(reference), method(reference, FLOW_MODES["views"])):
-        displacement = register(frame, saturated=unsaturated(frame))
-        errors.append(np.sqrt(np.mean((at_views(displacement)[..., 0] - expected) ** 2)))
-    assert errors[1] < limit * errors[0]
-
-
-@pytest.mark.parametrize(
-    "prepare", [ItkAffine, lambda reference: Demons(reference, FLOW_MODES["views"])], ids=["affine", "demons"]
-)
 def test_missing_simple_itk_names_the_package_to_install(
-    reference: ReferenceSubimages,
-    monkeypatch: pytest.MonkeyPatch,
-    prepare: Callable[[ReferenceSubimages], RegistrationMethod],
+    reference: ReferenceSubimages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "SimpleITK", None)  # importing it raises ImportError
     with pytest.raises(ReconstructionError, match=r"needs SimpleITK: pip install 'svwfs\[peers\]'"):
-        prepare(reference)
+        ItkAffine(reference)
 
 
 def test_lost_subimage_prints_nothing(reference: ReferenceSubimages, capfd: pytest.CaptureFixture[str]) -> None:

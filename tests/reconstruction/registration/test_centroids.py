@@ -12,8 +12,8 @@ from reconstruction.arrays import Image, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import SampledModes
-from reconstruction.registration.methods import prepare_registration
-from reconstruction.registration.peers.centroids import Centroids
+from reconstruction.registration import prepare_registration
+from reconstruction.registration.centroids import Centroids
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings
 from simulated_devices.optics.forward_model import phase_only

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
-from reconstruction.registration.gauss_newton.warped_sampling import (
+from reconstruction.registration.gauss_newton._warped_sampling import (
     Scratch,
     Window,
     sample_warped,

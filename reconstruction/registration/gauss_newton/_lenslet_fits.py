@@ -1,23 +1,71 @@
-"""Compiled loop over the lenslets: the starts of their fits, and the noise left by interpolation."""
+"""Compiled loop over the lenslets: the starts of their fits, and the noise left by interpolation.
 
-from typing import NamedTuple
+Threads share the lenslets without the interpreter lock: each takes the next until none is left. One that starts late,
+because others hold the lock or the processor is busy, delays nobody.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
 
 import numpy as np
+from numba import types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
-from reconstruction.registration.gauss_newton.alignment import LOST_PX, FrameData, Grid, State, fit_warp
-from reconstruction.registration.gauss_newton.warped_sampling import (
+from reconstruction.registration.gauss_newton._alignment import LOST_PX, FrameData, Grid, State, fit_warp
+from reconstruction.registration.gauss_newton._warped_sampling import (
     MONOMIALS,
     Scratch,
     Window,
     new_scratch,
     sample_warped,
-    window_of,
 )
-from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
-from reconstruction.runtime.shared_work import Ledger, finish, is_finished, take
+
+Ledger = NDArray[np.int64]  # numbers of items taken and finished, (2,)
+
+_PATIENCE = 20_000  # reads of the ledger, about 0.1 ms, for which a thread spins until the others have finished
+
+
+def new_ledger() -> Ledger:
+    """No item taken, none finished."""
+    return np.zeros(2, np.int64)
+
+
+def _add_in_one_step(_context: Any, ledger: Any, _entry: Any, _addend: Any) -> Any:
+    """Describe to Numba how to add to an entry in one indivisible step and return the value before."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        return builder.atomic_rmw("add", builder.gep(array.data, [arguments[1]]), arguments[2], "seq_cst")
+
+    return types.int64(ledger, types.int64, types.int64), generate
+
+
+_fetch_and_add = cast("Callable[[Ledger, int, int], int]", intrinsic(_add_in_one_step))
+
+
+@compiled
+def take(ledger: Ledger) -> int:
+    """Take the next item; from the number of items on, there are no more."""
+    return _fetch_and_add(ledger, 0, 1)
+
+
+@compiled
+def finish(ledger: Ledger) -> None:
+    """Note that an item is finished."""
+    _fetch_and_add(ledger, 1, 1)
+
+
+@compiled
+def is_finished(ledger: Ledger, items: int) -> bool:
+    """Return whether all items are finished, after a short wait for those in other threads."""
+    for _ in range(_PATIENCE):  # noqa: SIM110 - Numba compiles no generator
+        if _fetch_and_add(ledger, 1, 0) >= items:
+            return True
+    return False
+
 
 _NOISE_STRIDE = 7  # pixels between samples of the interpolation noise; no divisor of a window's width
 _GIVEN, _TRANSLATED, _SEARCHED, _REPEATED, _DONE = range(5)  # from what a lenslet's fit starts
@@ -155,25 +203,6 @@ def _interpolated_noise(weight: Image, light: Image, power: Floats, scratch: Scr
         left_pixels += one * left
         left_shot += much * left
     found[0], found[1] = left_pixels / max(pixels, 1e-30), left_shot / max(shot, 1e-30)
-
-
-def prepare_search(reference: ReferenceSubimages) -> WholePixelSearch:
-    """Prepare the search for shifts that keep the field, with half its blur, inside the lenslet's cell."""
-    reach = max(int(reference.reach_px - reference.half_width_px), 0)
-    width = 2 * int(reference.half_width_px + reference.blur_px / 2) + reference.width % 2
-    width = min(width, reference.width - 2 * reach)  # the patch must not exceed the window
-    inner = slice((reference.width - width) // 2, (reference.width + width) // 2)
-    light = reference.light.reshape(-1, reference.width, reference.width)[:, inner, inner]
-    light = light - light.mean(axis=(1, 2), keepdims=True)
-    light /= np.maximum(light.std(axis=(1, 2), keepdims=True), np.finfo(np.float32).tiny)
-    steps_px = reference.steps_px
-    steps_px = steps_px[np.abs(steps_px) <= (width - 1) / 2 + reach]
-    return WholePixelSearch(
-        light=light.astype(np.float32),
-        window=window_of(np.ones((steps_px.size, steps_px.size), np.bool_), steps_px / reference.half_width_px),
-        scale=(np.float32(reference.half_width_px), np.float32(0.0)),
-        reach=reach,
-    )
 
 
 @compiled

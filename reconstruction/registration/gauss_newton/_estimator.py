@@ -9,24 +9,163 @@ with T_q the field modes and h the half width of the field on the subimage. The 
 conserves flux instead, and the right side has the factor det(1 + dd/dx) (docs/brightness.md). The fit starts from the
 previous frame, or from a translation found on every other pixel, or, if that does not match, from the whole-pixel shift
 with the best correlation.
+
+Error bars follow from the camera's noise. Steepest-descent images see the slow part of it, which interpolation
+preserves: the covariance is that of pixels without interpolation. The residual holds all of the noise, reduced by
+interpolation.
 """
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from reconstruction.arrays import Floats, Image, Mask
-from reconstruction.displacement import Displacement, Outcome
-from reconstruction.frame.spline import noise_power_polynomial
-from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis
-from reconstruction.registration.classification import classify_lenslets
-from reconstruction.registration.gauss_newton.alignment import FrameData
-from reconstruction.registration.gauss_newton.fit_errors import ErrorPropagation
-from reconstruction.registration.gauss_newton.lenslet_fits import FitLimits, Fits, fit_lenslets, prepare_search
-from reconstruction.registration.gauss_newton.template import prepare_template, respond
-from reconstruction.registration.gauss_newton.visible_warp import visible_warp
-from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.displacement import Displacement, Outcome, RegistrationMethod
+from reconstruction.frame.spline import noise_power, noise_power_polynomial
+from reconstruction.geometry import Field
+from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes, gradient_basis
+from reconstruction.registration.gauss_newton._alignment import FrameData
+from reconstruction.registration.gauss_newton._lenslet_fits import FitLimits, Fits, fit_lenslets, new_ledger
+from reconstruction.registration.gauss_newton.template import (
+    Propagated,
+    Template,
+    coefficient_covariance,
+    prepare_search,
+    prepare_template,
+    respond,
+    visible_warp,
+)
+from reconstruction.registration.subimages import ReferenceSubimages, classify_lenslets
 from reconstruction.runtime.compilation import compiled
-from reconstruction.runtime.shared_work import new_ledger
 from reconstruction.runtime.threads import worker_pool
+from reconstruction.settings import FIELD_MODES, RegistrationSettings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitCovariance:
+    """Covariance of the coefficients of fits: noise variances times what the fits make of them."""
+
+    variance: Floats  # of every pixel, counts^2, and per count of light, counts; (lenslet_row, lenslet_column, 2)
+    per_pixel: Propagated  # for a variance of 1 in every pixel
+    per_light: Propagated  # for one that is the light
+    basis: Floats  # coefficients (x modes, y modes) of the parameters, (P, 2Q)
+
+    def kept(self, lenslets: Mask) -> Self:
+        """The same, lost for all but some lenslets (L,)."""
+        return replace(self, variance=np.where(lenslets.reshape(*self.variance.shape[:2], 1), self.variance, np.nan))
+
+    def covariance(self) -> Floats:
+        """The covariance, px^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)."""
+        of_pixels, of_light = self.variance.reshape(-1, 2, 1, 1).swapaxes(0, 1)
+        of_parameters = of_pixels * self.per_pixel.covariance + of_light * self.per_light.covariance
+        covariance = coefficient_covariance(of_parameters, self.basis)
+        return covariance.reshape(*self.variance.shape[:2], *covariance.shape[1:])
+
+    def trace(self) -> Floats:
+        """Sum of the variances, px^2, (lenslet_row, lenslet_column); the basis is orthonormal."""
+        shape = self.variance.shape[:2]
+        of_pixels, of_light = self.per_pixel.trace.reshape(shape), self.per_light.trace.reshape(shape)
+        return np.asarray(self.variance[..., 0] * of_pixels + self.variance[..., 1] * of_light)
+
+
+class FitErrors(NamedTuple):
+    """Errors of the fits of L lenslets."""
+
+    covariance: FitCovariance  # from the residual if the noise is unknown
+    chi_square: Floats  # reduced, (L,); NaN if the noise is unknown
+    unexplained: Floats  # weighted sum of squares of the residual minus its noise, counts^2, (L,)
+    known: Floats  # share of the information of a lenslet's pixels in the usable ones, (L,)
+
+
+class ErrorPropagation:
+    """Propagates noise through the fits against one reference."""
+
+    def __init__(self, reference: ReferenceSubimages, template: Template, pixels: Mask) -> None:
+        """Prepare for a template on some pixels (N,) of the reference's windows."""
+        self._noise, self._template, self._lattice = reference.noise, template, reference.lenslets
+        self._basis = template.grid.basis.astype(np.float64)
+        self._of_reference = 1 / reference.reference_frames
+        # Share of the noise of the reference that interpolation leaves: uniform, shot, (L, 2).
+        power = noise_power(reference.position_px[:, pixels])
+        weight = np.stack([template.grid.weight, template.grid.weight * np.maximum(template.grid.light, 0)], axis=-1)
+        total = np.maximum(weight.sum(axis=1), np.finfo(np.float32).tiny)
+        self._reference_power = np.einsum("ln,lnk->lk", power, weight) / total
+
+    @property
+    def expected_square(self) -> Floats:
+        """Expected weighted sum of squared noise, as a polynomial of the gain: (L, 3); zero if unknown."""
+        square = np.zeros((len(self._template.contrast), 3))
+        if self._noise is not None:
+            shot = self._noise.counts_per_light * self._template.per_light.square
+            read = self._noise.read_noise_counts**2 * self._template.per_pixel.square
+            square[:, 0], square[:, 1], square[:, 2] = (shot + read) * self._of_reference, shot, read
+        return square
+
+    @property
+    def expected_sigma_px(self) -> Floats:
+        """RMS standard error of the parameters in a frame as bright as the reference, (L,); 0 if unknown."""
+        if self._noise is None:
+            return np.zeros(len(self._template.contrast))
+        shot = self._noise.counts_per_light * self._template.per_light.trace
+        read = self._noise.read_noise_counts**2 * self._template.per_pixel.trace
+        return np.asarray(np.sqrt((shot + read) / self._template.grid.basis.shape[0]))
+
+    def __call__(self, fits: Fits) -> FitErrors:
+        """Errors of the fits; arbitrary for lost ones."""
+        per_pixel, per_light, known = self._template.per_pixel, self._template.per_light, np.ones(len(fits.gain))
+        partial = np.flatnonzero(fits.is_partial)
+        if partial.size:
+            *of_partial, known[partial] = self._template.without(partial, fits.excluded[partial])
+            per_pixel, per_light = (
+                whole.replaced(partial, part) for whole, part in zip((per_pixel, per_light), of_partial, strict=True)
+            )
+        noise = (np.nan, np.nan)
+        if self._noise is not None:
+            noise = self._noise.counts_per_light, self._noise.read_noise_counts**2
+        variance, chi_square, unexplained = _propagate(
+            fits, per_pixel, per_light, *noise, self._of_reference, self._reference_power
+        )
+        covariance = FitCovariance(variance.reshape(*self._lattice, 2), per_pixel, per_light, self._basis)
+        return FitErrors(covariance, chi_square, unexplained, known)
+
+
+@compiled
+def _propagate(  # noqa: PLR0917 - compiled code takes its arguments by their place
+    fits: Fits,
+    per_pixel: Propagated,
+    per_light: Propagated,
+    shot: float,
+    read: float,
+    of_reference: float,
+    reference_power: Floats,
+) -> tuple[Floats, Floats, Floats]:
+    """Noise variances (L, 2), reduced chi-squares and unexplained squares (L,).
+
+    `shot` (counts^2 per count of light) and `read` (counts^2) are NaN if unknown; the reference has the share
+    `of_reference` of them, reduced by interpolation to `reference_power` (L, 2).
+    """
+    lenslets = fits.gain.size
+    variance, chi_square, unexplained = np.zeros((lenslets, 2)), np.full(lenslets, np.nan), np.empty(lenslets)
+    for lenslet in range(lenslets):
+        gain, square, power = fits.gain[lenslet], fits.square[lenslet], fits.noise_power[lenslet]
+        still, expected = reference_power[lenslet], 0.0
+        if np.isnan(shot):
+            variance[lenslet, 0] = square / (power[0] * per_pixel.square[lenslet] - per_pixel.fitted[lenslet])
+        else:
+            # Noise of the frame, scaled to the brightness of the reference, and of the reference.
+            shot_frame, read_frame = shot * gain, read * gain * gain
+            shot_reference, read_reference = shot * of_reference, read * of_reference
+            of_pixels, of_light = read_frame + read_reference, shot_frame + shot_reference
+            left_pixels = read_frame * power[0] + read_reference * still[0]
+            left_light = shot_frame * power[1] + shot_reference * still[1]
+            expected = left_pixels * per_pixel.square[lenslet] - of_pixels * per_pixel.fitted[lenslet]
+            expected += left_light * per_light.square[lenslet] - of_light * per_light.fitted[lenslet]
+            chi_square[lenslet] = square / expected
+            variance[lenslet, 0], variance[lenslet, 1] = of_pixels, of_light
+        unexplained[lenslet] = square - expected
+    return variance, chi_square, unexplained
+
 
 # Margin of the pixels used beyond the field's edge, in blurs. Further out there is only scattered light, which no warp
 # describes. With 0.8 the wavefront error at the shortest correlation length of docs/estimator.md is 0.157 rad, with
@@ -44,6 +183,13 @@ _NOISE_SHARE = 0.3  # of the noise's square, tolerated as chance
 _POOR = _ODD  # residual over contrast above which another start is tried
 _NOISE_AT_MOST = 1.5  # square of a residual's noise over its mean
 _INFORMATION_LEFT = 0.75  # of a lenslet's pixels; with less it is lost
+
+
+def prepare(reference: ReferenceSubimages, settings: RegistrationSettings, field: Field) -> RegistrationMethod:
+    """Prepare the method `gauss_newton` with the warp of the settings."""
+    modes = (ZernikeModes if field.shape == "circle" else LegendreModes)(FIELD_MODES[settings.warp or "quadratic"])
+    conserve_flux, rotation = field.neglect_propagation, settings.rotation
+    return GaussNewton(reference, modes, conserve_flux=conserve_flux, rotation=rotation, threads=settings.threads)
 
 
 class GaussNewton:

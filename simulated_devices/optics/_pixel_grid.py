@@ -5,12 +5,9 @@ from collections.abc import Callable, Iterable
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, Image
 from reconstruction.geometry import Lattice, Sensor
-
-Images = NDArray[np.float32]
 
 
 class PixelGrid:
@@ -53,7 +50,7 @@ class PixelGrid:
             pupil_samples, pixel_fill_factor * angle_per_px / (2 * math.pi), lattice.rotation_rad
         )
 
-    def evaluate(self, images: Images) -> Images:
+    def evaluate(self, images: Image) -> Image:
         """Values at every pixel, (row, column), from images on the 2n x 2n grid, (lenslet_row, lenslet_column, y, x).
 
         A single image is used for all lenslets.
@@ -68,7 +65,7 @@ class PixelGrid:
         image.ravel()[self._pixel] = np.maximum(values, 0)  # rounding can leave -1e-7
         return image
 
-    def waves(self, images: Images) -> Images:
+    def waves(self, images: Image) -> Image:
         """Amplitudes of the waves of images on the 2n x 2n grid, averaged over a pixel.
 
         (lenslet, y wave, x wave), each the cosines 0 ... n-1 and then the sines 1 ... n-1.
@@ -78,8 +75,8 @@ class PixelGrid:
         return self._blurred(analysis @ images.reshape(-1, 2 * n, 2 * n) @ analysis.T * self._scale).astype(np.float32)
 
     def evaluate_each(
-        self, waves: Images, run: Callable[[Callable[[int], None], Iterable[int]], Iterable[None]]
-    ) -> Images:
+        self, waves: Image, run: Callable[[Callable[[int], None], Iterable[int]], Iterable[None]]
+    ) -> Image:
         """Images of many object points, (point, row, column), from their `waves`, (lenslet, point, wave).
 
         A single lenslet is used for all. `run` maps a function over lenslets, in parallel if wanted.
@@ -97,7 +94,7 @@ class PixelGrid:
         list(run(work, range(len(bounds))))
         return images.reshape(-1, *self._shape)
 
-    def _waves_at_pixels(self, start: int, end: int) -> tuple[Images, Images]:
+    def _waves_at_pixels(self, start: int, end: int) -> tuple[Image, Image]:
         """Values of the y and the x waves at the pixels start ... end - 1, each (wave, pixel)."""
         order = np.arange(self._samples, dtype=np.float32)[:, None]
         turn_x, turn_y = order * self._angle[start:end, 0], order * self._angle[start:end, 1]  # (order, pixel)

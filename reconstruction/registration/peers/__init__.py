@@ -1,1 +1,0 @@
-"""Registration methods from the literature, for comparison."""

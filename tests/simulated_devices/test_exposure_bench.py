@@ -1,0 +1,50 @@
+"""The bench of auto-exposure studies keeps the contract of devices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from drivers.contract import camera as of_cameras
+from drivers.contract import light as of_lights
+from drivers.contract import stage as of_stages
+from drivers.interface import Camera, LightSource, Range, Stage
+from simulated_devices.exposure_bench import Scene, exposure_bench
+
+SCENE = Scene(counts_per_a_s=1e6, exposure_range_s=Range(1e-3, 1.0))
+
+
+@pytest.mark.parametrize(
+    "check",
+    [
+        of_cameras.check_identity,
+        of_cameras.check_rests_before_start,
+        of_cameras.check_frames,
+        of_cameras.check_timeout,
+        of_cameras.check_restarts,
+        of_cameras.check_pauses,
+        of_cameras.check_exposures,
+        of_cameras.check_exposure_while_running,
+        of_cameras.check_gain,
+        of_cameras.check_modes,
+        of_cameras.check_region,
+        of_cameras.check_refuses_unknown_modes,
+        of_cameras.check_stops_at_once,
+        of_cameras.check_closes,
+    ],
+)
+def test_camera_keeps_the_contract(check: Callable[[Camera], None]) -> None:
+    check(exposure_bench(SCENE, exposure_s=0.1)[1])
+
+
+@pytest.mark.parametrize(
+    "check", [of_lights.check_switches, of_lights.check_currents, of_lights.check_lit_time, of_lights.check_closes]
+)
+def test_lamp_keeps_the_contract(check: Callable[[LightSource], None]) -> None:
+    check(exposure_bench(SCENE, exposure_s=0.1)[2])
+
+
+@pytest.mark.parametrize("check", [of_stages.check_masks, of_stages.check_sample, of_stages.check_closes])
+def test_table_keeps_the_contract(check: Callable[[Stage], None]) -> None:
+    check(exposure_bench(SCENE, exposure_s=0.1)[0].stage)
