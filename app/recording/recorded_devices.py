@@ -2,7 +2,7 @@
 
 from contextlib import ExitStack
 
-from app.bench.settings import Pace
+from app.bench.device_kinds import Pace
 from app.recording.reader import Recording
 from app.recording.recorded_camera import RecordedCamera
 from drivers.interface import Devices, LightSource, Range

@@ -6,7 +6,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from drivers.camera import Camera
+from drivers.camera import Camera, Frame, Region
 from drivers.contract.device import (
     Calls,
     ContractBroken,
@@ -17,7 +17,6 @@ from drivers.contract.device import (
     require_raises,
 )
 from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, WrongState
-from drivers.frame import Frame, Region
 
 _NAN = float("nan")
 _MODES = ("amplifier", "readout_speed", "binning", "trigger")

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from ctypes import byref
 
-from drivers.camera import Camera, CameraCapabilities
+from drivers.camera import Camera, CameraCapabilities, Frame, Region
+from drivers.dcam import DcamSettings, session
 from drivers.dcam import property_ids as ids
-from drivers.dcam import session
 from drivers.dcam.capabilities import (
     AMPLIFIERS,
     FILTERS,
@@ -28,16 +28,24 @@ from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
 from drivers.dcam.session import ListedCamera
 from drivers.dcam.structures import DeviceOpen, sized
-from drivers.device import Property
+from drivers.device import DiscoveredDevice, Property
 from drivers.errors import REFUSALS, DeviceError, Disconnected, Unsupported, WrongState
-from drivers.frame import Frame, Region
-from drivers.settings import DcamSettings
 
 # A running camera may deny reading these.
 _MODE = (
     *(Id.CCDMODE, Id.READOUTSPEED, Id.BINNING, Id.TRIGGERSOURCE, Id.TRIGGERACTIVE, *FILTERS),
     *(Id.SUBARRAYMODE, Id.SUBARRAYHPOS, Id.SUBARRAYHSIZE, Id.SUBARRAYVPOS, Id.SUBARRAYVSIZE),
 )
+
+
+def discover(library: DcamLibrary | None = None) -> tuple[DiscoveredDevice, ...]:
+    """Return the connected cameras; raise `Unsupported` if Hamamatsu's library is missing."""
+    return tuple(
+        DiscoveredDevice(
+            kind="camera", driver="dcam", description=camera.name, settings={"device": camera.serial_number}
+        )
+        for camera in session.connected(library or load_library())
+    )
 
 
 class DcamCamera(Camera):

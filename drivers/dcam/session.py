@@ -5,9 +5,8 @@ from contextlib import suppress
 from ctypes import byref, c_char_p, cast, create_string_buffer
 from dataclasses import dataclass
 
-from drivers.dcam.library import DcamLibrary, load_library
+from drivers.dcam.library import DcamLibrary
 from drivers.dcam.structures import DeviceString, Init, sized
-from drivers.device import DiscoveredDevice
 from drivers.errors import BadValue, DeviceError, Disconnected
 
 STRINGS = {
@@ -75,23 +74,16 @@ def end(library: DcamLibrary) -> None:
             library.call("dcamapi_uninit")
 
 
-def discover(library: DcamLibrary | None = None) -> tuple[DiscoveredDevice, ...]:
-    """Return the connected cameras; raise `Unsupported` if Hamamatsu's library is missing."""
-    library = library or load_library()
+def connected(library: DcamLibrary) -> tuple[ListedCamera, ...]:
+    """Return the connected cameras."""
     try:
         count = begin(library)
     except Disconnected:  # the DCAM-API's error for no camera
         return ()
     try:
-        cameras = [_listed(library, index) for index in range(count)]
+        return tuple(_listed(library, index) for index in range(count))
     finally:
         end(library)
-    return tuple(
-        DiscoveredDevice(
-            kind="camera", driver="dcam", description=camera.name, settings={"device": camera.serial_number}
-        )
-        for camera in cameras
-    )
 
 
 def choose(library: DcamLibrary, count: int, wanted: str) -> ListedCamera:

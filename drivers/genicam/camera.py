@@ -13,12 +13,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera import Camera, CameraCapabilities
-from drivers.device import Property, Range
+from drivers.camera import Camera, CameraCapabilities, Frame, Region
+from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, undone_if_refused
-from drivers.frame import Frame, Region
-from drivers.genicam.connection import GenicamConnection
-from drivers.genicam.discovery import choose
+from drivers.genicam import GenicamSettings
+from drivers.genicam.connection import GenicamConnection, choose, update_list
 from drivers.genicam.features import (
     FEATURES,
     FRAME_RATE,
@@ -43,7 +42,6 @@ from drivers.genicam.frames import (
 )
 from drivers.genicam.geometry import Geometry
 from drivers.genicam.library import STATUS_SUCCESS, load_aravis
-from drivers.settings import GenicamSettings
 
 _SLICE_S: Final = 0.1  # longest wait for a frame between two checks of the connection
 # properties, if the camera has them
@@ -53,6 +51,19 @@ _PROPERTIES_AS_TEXT: Final = (
     *RESETS,
 )
 _PROPERTIES_AS_NUMBER: Final = ("DeviceTemperature", "BlackLevel")
+
+
+def discover() -> tuple[DiscoveredDevice, ...]:
+    """Return the cameras that answer within about a second; raise `Unsupported` if the library is missing."""
+    aravis = load_aravis()
+    update_list(aravis)
+    cameras = []
+    for i in range(aravis.call("arv_get_n_devices")):
+        details = (aravis.call(f"arv_get_device_{detail}", i) for detail in ("vendor", "model", "serial_nbr"))
+        description = " ".join(filter(None, details))
+        settings = {"device": aravis.call("arv_get_device_id", i)}
+        cameras.append(DiscoveredDevice(kind="camera", driver="genicam", description=description, settings=settings))
+    return tuple(cameras)
 
 
 class GenicamCamera(Camera):

@@ -5,14 +5,16 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
+from ipaddress import ip_address
 from queue import SimpleQueue
 from typing import Any, Final, TypeVar
 
-from drivers.errors import Busy, DeviceError, Disconnected, Unsupported
-from drivers.genicam.library import PACKET_SOCKET_DISABLED, READ_WRITE, SOCKET_BUFFER_FIXED, Aravis
-from drivers.settings import GenicamSettings
+from drivers.errors import BadValue, Busy, DeviceError, Disconnected, Unsupported
+from drivers.genicam import GenicamSettings
+from drivers.genicam.library import PACKET_SOCKET_DISABLED, READ_WRITE, SOCKET_BUFFER_FIXED, Aravis, load_aravis
 
 PATIENCE_S: Final = 1.1  # three attempts of Aravis: one lost packet is no disconnection
+_DISCOVERY_S: Final = 2.0  # cameras in the network have one second to answer
 _OPENING_S: Final = 10.0  # loads the camera's XML description, some 100 kB in packets of 500 bytes
 _SIGN_INTERVAL_S: Final = 0.3
 _RELEASE_S: Final = 0.5
@@ -258,3 +260,51 @@ class GenicamConnection:
         """Raise `Disconnected` if another program took the camera, or it restarted."""
         if self.is_gige and not self._aravis.call("arv_gv_device_is_controller", self._handle):
             raise Disconnected("the camera is no longer under control: it was switched off, or another program has it")
+
+
+def choose(wanted: str) -> str:
+    """Return Aravis's identifier of the camera with this name, serial number or address; "" takes the only one."""
+    if _is_address(wanted):  # perhaps in another network, beyond the reach of a discovery
+        return wanted
+    aravis = load_aravis()
+    known = _identifiers(aravis) if wanted else {}  # from earlier discoveries: reopening need not wait for another
+    if wanted in known:
+        return known[wanted]
+    update_list(aravis)
+    known = _identifiers(aravis)
+    devices = sorted(set(known.values()))
+    if wanted in known:
+        return known[wanted]
+    if not wanted and len(devices) == 1:
+        return devices[0]
+    names = ", ".join(devices)
+    if not wanted and devices:
+        raise BadValue(f"there are {len(devices)} GenICam cameras; say which one is camera.device: {names}")
+    raise Disconnected(
+        f"there is no GenICam camera {wanted}".rstrip() + (f"; there are {names}" if names else ": none answers")
+    )
+
+
+def update_list(aravis: Aravis) -> None:
+    """Search for cameras."""
+    calls = PatientCalls("genicam discovery")
+    try:
+        calls.make(lambda: aravis.call("arv_update_device_list"), _DISCOVERY_S)
+    finally:
+        calls.end()
+
+
+def _identifiers(aravis: Aravis) -> dict[str, str]:
+    """Identifiers of the listed cameras, by identifier and by serial number."""
+    indices = range(aravis.call("arv_get_n_devices"))
+    devices = [aravis.call("arv_get_device_id", i) for i in indices]
+    serial_numbers = [aravis.call("arv_get_device_serial_nbr", i) for i in indices]
+    return dict(zip(serial_numbers, devices, strict=True)) | {device: device for device in devices}
+
+
+def _is_address(text: str) -> bool:
+    try:
+        ip_address(text)
+    except ValueError:
+        return False
+    return True

@@ -3,8 +3,8 @@
 import math
 from typing import Final
 
+from drivers.camera import Region
 from drivers.errors import BadValue, Unsupported
-from drivers.frame import Region
 from drivers.genicam.connection import GenicamConnection
 from drivers.genicam.features import trailing_number
 

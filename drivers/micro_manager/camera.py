@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera import Camera, CameraCapabilities
-from drivers.device import Property, Range
+from drivers.camera import Camera, CameraCapabilities, Frame, Region
+from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import (
     DeviceError,
     DeviceTimeout,
@@ -24,9 +24,8 @@ from drivers.errors import (
     WrongState,
     undone_if_refused,
 )
-from drivers.frame import Frame, Region
+from drivers.micro_manager import MicroManagerSettings
 from drivers.micro_manager.core import LABEL, LoadedCamera, load_pymmcore
-from drivers.settings import MicroManagerSettings
 
 _POLL_S: Final = 1e-3  # between two looks for a frame: the core offers no event
 _CHECK_S: Final = 0.1  # between two checks of a silent camera
@@ -34,6 +33,12 @@ _SILENCE_S: Final = 2.0  # beyond the exposure; after that the camera counts as 
 _SHORTEST_S: Final = 1e-3  # if the adapter reports 0; many round to 0.01 ms
 _LONGEST_S: Final = 60.0  # if the adapter reports no limit
 _NUMBERS_NOTE: Final = "by Micro-Manager's core: a frame lost before it leaves no gap"
+
+
+def discover() -> tuple[DiscoveredDevice, ...]:
+    """Raise `Unsupported`: searching would load the library of every maker."""
+    load_pymmcore()
+    raise Unsupported("name adapter and device in a bench, then `svwfs devices --check camera --bench B`")
 
 
 class MicroManagerCamera(Camera):

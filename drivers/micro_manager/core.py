@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.device import DiscoveredDevice
 from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported
 
 LABEL: Final = "camera"
@@ -23,12 +22,6 @@ def load_pymmcore() -> Any:
         return import_module("pymmcore")
     except ImportError as error:
         raise Unsupported("Micro-Manager's cameras need pymmcore: install the extra svwfs[micro-manager]") from error
-
-
-def discover() -> tuple[DiscoveredDevice, ...]:
-    """Raise `Unsupported`: searching would load the library of every maker."""
-    load_pymmcore()
-    raise Unsupported("name adapter and device in a bench, then `svwfs devices --check camera --bench B`")
 
 
 class LoadedCamera:

@@ -15,8 +15,7 @@ from usb.backend import IBackend
 from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported, WrongState
 from drivers.light_source import LightSource
-from drivers.settings import DC2200Settings
-from drivers.usb_lights import usbtmc
+from drivers.usb_lights import DC2200Settings, usbtmc
 from drivers.usb_lights.usbtmc import UsbInstrument, Usbtmc
 
 _VENDOR_ID, _PRODUCT_IDS = 0x1313, (0x80C8, 0x80C0)  # the second one if firmware updates are enabled

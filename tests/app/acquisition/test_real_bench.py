@@ -22,8 +22,8 @@ from app.bench.config import Bench, parse_bench, write_bench
 from app.errors import InputError
 from app.recording.reader import Recording
 from drivers.errors import BadValue, DeviceError, Disconnected, WrongState
+from drivers.serial_lights import DC4100Settings
 from drivers.serial_lights.thorlabs_dc4100 import _DIALECT
-from drivers.settings import DC4100Settings
 
 FOREIGN = (FOREIGN_FRAMES / "bench.toml").read_text()
 WITHIN_S = 2.0

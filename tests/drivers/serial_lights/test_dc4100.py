@@ -14,9 +14,10 @@ from support.wires.dc4100 import DC4100Wire
 from support.wires.serial import FaultKind, LineFault
 
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, WrongState
+from drivers.serial_lights import DC4100Settings
 from drivers.serial_lights.line import Wire
 from drivers.serial_lights.thorlabs_dc4100 import ChannelStatus, ThorlabsDC4100
-from drivers.settings import DC4100Settings
+from reconstruction.annotated_settings import check
 from simulated_devices.clock import ManualClock
 
 # Traffic of opening channel 1, written by hand from the protocol.
@@ -334,7 +335,7 @@ def test_unplugged_during_command_raises(device: DC4100Wire, light: ThorlabsDC41
 )
 def test_invalid_settings_are_refused(wrong: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        DC4100Settings(**wrong)
+        check(DC4100Settings(**wrong))
 
 
 class Storm(SerialStorm, HeatStorm):
