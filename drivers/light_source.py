@@ -22,6 +22,7 @@ from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected, LightH
 
 _RAMP_STEPS = 8  # from the lowest to the highest current
 _RAMP_S = 0.08
+_ATTEMPTS = 2  # to switch off: a command can be lost
 _LOCK_TIMEOUT_S = 1.0  # for another thread, which may hang, before the light is closed
 
 
@@ -236,6 +237,55 @@ class LightSource(Device):
 
     @abstractmethod
     def _switch(self, *, on: bool) -> None: ...
+
+
+class LedDriver(LightSource):
+    """A light that reports refusals of commands, and may be switched off at the device or go out on its own."""
+
+    _where: str  # the light, in errors
+    _panel: str  # where a person can switch it off
+    _switching: tuple[str, str]  # commands: off, on
+    _is_wanted_lit = False
+
+    def _is_lit(self) -> bool:
+        self._check_lit()
+        return self._is_output_on()
+
+    def _switch(self, *, on: bool) -> None:
+        self._is_wanted_lit = False
+        if on:
+            refusal = self._send(self._switching[True])
+            self._is_wanted_lit = True
+            self._check_lit(refusal)
+            return
+        for _ in range(_ATTEMPTS):
+            self._send(self._switching[False])
+            if not self._is_output_on():
+                return
+        raise DeviceError(f"{self._where} is still on after the command to switch off; unplug its head")
+
+    def _check_lit(self, refusal: str = "") -> None:
+        """Raise if the light should be on but is off."""
+        if self._is_wanted_lit:
+            if fault := self._fault():
+                raise DeviceError(f"{self._where}{fault}")
+            if not self._is_output_on():
+                reason = refusal or f"switched off at its {self._panel}, or on its own"
+                raise DeviceError(f"{self._where} is off: {reason}")
+
+    def _execute(self, command: str) -> None:
+        """Send a command; raise `BadValue` if it was refused."""
+        if refusal := self._send(command):
+            raise BadValue(f"{self._where} refuses “{command}”: {refusal}")
+
+    @abstractmethod
+    def _send(self, command: str) -> str: ...  # returns why it was refused; empty if it was not
+
+    @abstractmethod
+    def _is_output_on(self) -> bool: ...
+
+    @abstractmethod
+    def _fault(self) -> str: ...  # why there is no light, to follow its name; empty if nothing is known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

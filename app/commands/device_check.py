@@ -23,9 +23,9 @@ from app.commands import terminal
 from app.errors import InputError, RunError
 from app.run_facts import versions
 from drivers.camera import Camera
+from drivers.contract import ContractBroken, describe
 from drivers.contract import camera as camera_contract
 from drivers.contract import light as light_contract
-from drivers.contract.device import ContractBroken, describe
 from drivers.device import Property
 from drivers.errors import DeviceError, Disconnected
 from drivers.interface import Frame

@@ -7,15 +7,7 @@ from contextlib import contextmanager, suppress
 import numpy as np
 
 from drivers.camera import Camera, Frame, Region
-from drivers.contract.device import (
-    Calls,
-    ContractBroken,
-    calls,
-    check_properties,
-    require,
-    require_all_raise,
-    require_raises,
-)
+from drivers.contract import Calls, ContractBroken, calls, check_properties, require, require_all_raise, require_raises
 from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, WrongState
 
 _NAN = float("nan")

@@ -23,11 +23,10 @@ from drivers.dcam.capabilities import (
     set_region,
 )
 from drivers.dcam.capture import Capture
-from drivers.dcam.library import DcamLibrary, load_library
+from drivers.dcam.library import DcamLibrary, DeviceOpen, load_library, sized
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
 from drivers.dcam.session import ListedCamera
-from drivers.dcam.structures import DeviceOpen, sized
 from drivers.device import DiscoveredDevice, Property
 from drivers.errors import REFUSALS, DeviceError, Disconnected, Unsupported, WrongState
 
@@ -63,7 +62,7 @@ class DcamCamera(Camera):
         with ExitStack() as undo:
             cameras = session.begin(self._library)
             undo.callback(self._try, session.end, self._library)
-            camera = session.choose(self._library, cameras, settings.device)
+            camera = session.chosen(self._library, cameras, settings.device)
             self._name = camera.name
             self._handle = _opened(self._library, camera)
             undo.callback(self._try, self._library.call, "dcamdev_close", self._handle)

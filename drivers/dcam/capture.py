@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera import Frame
+from drivers.dcam.library import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import PRODUCER_NONE, Id
-from drivers.dcam.structures import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
 from drivers.errors import DeviceError, DeviceTimeout, FrameLost, WrongState
 
 _SLICE_S = 0.1  # longest wait in the library; after that much silence the camera's status is polled

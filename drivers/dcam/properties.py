@@ -5,10 +5,8 @@ from contextlib import suppress
 from ctypes import byref, c_char_p, c_double, c_int32, cast, create_string_buffer
 from dataclasses import dataclass
 
-from drivers.dcam.errors import Denied, NotThere
-from drivers.dcam.library import DcamLibrary
+from drivers.dcam.library import DcamLibrary, Denied, NotThere, PropertyAttribute, PropertyValueText, sized
 from drivers.dcam.property_ids import ALIVE_ONLINE, OPTION_NEXT, TYPE_MASK, TYPE_REAL, Attribute, Id
-from drivers.dcam.structures import PropertyAttribute, PropertyValueText, sized
 from drivers.device import Property, Range
 from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected
 

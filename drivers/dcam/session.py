@@ -5,9 +5,9 @@ from contextlib import suppress
 from ctypes import byref, c_char_p, cast, create_string_buffer
 from dataclasses import dataclass
 
-from drivers.dcam.library import DcamLibrary
-from drivers.dcam.structures import DeviceString, Init, sized
-from drivers.errors import BadValue, DeviceError, Disconnected
+from drivers.dcam.library import DcamLibrary, DeviceString, Init, sized
+from drivers.device import choose
+from drivers.errors import DeviceError, Disconnected
 
 STRINGS = {
     "bus": 0x04000101,
@@ -86,16 +86,11 @@ def connected(library: DcamLibrary) -> tuple[ListedCamera, ...]:
         end(library)
 
 
-def choose(library: DcamLibrary, count: int, wanted: str) -> ListedCamera:
+def chosen(library: DcamLibrary, count: int, wanted: str) -> ListedCamera:
     """Return the camera of this serial number or index, "" for the only one of `count`; needs a session."""
     cameras = [_listed(library, index) for index in range(count)]
-    chosen = [camera for camera in cameras if wanted in {"", camera.serial_number, str(camera.index)}]
-    if len(chosen) == 1:
-        return chosen[0]
-    names = "; ".join(camera.name for camera in cameras)
-    if chosen:
-        raise BadValue(f"there are {len(chosen)} Hamamatsu cameras; say which by its serial number: {names}")
-    raise Disconnected(f"there is no Hamamatsu camera {wanted}; there are {names}")
+    names = [(camera.serial_number, str(camera.index)) for camera in cameras]
+    return cameras[choose(wanted, names, "Hamamatsu camera", "device")]
 
 
 def string(library: DcamLibrary, camera: int, identifier: int) -> str:

@@ -7,7 +7,6 @@ and the EM gain is 1. Not yet tried on a real camera; the tests use Aravis's fak
 import time
 from ctypes import byref, c_int, c_size_t
 from dataclasses import replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -17,13 +16,14 @@ from drivers.camera import Camera, CameraCapabilities, Frame, Region
 from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, undone_if_refused
 from drivers.genicam import GenicamSettings
-from drivers.genicam.connection import GenicamConnection, choose, update_list
+from drivers.genicam.connection import GenicamConnection, chosen, update_list
 from drivers.genicam.features import (
     FEATURES,
     FRAME_RATE,
     INTERNAL,
     RESETS,
     ExposureTime,
+    Geometry,
     reset,
     set_digitiser,
     set_trigger,
@@ -40,7 +40,6 @@ from drivers.genicam.frames import (
     copied_pixels,
     preferred_format,
 )
-from drivers.genicam.geometry import Geometry
 from drivers.genicam.library import STATUS_SUCCESS, load_aravis
 
 _SLICE_S: Final = 0.1  # longest wait for a frame between two checks of the connection
@@ -73,7 +72,7 @@ class GenicamCamera(Camera):
         super().__init__()
         self._settings = settings = settings or GenicamSettings()
         self._aravis = load_aravis()
-        device = choose(settings.device)
+        device = chosen(settings.device)
         self._line = GenicamConnection(self._aravis, device, settings)
         self._count = FrameCount()
         self._exposures = ExposureLog.beginning_with(0.0)
@@ -82,7 +81,7 @@ class GenicamCamera(Camera):
         try:
             details = ("vendor_name", "model_name", "device_serial_number")
             self._name = " ".join(filter(None, (self._line.call(f"arv_camera_get_{detail}") for detail in details)))
-            self._line.attempt(lambda: self._line.call("arv_camera_execute_command", b"AcquisitionStop"))
+            self._line.attempt(self._line.call, "arv_camera_execute_command", b"AcquisitionStop")
             reset(self._line, RESETS)
             self._geometry = Geometry(self._line)
             self._prepare_pixels()
@@ -107,11 +106,9 @@ class GenicamCamera(Camera):
             readings = {"gain": "arv_camera_get_gain", "frame_rate_hz": "arv_camera_get_frame_rate"}
             if line.is_gige:
                 readings["packet_size"] = "arv_camera_gv_get_packet_size"
-            found: dict[str, Property | None] = {
-                key: line.attempt(partial(line.call, name)) for key, name in readings.items()
-            }
+            found: dict[str, Property | None] = {key: line.attempt(line.call, name) for key, name in readings.items()}
             found |= {name: line.optional_text(name) for name in _PROPERTIES_AS_TEXT}
-            found |= {name: line.attempt(partial(line.number, name)) for name in _PROPERTIES_AS_NUMBER}
+            found |= {name: line.attempt(line.number, name) for name in _PROPERTIES_AS_NUMBER}
         details |= {key: value for key, value in found.items() if value is not None}
         return details | {"incomplete_frames": self._incomplete}
 
@@ -163,7 +160,7 @@ class GenicamCamera(Camera):
     def _read_capabilities(self) -> CameraCapabilities:
         line, geometry, settings = self._line, self._geometry, self._settings
         _, _, columns, rows = line.region()
-        self._saturation.reported = line.attempt(lambda: line.integer("PixelDynamicRangeMax"))
+        self._saturation.reported = line.attempt(line.integer, "PixelDynamicRangeMax")
         return CameraCapabilities(
             rows=rows,
             columns=columns,
@@ -180,7 +177,7 @@ class GenicamCamera(Camera):
 
     def _pixel_pitch_m(self) -> float | None:
         pitch_m = self._settings.pixel_pitch_m
-        if pitch_m is None and (reported_um := self._line.attempt(lambda: self._line.number("SensorPixelWidth"))):
+        if pitch_m is None and (reported_um := self._line.attempt(self._line.number, "SensorPixelWidth")):
             pitch_m = reported_um * 1e-6
         return None if pitch_m is None else pitch_m * self._read_binning()
 
@@ -246,7 +243,7 @@ class GenicamCamera(Camera):
             self._cached_capabilities = replace(self.capabilities, full_scale=counts)
 
     def _read_temperature(self) -> float | None:
-        return self._line.attempt(partial(self._line.number, "DeviceTemperature"))
+        return self._line.attempt(self._line.number, "DeviceTemperature")
 
     def _read_exposure(self) -> float:
         return self._exposure.read_s()

@@ -5,11 +5,13 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
+from contextlib import suppress
 from ipaddress import ip_address
 from queue import SimpleQueue
 from typing import Any, Final, TypeVar
 
-from drivers.errors import BadValue, Busy, DeviceError, Disconnected, Unsupported
+from drivers.device import choose
+from drivers.errors import Busy, DeviceError, Disconnected, Unsupported
 from drivers.genicam import GenicamSettings
 from drivers.genicam.library import PACKET_SOCKET_DISABLED, READ_WRITE, SOCKET_BUFFER_FIXED, Aravis, load_aravis
 
@@ -94,12 +96,12 @@ class GenicamConnection:
 
     def has(self, feature: str) -> bool:
         """True if the feature is implemented and available now."""
-        return bool(self.attempt(lambda: self._is_available(feature)))
+        return bool(self.attempt(self._is_available, feature))
 
-    def attempt(self, call: Callable[[], T]) -> T | None:
+    def attempt(self, call: Callable[..., T], *arguments: Any) -> T | None:
         """Return the result of an optional call; None if the camera refuses it."""
         try:
-            return call()
+            return call(*arguments)
         except Disconnected:
             raise
         except DeviceError:
@@ -109,7 +111,7 @@ class GenicamConnection:
         """True if the feature is available and not locked now."""
         if not self.has(feature):
             return False
-        is_locked = self.attempt(lambda: self._call_node("arv_gc_feature_node_is_locked", feature))
+        is_locked = self.attempt(self._call_node, "arv_gc_feature_node_is_locked", feature)
         return is_locked == 0 and self._call_node("arv_gc_feature_node_get_actual_access_mode", feature) == READ_WRITE
 
     def choices(self, feature: str) -> tuple[str, ...]:
@@ -129,7 +131,7 @@ class GenicamConnection:
 
     def optional_text(self, feature: str) -> str | None:
         """Return the value of a feature as text; None if it is missing or cannot be read."""
-        return self.attempt(lambda: self.text(feature)) if self.has(feature) else None
+        return self.attempt(self.text, feature) if self.has(feature) else None
 
     def integer(self, feature: str) -> int:
         """Return the value of an integer feature."""
@@ -262,27 +264,16 @@ class GenicamConnection:
             raise Disconnected("the camera is no longer under control: it was switched off, or another program has it")
 
 
-def choose(wanted: str) -> str:
+def chosen(wanted: str) -> str:
     """Return Aravis's identifier of the camera with this name, serial number or address; "" takes the only one."""
-    if _is_address(wanted):  # perhaps in another network, beyond the reach of a discovery
-        return wanted
+    with suppress(ValueError):
+        return str(ip_address(wanted))  # perhaps in another network, beyond the reach of a discovery
     aravis = load_aravis()
-    known = _identifiers(aravis) if wanted else {}  # from earlier discoveries: reopening need not wait for another
-    if wanted in known:
-        return known[wanted]
-    update_list(aravis)
-    known = _identifiers(aravis)
-    devices = sorted(set(known.values()))
-    if wanted in known:
-        return known[wanted]
-    if not wanted and len(devices) == 1:
-        return devices[0]
-    names = ", ".join(devices)
-    if not wanted and devices:
-        raise BadValue(f"there are {len(devices)} GenICam cameras; say which one is camera.device: {names}")
-    raise Disconnected(
-        f"there is no GenICam camera {wanted}".rstrip() + (f"; there are {names}" if names else ": none answers")
-    )
+    listed = _listed(aravis) if wanted else []  # by an earlier discovery: reopening need not wait for another
+    if not any(wanted in names for names in listed):
+        update_list(aravis)
+        listed = _listed(aravis)
+    return listed[choose(wanted, listed, "GenICam camera", "camera.device")][0]
 
 
 def update_list(aravis: Aravis) -> None:
@@ -294,17 +285,7 @@ def update_list(aravis: Aravis) -> None:
         calls.end()
 
 
-def _identifiers(aravis: Aravis) -> dict[str, str]:
-    """Identifiers of the listed cameras, by identifier and by serial number."""
-    indices = range(aravis.call("arv_get_n_devices"))
-    devices = [aravis.call("arv_get_device_id", i) for i in indices]
-    serial_numbers = [aravis.call("arv_get_device_serial_nbr", i) for i in indices]
-    return dict(zip(serial_numbers, devices, strict=True)) | {device: device for device in devices}
-
-
-def _is_address(text: str) -> bool:
-    try:
-        ip_address(text)
-    except ValueError:
-        return False
-    return True
+def _listed(aravis: Aravis) -> list[tuple[str, str]]:
+    """Identifier and serial number of each listed camera."""
+    calls = ("arv_get_device_id", "arv_get_device_serial_nbr")
+    return [tuple(aravis.call(call, i) for call in calls) for i in range(aravis.call("arv_get_n_devices"))]

@@ -9,46 +9,44 @@ from typing_extensions import Doc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CoolLEDSettings:
+class SerialLightSettings:
+    """Settings of every light on a serial port."""
+
+    driver: str
+    port: Annotated[str, Doc("Such as /dev/ttyUSB0, /dev/ttyACM0 or COM3")] = ""
+    serial_number: Annotated[str, Doc("Of its USB adapter, instead of the port")] = ""
+    current_a: Annotated[float, Ge(0), Doc("Omitted: it keeps its value")] | None = None
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield settings that contradict others, and why."""
+        if bool(self.port) == bool(self.serial_number):
+            yield "port", "must be given, or serial_number of the USB adapter, and not both"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CoolLEDSettings(SerialLightSettings):
     """Selection and settings of a CoolLED pE-300, pE-340fura or pE-4000."""
 
     driver: Literal["coolled"] = "coolled"
-    port: Annotated[str, Doc("Such as /dev/ttyACM0 or COM3")] = ""
-    serial_number: Annotated[str, Doc("Of its USB adapter, instead of the port")] = ""
     channel: Annotated[
         Literal["A", "B", "C", "D", "E", "F", "G", "H"],
         Doc("A ... C of a pE-300, A ... D of a pE-4000, E ... H of its expansion box"),
     ] = "A"
     full_current_a: Annotated[float, Interval(gt=0, le=100), Doc("Nominal current at 100 %")] = 1.0
-    wavelength_nm: (
-        Annotated[int, Interval(ge=300, le=1000), Doc("To load into the channel; A ... D of a pE-4000 only")] | None
-    ) = None
-    current_a: Annotated[float, Ge(0), Doc("Omitted: it keeps its value")] | None = None
+    wavelength_nm: Annotated[int, Interval(ge=300, le=1000), Doc("To load into A ... D of a pE-4000")] | None = None
     limit_a: Annotated[float, Interval(gt=0, le=100), Doc("Owner's limit, below that of the head")] | None = None
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
-        yield from _of_address(self.port, self.serial_number)
+        yield from SerialLightSettings.faults(self)
         if self.wavelength_nm is not None and self.channel in "EFGH":
             yield "wavelength_nm", "can be loaded into channels A to D only: leave it out for the expansion box"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DC4100Settings:
+class DC4100Settings(SerialLightSettings):
     """Selection and settings of a Thorlabs DC4100 or DC4104."""
 
     driver: Literal["thorlabs_dc4100"] = "thorlabs_dc4100"
-    port: Annotated[str, Doc("Such as /dev/ttyUSB0 or COM3")] = ""
-    serial_number: Annotated[str, Doc("Of its USB adapter, instead of the port")] = ""
     channel: Annotated[int, Interval(ge=0, le=3), Doc("0 ... 3 are LED1 ... LED4")] = 0
-    current_a: Annotated[float, Ge(0), Doc("Omitted: it keeps its value")] | None = None
     limit_a: Annotated[float, Interval(gt=0, le=10), Doc("Owner's limit, below that of the head")] | None = None
-
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield settings that contradict others, and why."""
-        yield from _of_address(self.port, self.serial_number)
-
-
-def _of_address(port: str, serial_number: str) -> Iterator[tuple[str, str]]:
-    if bool(port) == bool(serial_number):
-        yield "port", "must be given, or serial_number of the USB adapter, and not both"

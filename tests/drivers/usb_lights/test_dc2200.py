@@ -341,11 +341,11 @@ def test_one_of_several_must_be_named(device: DC2200Wire, clock: ManualClock) ->
     with ThorlabsDC2200(DC2200Settings(serial_number="M00990000"), backend=bus, sleep=clock.sleep) as light:
         assert "M00990000" in light.name
     assert not device.received
-    with pytest.raises(BadValue, match="several DC2200; say which by serial_number: M00331234, M00990000"):
+    with pytest.raises(BadValue, match="2 DC2200s; say which by serial_number: M00331234, M00990000"):
         ThorlabsDC2200(DC2200Settings(), backend=bus)
-    with pytest.raises(Disconnected, match="no DC2200 M1 on USB; found: M00331234, M00990000"):
+    with pytest.raises(Disconnected, match="no DC2200 M1; there are M00331234, M00990000"):
         ThorlabsDC2200(DC2200Settings(serial_number="M1"), backend=bus)
-    with pytest.raises(Disconnected, match="no DC2200 on USB; found: none"):
+    with pytest.raises(Disconnected, match="no DC2200: none answers"):
         ThorlabsDC2200(DC2200Settings(), backend=Bus(clock=clock))
 
 
