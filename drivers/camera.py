@@ -5,10 +5,11 @@ with values within the capabilities, and in the state that they need.
 """
 
 from abc import abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,30 @@ class Frame:
     host_time_s: float  # time.perf_counter() after the frame arrived
     exposure_s: float
     em_gain: float  # 1 without electron multiplication
+
+
+class SettingsInForce:
+    """Exposure (s) and gain of each frame of a run in which they may change; cameras do not report them."""
+
+    def __init__(self, exposure_s: float, em_gain: float) -> None:
+        self._changes = deque([(0, exposure_s, em_gain)])  # first index, exposure, gain
+
+    def change(self, first_index: int, exposure_s: float, em_gain: float) -> None:
+        """Record what holds from this frame on."""
+        if self._changes[-1][0] == first_index:
+            self._changes.pop()
+        self._changes.append((first_index, exposure_s, em_gain))
+
+    def of_frame(self, index: int) -> tuple[float, float]:
+        """Return exposure and gain of a frame; later calls are for later frames."""
+        while len(self._changes) > 1 and self._changes[1][0] <= index:
+            self._changes.popleft()
+        return self._changes[0][1:]
+
+    @property
+    def newest(self) -> tuple[float, float]:
+        """Exposure and gain of the newest change."""
+        return self._changes[-1][1:]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,6 +279,12 @@ class Camera(Device):
     def _check_stopped(self, what: str) -> None:
         if self.is_running:
             raise WrongState(f"the {what} can be changed only while the camera is stopped")
+
+    def _apply(self, **settings: Any) -> None:
+        """Apply settings in their order; None leaves the camera's value."""
+        for name, value in settings.items():
+            if value is not None:
+                getattr(self, f"set_{name}")(value)
 
     @abstractmethod
     def _read_capabilities(self) -> CameraCapabilities: ...

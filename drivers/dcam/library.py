@@ -3,7 +3,19 @@
 import ctypes
 import sys
 from collections.abc import Callable
-from ctypes import POINTER, Structure, c_char_p, c_double, c_int32, c_uint32, c_void_p, sizeof
+from ctypes import (
+    POINTER,
+    Structure,
+    byref,
+    c_char_p,
+    c_double,
+    c_int32,
+    c_uint32,
+    c_void_p,
+    cast,
+    create_string_buffer,
+    sizeof,
+)
 from functools import cache
 from typing import Any
 
@@ -62,82 +74,74 @@ class Denied(WrongState):
     """A busy camera does not allow access to this property."""
 
 
-# Error, message, and the codes (unsigned) with their names in Hamamatsu's header; the library returns negative numbers.
-_TABLE: tuple[tuple[type[DeviceError], str, str], ...] = (
-    (
-        WrongState,
-        "the camera cannot do this in its present state",
-        "80000101 BUSY, 80000103 NOTREADY, 80000104 NOTSTABLE, 80000105 UNSTABLE, 80000107 NOTBUSY",
-    ),
-    (Denied, "a running camera does not allow this: stop it first", "8000082C ACCESSDENY"),
-    (WrongState, "the wait for a frame was aborted", "80000102 ABORT"),
-    (DeviceTimeout, "the camera did not answer in time", "80000106 TIMEOUT"),
-    (
-        Busy,
-        "the camera cannot be opened: another program holds it (close it), or the camera is switched off",
-        "80000110 EXCLUDED, 81001001 FAILOPENBUS, 82001001 FAILOPENCAMERA",
-    ),
-    (DeviceError, "the computer lacks a resource that the camera needs", "80000201 NORESOURCE"),
-    (
-        DeviceError,
-        "the computer lacks memory for the frames: lower camera.ring_frames",
-        "80000203 NOMEMORY, 8000083F LESSSYSTEMMEMORY",
-    ),
-    (
-        Unsupported,
-        "Hamamatsu's driver for the camera's interface is missing or damaged: install the DCAM-API again",
-        "80000204 NOMODULE, 80000205 NODRIVER, 80000211 INVALIDMODULE",
-    ),
-    (Unsupported, "the camera needs a newer DCAM-API: install it from Hamamatsu", "84002002 NEWRUNTIMEREQUIRED"),
-    (
-        Disconnected,
-        "no Hamamatsu camera was found: check its power and cable, and that no other program holds it",
-        "80000206 NOCAMERA",
-    ),
-    (Unsupported, "the frame grabber of the camera is missing, or its driver", "80000207 NOGRABBER"),
-    (
-        FrameLost,
-        "a frame was lost or damaged in transfer",
-        "80000301 LOSTFRAME, 80000321 INVALIDIMAGE, 80000833 INVALIDFRAMEINDEX, 80000F06 MISSINGFRAME_TROUBLE",
-    ),
-    (DeviceError, "the camera's cooling fails: check its fan or water", "80000302 COOLINGTROUBLE"),
-    (DeviceTimeout, "no trigger reached the camera", "80000303 NOTRIGGER"),
-    (DeviceError, "the camera warns of its temperature: check its cooling", "80000304 TEMPERATURE_TROUBLE"),
-    (FrameLost, "triggers come faster than the camera can take frames", "80000305 TOOFREQUENTTRIGGER"),
-    (
-        Disconnected,
-        "the camera is gone: check its power and cable, then connect again",
-        """80000806 INVALIDCAMERA, 80000807 INVALIDHANDLE, 80000F01 UNREACH, 80000F07 NOCONNECTION,
-        83001002 FAILREADCAMERA, 83001003 FAILWRITECAMERA, 84002001 INVALIDWAITHANDLE""",
-    ),
-    (
-        BadValue,
-        "the camera refused the value",
-        """80000808 INVALIDPARAM, 80000821 INVALIDVALUE, 80000822 OUTOFRANGE,
-        8000082E WRONGPROPERTYVALUE""",
-    ),
-    (
-        Unsupported,
-        "this camera cannot do this, or not in its present mode",
-        "80000823 NOTWRITABLE, 80000824 NOTREADABLE, 80000F02 NOTIMPLEMENT, 80000F03 NOTSUPPORT",
-    ),
-    (
-        NotThere,
-        "this camera cannot do this, or not in its present mode",
-        "80000825 INVALIDPROPERTYID, 80000828 NOPROPERTY",
-    ),
-    (BadValue, "the camera refused the region", "8000082B INVALIDSUBARRAY"),
-    (
-        Unsupported,
-        "frame bundling must be off: switch it off in Hamamatsu's program",
-        "80000832 FRAMEBUNDLESHOULDBEOFF",
-    ),
-    (Disconnected, "Hamamatsu's DCAM-API has ended: connect again", "80000F04 UNLOADED"),
-)
+# Messages, and the codes (unsigned) with their names in Hamamatsu's header; the library returns negative numbers.
+_TABLE: dict[type[DeviceError], dict[str, str]] = {
+    WrongState: {
+        "the camera cannot do this in its present state": (
+            "80000101 BUSY, 80000103 NOTREADY, 80000104 NOTSTABLE, 80000105 UNSTABLE, 80000107 NOTBUSY"
+        ),
+        "the wait for a frame was aborted": "80000102 ABORT",
+    },
+    Denied: {"a running camera does not allow this: stop it first": "8000082C ACCESSDENY"},
+    DeviceTimeout: {
+        "the camera did not answer in time": "80000106 TIMEOUT",
+        "no trigger reached the camera": "80000303 NOTRIGGER",
+    },
+    Busy: {
+        "the camera cannot be opened: another program holds it (close it), or the camera is switched off": (
+            "80000110 EXCLUDED, 81001001 FAILOPENBUS, 82001001 FAILOPENCAMERA"
+        )
+    },
+    DeviceError: {
+        "the computer lacks a resource that the camera needs": "80000201 NORESOURCE",
+        "the computer lacks memory for the frames: lower camera.ring_frames": (
+            "80000203 NOMEMORY, 8000083F LESSSYSTEMMEMORY"
+        ),
+        "the camera's cooling fails: check its fan or water": "80000302 COOLINGTROUBLE",
+        "the camera warns of its temperature: check its cooling": "80000304 TEMPERATURE_TROUBLE",
+    },
+    Unsupported: {
+        "Hamamatsu's driver for the camera's interface is missing or damaged: install the DCAM-API again": (
+            "80000204 NOMODULE, 80000205 NODRIVER, 80000211 INVALIDMODULE"
+        ),
+        "the camera needs a newer DCAM-API: install it from Hamamatsu": "84002002 NEWRUNTIMEREQUIRED",
+        "the frame grabber of the camera is missing, or its driver": "80000207 NOGRABBER",
+        "this camera cannot do this, or not in its present mode": (
+            "80000823 NOTWRITABLE, 80000824 NOTREADABLE, 80000F02 NOTIMPLEMENT, 80000F03 NOTSUPPORT"
+        ),
+        "frame bundling must be off: switch it off in Hamamatsu's program": "80000832 FRAMEBUNDLESHOULDBEOFF",
+    },
+    Disconnected: {
+        "no Hamamatsu camera was found: check its power and cable, and that no other program holds it": (
+            "80000206 NOCAMERA"
+        ),
+        "the camera is gone: check its power and cable, then connect again": (
+            "80000806 INVALIDCAMERA, 80000807 INVALIDHANDLE, 80000F01 UNREACH, 80000F07 NOCONNECTION, "
+            "83001002 FAILREADCAMERA, 83001003 FAILWRITECAMERA, 84002001 INVALIDWAITHANDLE"
+        ),
+        "Hamamatsu's DCAM-API has ended: connect again": "80000F04 UNLOADED",
+    },
+    FrameLost: {
+        "a frame was lost or damaged in transfer": (
+            "80000301 LOSTFRAME, 80000321 INVALIDIMAGE, 80000833 INVALIDFRAMEINDEX, 80000F06 MISSINGFRAME_TROUBLE"
+        ),
+        "triggers come faster than the camera can take frames": "80000305 TOOFREQUENTTRIGGER",
+    },
+    BadValue: {
+        "the camera refused the value": (
+            "80000808 INVALIDPARAM, 80000821 INVALIDVALUE, 80000822 OUTOFRANGE, 8000082E WRONGPROPERTYVALUE"
+        ),
+        "the camera refused the region": "8000082B INVALIDSUBARRAY",
+    },
+    NotThere: {
+        "this camera cannot do this, or not in its present mode": "80000825 INVALIDPROPERTYID, 80000828 NOPROPERTY"
+    },
+}
 ERRORS = {
     int(code, 16): (name, kind, message)
-    for kind, message, codes in _TABLE
-    for code, name in (pair.split() for pair in codes.split(","))
+    for kind, messages in _TABLE.items()
+    for message, codes in messages.items()
+    for code, name in (pair.split() for pair in codes.split(", "))
 }
 
 
@@ -150,6 +154,7 @@ def error_of(code: int, what: str) -> DeviceError:
 
 FILE = "dcamapi.dll" if sys.platform == "win32" else "libdcamapi.so"
 
+_TEXT_BYTES = 256
 _HANDLE = c_void_p  # without prototypes ctypes would pass 32 bits
 PROTOTYPES: dict[str, tuple[type, ...]] = {
     "dcamapi_init": (POINTER(Init),),
@@ -200,6 +205,14 @@ class DcamLibrary:
             raise Disconnected(f"Hamamatsu's DCAM-API failed in {name} ({error}): connect again") from error
         if code < 0:
             raise error_of(code, name)
+
+    def text(self, name: str, target: int, kind: type[Structure], **values: Any) -> str:
+        """Call a function of a camera that writes a text."""
+        text = create_string_buffer(_TEXT_BYTES)
+        request = sized(kind, textbytes=_TEXT_BYTES, **values)
+        request.text = cast(text, c_char_p)
+        self.call(name, target, byref(request))
+        return text.value.decode(errors="replace").strip()
 
 
 @cache

@@ -2,7 +2,7 @@
 
 import threading
 from contextlib import suppress
-from ctypes import byref, c_char_p, cast, create_string_buffer
+from ctypes import byref
 from dataclasses import dataclass
 
 from drivers.dcam.library import DcamLibrary, DeviceString, Init, sized
@@ -19,7 +19,6 @@ STRINGS = {
     "module version": 0x04000107,
     "DCAM-API version": 0x04000108,
 }
-_TEXT_BYTES = 256
 
 
 @dataclass(slots=True)
@@ -95,11 +94,7 @@ def chosen(library: DcamLibrary, count: int, wanted: str) -> ListedCamera:
 
 def string(library: DcamLibrary, camera: int, identifier: int) -> str:
     """Return one of the `STRINGS` of a camera, given by its handle if open, else by its index."""
-    text = create_string_buffer(_TEXT_BYTES)
-    request = sized(DeviceString, iString=identifier, textbytes=_TEXT_BYTES)
-    request.text = cast(text, c_char_p)
-    library.call("dcamdev_getstring", camera, byref(request))
-    return text.value.decode(errors="replace").strip()
+    return library.text("dcamdev_getstring", camera, DeviceString, iString=identifier)
 
 
 def _listed(library: DcamLibrary, index: int) -> ListedCamera:
