@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from annotated_types import Interval
+from annotated_types import Ge, Le
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import Doc
 
@@ -36,16 +36,12 @@ def require(conditions: Mapping[str, bool]) -> None:
 class Sensor(Checked):
     """A lenslet array in front of a camera."""
 
-    lenslet_rows: Annotated[int, Interval(ge=2, le=1000), Doc("That are evaluated, along y")]
-    lenslet_columns: Annotated[int, Interval(ge=2, le=1000), Doc("That are evaluated, along x")]
-    lenslet_pitch_m: Annotated[
-        float, Interval(ge=1e-6, le=0.1), Doc("Distance between two lenslets, from the data sheet")
-    ]
-    lenslet_focal_length_m: Annotated[
-        float, Interval(ge=1e-5, le=2), Doc("At the wavelength; the camera lies in the focal plane")
-    ]
-    wavelength_m: Annotated[float, Interval(ge=100e-9, le=20e-6), Doc("Of the light, in vacuum")]
-    pixel_pitch_m: Annotated[float, Interval(ge=1e-7, le=1e-3), Doc("Of the camera; binned pixels are larger")]
+    lenslet_rows: Annotated[int, Ge(2), Le(1000), Doc("That are evaluated, along y")]
+    lenslet_columns: Annotated[int, Ge(2), Le(1000), Doc("That are evaluated, along x")]
+    lenslet_pitch_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Distance between two lenslets, from the data sheet")]
+    lenslet_focal_length_m: Annotated[float, Ge(1e-5), Le(2), Doc("At the wavelength; the camera lies in that plane")]
+    wavelength_m: Annotated[float, Ge(100e-9), Le(20e-6), Doc("Of the light, in vacuum")]
+    pixel_pitch_m: Annotated[float, Ge(1e-7), Le(1e-3), Doc("Of the camera; binned pixels are larger")]
     arrangement: Arrangement = field(default="square", metadata={"section": "lattice"})  # where bench files have it
 
     def faults(self) -> Iterator[tuple[str, str]]:
@@ -112,10 +108,10 @@ class Sensor(Checked):
 class Lattice(Checked):
     """Position of the lenslets on the camera; a positive rotation turns +x towards +y."""
 
-    center_x_px: Annotated[float, Interval(ge=-1e5, le=1e5), Doc("Of the lattice, in the frame")]
-    center_y_px: Annotated[float, Interval(ge=-1e5, le=1e5)]
-    pitch_px: Annotated[float, Interval(ge=8, le=10_000), Doc("Between two lenslets, as measured")]
-    rotation_rad: Annotated[float, Interval(ge=-0.8, le=0.8)] = 0.0
+    center_x_px: Annotated[float, Ge(-1e5), Le(1e5), Doc("Of the lattice, in the frame")]
+    center_y_px: Annotated[float, Ge(-1e5), Le(1e5)]
+    pitch_px: Annotated[float, Ge(8), Le(10_000), Doc("Between two lenslets, as measured")]
+    rotation_rad: Annotated[float, Ge(-0.8), Le(0.8)] = 0.0
     arrangement: Annotated[Arrangement, Doc("Of the lenslets")] = "square"
 
     def to_camera_px(self, position_px: Floats) -> Floats:
@@ -198,17 +194,13 @@ class Field(Checked):
     A square field has Legendre modes, a circular one Zernike modes; `half_width_m` is half the side, or the radius.
     """
 
-    collimator_focal_length_m: Annotated[
-        float, Interval(ge=1e-3, le=20), Doc("Of the lens between source and lenslets")
-    ]
-    half_width_m: Annotated[float, Interval(ge=1e-6, le=0.1), Doc("Of the source: half its side, or its radius")]
+    collimator_focal_length_m: Annotated[float, Ge(1e-3), Le(20), Doc("Of the lens between source and lenslets")]
+    half_width_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Of the source: half its side, or its radius")]
     shape: Literal["square", "circle"] = "square"
-    view_rows: Annotated[int, Interval(ge=1, le=99)] = 3
-    view_columns: Annotated[int, Interval(ge=1, le=99)] = 3
-    view_spacing_m: Annotated[float, Interval(ge=1e-9, le=0.1)] = 0.5e-3
-    neglect_propagation: Annotated[
-        bool, Doc("True: the paper's simulation, uniform light on the lenslets, conserved flux")
-    ] = False
+    view_rows: Annotated[int, Ge(1), Le(99)] = 3
+    view_columns: Annotated[int, Ge(1), Le(99)] = 3
+    view_spacing_m: Annotated[float, Ge(1e-9), Le(0.1)] = 0.5e-3
+    neglect_propagation: Annotated[bool, Doc("True: the paper's simulation, uniform light, conserved flux")] = False
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""

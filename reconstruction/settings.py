@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from annotated_types import Gt, Interval
+from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
 from reconstruction.annotated_settings import Checked, OwnNames
@@ -23,19 +23,13 @@ class RegistrationSettings(Checked):
     """Method and warp of the registration, and the star positions of a pinhole source."""
 
     method: Annotated[Method, OwnNames()] = "gauss_newton"
-    warp: (
-        Annotated[Warp, Doc("Omitted: the one with the least expected error; quartic if the noise is unknown")] | None
-    ) = None
+    warp: Annotated[Warp, Doc("Omitted: that of the least expected error; quartic if noise is unknown")] | None = None
     rotation: Annotated[bool, Doc("Of gauss_newton: whether subimages may rotate; layers cannot make them")] = False
-    threads: Annotated[int, Interval(ge=1, le=64), Doc("Of gauss_newton")] = 2
-    excluded: Annotated[
-        tuple[tuple[int, int], ...], Doc("Lenslets (row, column from 0) that are left out, as if lost")
-    ] = ()
-    flow: Annotated[
-        Literal["views", "warp"], Doc("Of block_flow, demons, ffd: sampled at the views, or fitted by the warp")
-    ] = "views"
-    star_rows: Annotated[int, Interval(ge=1, le=99)] = 3
-    star_columns: Annotated[int, Interval(ge=1, le=99)] = 3
+    threads: Annotated[int, Ge(1), Le(64), Doc("Of gauss_newton")] = 2
+    excluded: Annotated[tuple[tuple[int, int], ...], Doc("Lenslets (row, column from 0) that are left out")] = ()
+    flow: Annotated[Literal["views", "warp"], Doc("Of block_flow, demons, ffd: at the views, or by the warp")] = "views"
+    star_rows: Annotated[int, Ge(1), Le(99)] = 3
+    star_columns: Annotated[int, Ge(1), Le(99)] = 3
     star_spacing_m: Annotated[float, Gt(0)] = 0.5e-3
 
 
@@ -45,16 +39,10 @@ class ReconstructionSettings(Checked):
 
     method: Literal["zonal", "modal"] = "modal"
     basis: Annotated[PupilBasis, OwnNames()] = "legendre"
-    pupil_modes: Annotated[int, Interval(ge=PUPIL_MODES.start, le=PUPIL_MODES[-1])] | None = None
-    response: Annotated[
-        bool, Doc("Modal, with warps that do not rotate: the modelled response instead of mean gradients")
-    ] = True
-    sample: Annotated[
-        SampleModel, Doc("Modal: any wavefront, one or two layers, or the one that the evidence prefers")
-    ] = "automatic"
-    refine: Annotated[bool, Doc("Live: correct frames by the bias that a forward model finds in the background")] = (
-        False
-    )
+    pupil_modes: Annotated[int, Ge(PUPIL_MODES.start), Le(PUPIL_MODES[-1])] | None = None
+    response: Annotated[bool, Doc("Modal, without rotation: the modelled response, not mean gradients")] = True
+    sample: Annotated[SampleModel, Doc("Modal: any wavefront, layers, or what the evidence prefers")] = "automatic"
+    refine: Annotated[bool, Doc("Live: subtract the bias that a forward model finds in the background")] = False
 
 
 def obstacle_to_layers(reconstruction: ReconstructionSettings, registration: RegistrationSettings) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from annotated_types import Ge, Interval
+from annotated_types import Ge, Gt, Interval, Le
 from typing_extensions import Doc
 
 from drivers.interface import Range
@@ -41,41 +41,22 @@ def _exposures(camera: Any) -> Interval:
 class Screen(Checked):
     """The sample: a thin screen and its place."""
 
-    correlation_length_m: Annotated[
-        float, Interval(ge=1e-6, le=10), Doc("Sigma of the Gaussian that smooths white noise")
-    ] = 2.0e-3
-    rms_rad: Annotated[
-        float,
-        Interval(ge=0, le=1e4),
-        Doc("Mean over the views of the wavefront's RMS; of the screen itself where pv_rad is given"),
-    ] = 4.2
-    pv_rad: (
-        Annotated[float, Interval(gt=0, le=1e5), Doc("Peak to valley of the screen itself, with rms_rad as its RMS")]
-        | None
-    ) = None
+    correlation_length_m: Annotated[float, Ge(1e-6), Le(10), Doc("Sigma of the Gaussian that smooths noise")] = 2.0e-3
+    rms_rad: Annotated[float, Ge(0), Le(1e4), Doc("Mean RMS over the views; with pv_rad, of the screen itself")] = 4.2
+    pv_rad: Annotated[float, Gt(0), Le(1e5), Doc("Peak to valley of the screen itself")] | None = None
     file: Annotated[str, Doc("A .npy or .tif array of phases in rad, used unchanged")] = ""
-    sample_spacing_m: Annotated[float, Interval(ge=1e-9, le=0.01)] = 25e-6
-    samples: Annotated[
-        int,
-        Interval(ge=8, le=8192),
-        Doc("Along each axis; a larger footprint or a drift makes the generated screen larger"),
-    ] = 385
+    sample_spacing_m: Annotated[float, Ge(1e-9), Le(0.01)] = 25e-6
+    samples: Annotated[int, Ge(8), Le(8192), Doc("Along each axis, or more for a large footprint or a drift")] = 385
     placement: Literal["pupil", "source"] = "pupil"
     distance_m: Annotated[
-        float,
-        Interval(ge=-100, le=100),
-        Doc('Before the lenslets ("pupil"; negative: behind them) or after the mask ("source")'),
+        float, Ge(-100), Le(100), Doc("Before the lenslets (negative: behind), or after the mask")
     ] = 0.195
     transmission_rms: Annotated[
-        float,
-        Interval(ge=0, le=10),
-        Doc("Of the intensity that passes, relative to its mean, which counts as 1; log-normal"),
+        float, Ge(0), Le(10), Doc("Of the intensity that passes, if its mean is 1; log-normal")
     ] = 0.0
-    transmission_correlation_length_m: Annotated[
-        float, Interval(ge=1e-6, le=10), Doc("Sigma of the Gaussian that smooths its logarithm")
-    ] = 0.5e-3
+    transmission_correlation_length_m: Annotated[float, Ge(1e-6), Le(10), Doc("Sigma of the smoothing")] = 0.5e-3
     transmission_file: Annotated[
-        str, Doc("A .npy or .tif array of transmitted intensity, 0 ... 1, sampled like the screen")
+        str, Doc("A .npy or .tif array of passing intensity, 0 ... 1, sampled like the screen")
     ] = ""
     drift_x_m_per_s: float = 0.0
     drift_y_m_per_s: float = 0.0
@@ -98,20 +79,16 @@ class Source(Checked):
     """Masks in front of the light: openings, an array of pinholes (the stars) and grey transparencies."""
 
     mask: Annotated[Mask, Doc("The initial one")] = "square"
-    half_width_m: Annotated[
-        float, Interval(ge=1e-6, le=0.1), Doc("Of the square, the circle and the octagon; along x, of the ellipse")
-    ] = 0.6e-3
-    checker_cells: Annotated[
-        int, Interval(ge=2, le=100), Doc("Of the checkerboard that fills the square, along each side")
-    ] = 6
-    ellipse_ratio: Annotated[float, Interval(gt=0, le=1), Doc("The ellipse's width along y over that along x")] = 0.6
+    half_width_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Of square, circle, octagon; along x, of the ellipse")] = (
+        0.6e-3
+    )
+    checker_cells: Annotated[int, Ge(2), Le(100), Doc("Of the checkerboard that fills the square, along each side")] = 6
+    ellipse_ratio: Annotated[float, Gt(0), Le(1), Doc("The ellipse's width along y over that along x")] = 0.6
     file: Annotated[str, Doc('A grey image (TIFF, NPY, PNG) that fills the square: the mask "image"')] = ""
-    star_rows: Annotated[int, Interval(ge=1, le=99)] = 3
-    star_columns: Annotated[int, Interval(ge=1, le=99)] = 3
-    star_spacing_m: Annotated[float, Interval(gt=0, le=0.1)] = 0.5e-3
-    pinhole_diameter_m: Annotated[
-        float, Interval(ge=0, le=0.01), Doc("0: each star is one point with the light of a 50 um pinhole")
-    ] = 50e-6
+    star_rows: Annotated[int, Ge(1), Le(99)] = 3
+    star_columns: Annotated[int, Ge(1), Le(99)] = 3
+    star_spacing_m: Annotated[float, Gt(0), Le(0.1)] = 0.5e-3
+    pinhole_diameter_m: Annotated[float, Ge(0), Le(0.01), Doc("0: points with the light of 50 um pinholes")] = 50e-6
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
@@ -128,16 +105,12 @@ class Source(Checked):
 class Simulation(Checked):
     """Accuracy of the simulation, its sample and its source."""
 
-    seed: Annotated[int, Interval(ge=0, le=2**63 - 1)] = 1
-    object_samples: Annotated[int, Interval(ge=2, le=1001), Doc("Points along a side of the square source")] = 37
-    pupil_samples: Annotated[int, Interval(ge=4, le=256), Doc("Across a lenslet")] = 20
-    border_lenslets: Annotated[
-        int, Interval(ge=0, le=20), Doc("Rings of lenslets around the evaluated ones, lit and imaged too")
-    ] = 0
-    drifting_states: Annotated[
-        int, Interval(ge=2, le=10000), Doc("Positions of a drifting screen, played back and forth")
-    ] = 48
-    state_duration_s: Annotated[float, Interval(ge=1e-3, le=1e6), Doc("Time for which each is shown")] = 0.1
+    seed: Annotated[int, Ge(0), Le(2**63 - 1)] = 1
+    object_samples: Annotated[int, Ge(2), Le(1001), Doc("Points along a side of the square source")] = 37
+    pupil_samples: Annotated[int, Ge(4), Le(256), Doc("Across a lenslet")] = 20
+    border_lenslets: Annotated[int, Ge(0), Le(20), Doc("Rings of lenslets around the evaluated ones, lit, too")] = 0
+    drifting_states: Annotated[int, Ge(2), Le(10000), Doc("Positions of a drifting screen, played back and forth")] = 48
+    state_duration_s: Annotated[float, Ge(1e-3), Le(1e6), Doc("Time for which each is shown")] = 0.1
     screen: Screen = field(default_factory=Screen)
     source: Source = field(default_factory=Source)
 
@@ -158,30 +131,24 @@ class SimulatedCameraSettings(Checked):
     """Electron-multiplying camera; the defaults are typical of a Hamamatsu C9100-23B, air-cooled to -65 degC."""
 
     driver: Literal["simulated"] = "simulated"
-    rows: Annotated[int, Interval(ge=8, le=8192)] = 512
-    columns: Annotated[int, Interval(ge=8, le=8192)] = 512
+    rows: Annotated[int, Ge(8), Le(8192)] = 512
+    columns: Annotated[int, Ge(8), Le(8192)] = 512
     exposure_s: Annotated[float, Depending(_exposures, "with this amplifier and speed")] = 1 / 70
     amplifier: Amplifier = "em"
-    readout_speed: Annotated[int, Interval(ge=1, le=3), Doc("Of the EM amplifier; the normal one has speed 1 only")] = 3
+    readout_speed: Annotated[int, Ge(1), Le(3), Doc("Of the EM amplifier; the normal one has speed 1 only")] = 3
     em_gain: Annotated[float, Ge(1)] = 1.0
-    maximum_em_gain: Annotated[float, Interval(ge=1, le=1e5)] = 1200.0
-    quantum_efficiency: Annotated[float, Interval(gt=0, le=1), Doc("At 462 nm")] = 0.8
-    dark_current_e_per_s: Annotated[float, Interval(ge=0, le=1e6)] = 0.005
-    clock_induced_charge_e: Annotated[float, Interval(ge=0, le=1e3), Doc("Per pixel and frame")] = 0.0015
-    em_read_noise_e: Annotated[tuple[float, float, float], Interval(ge=0, le=1e5), Doc("At read-out speed 1, 2, 3")] = (
-        8.0,
-        25.0,
-        37.0,
-    )
-    normal_read_noise_e: Annotated[float, Interval(ge=0, le=1e5)] = 10.0
-    full_well_e: Annotated[float, Interval(ge=1, le=1e9)] = 370e3
-    register_full_well_e: Annotated[float, Interval(ge=1, le=1e9), Doc("Of the multiplication register")] = 800e3
-    electrons_per_count: Annotated[float, Interval(ge=1e-4, le=1e4)] = 5.8
+    maximum_em_gain: Annotated[float, Ge(1), Le(1e5)] = 1200.0
+    quantum_efficiency: Annotated[float, Gt(0), Le(1), Doc("At 462 nm")] = 0.8
+    dark_current_e_per_s: Annotated[float, Ge(0), Le(1e6)] = 0.005
+    clock_induced_charge_e: Annotated[float, Ge(0), Le(1e3), Doc("Per pixel and frame")] = 0.0015
+    em_read_noise_e: Annotated[tuple[float, float, float], Ge(0), Le(1e5), Doc("At speed 1, 2, 3")] = (8.0, 25.0, 37.0)
+    normal_read_noise_e: Annotated[float, Ge(0), Le(1e5)] = 10.0
+    full_well_e: Annotated[float, Ge(1), Le(1e9)] = 370e3
+    register_full_well_e: Annotated[float, Ge(1), Le(1e9), Doc("Of the multiplication register")] = 800e3
+    electrons_per_count: Annotated[float, Ge(1e-4), Le(1e4)] = 5.8
     offset_counts: Annotated[float, Ge(0)] = 500.0
-    bits: Annotated[int, Interval(ge=8, le=16)] = 16
-    pixel_fill_factor: Annotated[
-        float, Interval(ge=0, le=1), Doc("Width of the sensitive square over the pitch; 0: the image at the centres")
-    ] = 1.0
+    bits: Annotated[int, Ge(8), Le(16)] = 16
+    pixel_fill_factor: Annotated[float, Ge(0), Le(1), Doc("Width of the sensitive square over the pitch")] = 1.0
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
@@ -199,7 +166,7 @@ class SimulatedLightSettings(Checked):
 
     driver: Literal["simulated"] = "simulated"
     current_a: Annotated[float, Ge(0)] = 0.35
-    maximum_current_a: Annotated[float, Interval(ge=1e-15, le=1e3)] = 1.0
+    maximum_current_a: Annotated[float, Ge(1e-15), Le(1e3)] = 1.0
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""

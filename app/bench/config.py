@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
 import tomli_w
-from annotated_types import Interval
+from annotated_types import Ge, Le
 from typing_extensions import Doc
 
 from app.bench.bench_files import BenchError, bench_file, line_of_setting, line_of_syntax, read_bench_text
@@ -54,7 +54,7 @@ class StreamSettings:
     `address` is this computer's on the network to be served; by default only this computer can connect.
     """
 
-    port: Annotated[int, Interval(ge=1, le=65535)] | None = None
+    port: Annotated[int, Ge(1), Le(65535)] | None = None
     address: Annotated[str, Doc("0.0.0.0: every network")] = "127.0.0.1"
 
     def faults(self) -> Iterator[tuple[str, str]]:

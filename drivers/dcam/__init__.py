@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt, Interval
+from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
 from drivers.camera import Region
@@ -22,19 +22,13 @@ class DcamSettings:
     library: Annotated[str, Doc("Path of dcamapi.dll or libdcamapi.so if not installed in the standard place")] = ""
     pixel_pitch_m: Annotated[float, Gt(0), Doc("Of the sensor, if the camera does not report it")] | None = None
     amplifier: Literal["normal", "em"] | None = None
-    readout_speed: (
-        Annotated[int, Ge(1), Doc("From 1, the slowest; limits the exposure; the normal amplifier has only 1")] | None
-    ) = None
+    readout_speed: Annotated[int, Ge(1), Doc("1 is the slowest; the normal amplifier has no other")] | None = None
     exposure_s: Annotated[float, Gt(0)] | None = None
     em_gain: Annotated[float, Ge(0)] | None = None
-    em_gain_protection: Annotated[bool, Doc("Black frames instead of too much light, which ages the EM register")] = (
-        True
-    )
-    em_gain_protection_frames: (
-        Annotated[int, Interval(ge=1, le=255), Doc("With too much light, before it acts")] | None
-    ) = None
-    em_gain_warning_level: Annotated[int, Interval(ge=1, le=3), Doc("Up to 3, the most sensitive")] | None = None
-    binning: Annotated[int, Interval(ge=1, le=16)] = 1
+    em_gain_protection: Annotated[bool, Doc("Black frames instead of light that would age the EM register")] = True
+    em_gain_protection_frames: Annotated[int, Ge(1), Le(255), Doc("With too much light, before it acts")] | None = None
+    em_gain_warning_level: Annotated[int, Ge(1), Le(3), Doc("Up to 3, the most sensitive")] | None = None
+    binning: Annotated[int, Ge(1), Le(16)] = 1
     region: Annotated[Region, Doc("Omitted: the whole sensor")] | None = None
     trigger: Literal["internal", "external", "software"] = "internal"
     trigger_active: Literal["edge", "level", "synchronous"] | None = None
@@ -46,7 +40,7 @@ class DcamSettings:
     ) = None
     output_polarity: Literal["negative", "positive"] | None = None
     cooler: Literal["off", "on", "max"] | None = None
-    ring_frames: Annotated[int, Interval(ge=4, le=10000), Doc("Buffered before the oldest is overwritten")] = 128
+    ring_frames: Annotated[int, Ge(4), Le(10000), Doc("Buffered before the oldest is overwritten")] = 128
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from annotated_types import Gt, Interval
+from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
 from drivers.camera import Region
@@ -19,34 +19,25 @@ class GenicamSettings:
     device: Annotated[str, Doc("Name in `svwfs devices`, serial number or address; empty takes the only one")] = ""
     pixel_pitch_m: Annotated[float, Gt(0), Doc("Of the sensor, if the camera does not report it")] | None = None
     pixel_format: Annotated[str, Doc('For example "Mono12"; empty takes the deepest without padding')] = ""
-    full_scale: (
-        Annotated[
-            int,
-            Interval(ge=1, le=65535),
-            Doc("Count at which a pixel saturates; omitted: found from the camera and its frames"),
-        ]
-        | None
-    ) = None
-    byte_order: Annotated[Literal["", "little", "big"], Doc("Of 16-bit pixels; empty takes that of the model")] = ""
-    exposure_s: Annotated[float, Gt(0)] | None = None
-    gain: Annotated[float, Doc("Analogue gain in the camera's unit, mostly dB; no electron multiplication")] | None = (
+    full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel; omitted: found in frames")] | None = (
         None
     )
+    byte_order: Annotated[Literal["", "little", "big"], Doc("Of 16-bit pixels; empty takes that of the model")] = ""
+    exposure_s: Annotated[float, Gt(0)] | None = None
+    gain: Annotated[float, Doc("Analogue, in the camera's unit, mostly dB; no electron multiplication")] | None = None
     frame_rate_hz: Annotated[float, Gt(0), Doc("Omitted: as fast as exposure and readout allow")] | None = None
-    binning: Annotated[int, Interval(ge=1, le=64)] = 1
+    binning: Annotated[int, Ge(1), Le(64)] = 1
     region: Annotated[Region, Doc("Omitted: the whole sensor")] | None = None
     trigger: Annotated[str, Doc('"internal", or one of the camera\'s sources, for example "Line0"')] = "internal"
-    buffers: Annotated[int, Interval(ge=2, le=10000), Doc("Buffered frames before the next is lost")] = 32
+    buffers: Annotated[int, Ge(2), Le(10000), Doc("Buffered frames before the next is lost")] = 32
     packet_size: (
         Annotated[
-            int,
-            Interval(ge=576, le=65535),
-            Doc("Bytes, GigE; omitted: the largest that gets through; 8000 needs jumbo frames"),
+            int, Ge(576), Le(65535), Doc("Bytes, GigE; omitted: the largest that gets through; 8000 needs jumbo frames")
         ]
         | None
     ) = None
     socket_buffer_bytes: Annotated[
-        int, Interval(ge=2**16, le=2**30), Doc("GigE; the system may grant less (net.core.rmem_max), and lose packets")
+        int, Ge(2**16), Le(2**30), Doc("GigE; the system may grant less (net.core.rmem_max)")
     ] = 2**24
     packet_socket: Annotated[bool, Doc("GigE: faster, past the system's network stack; needs root")] = False
 

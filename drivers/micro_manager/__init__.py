@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from annotated_types import Gt, Interval, MinLen
+from annotated_types import Ge, Gt, Le, MinLen
 from typing_extensions import Doc
 
 from drivers.camera import Region
@@ -24,13 +24,11 @@ class MicroManagerSettings:
     adapter_folder: Annotated[str, Doc("Where Micro-Manager is installed")] = ""
     properties: Annotated[dict[str, str], Doc("Set at open, by the adapter's names")] = field(default_factory=dict)
     pixel_pitch_m: Annotated[float, Gt(0), Doc("Of the sensor; Micro-Manager does not know it")] | None = None
-    full_scale: (
-        Annotated[int, Interval(ge=1, le=65535), Doc("Count at which a pixel saturates, if not 2**bits - 1")] | None
-    ) = None
+    full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel, if not 2**bits - 1")] | None = None
     exposure_s: Annotated[float, Gt(0)] | None = None
-    binning: Annotated[int, Interval(ge=1, le=64)] = 1
+    binning: Annotated[int, Ge(1), Le(64)] = 1
     region: Annotated[Region, Doc("Omitted: the whole sensor")] | None = None
-    ring_frames: Annotated[int, Interval(ge=4, le=10000), Doc("Buffered before the oldest are overwritten")] = 64
+    ring_frames: Annotated[int, Ge(4), Le(10000), Doc("Buffered before the oldest are overwritten")] = 64
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""

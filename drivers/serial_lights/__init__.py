@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Interval
+from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
 
@@ -32,9 +32,9 @@ class CoolLEDSettings(SerialLightSettings):
         Literal["A", "B", "C", "D", "E", "F", "G", "H"],
         Doc("A ... C of a pE-300, A ... D of a pE-4000, E ... H of its expansion box"),
     ] = "A"
-    full_current_a: Annotated[float, Interval(gt=0, le=100), Doc("Nominal current at 100 %")] = 1.0
-    wavelength_nm: Annotated[int, Interval(ge=300, le=1000), Doc("To load into A ... D of a pE-4000")] | None = None
-    limit_a: Annotated[float, Interval(gt=0, le=100), Doc("Owner's limit, below that of the head")] | None = None
+    full_current_a: Annotated[float, Gt(0), Le(100), Doc("Nominal current at 100 %")] = 1.0
+    wavelength_nm: Annotated[int, Ge(300), Le(1000), Doc("To load into A ... D of a pE-4000")] | None = None
+    limit_a: Annotated[float, Gt(0), Le(100), Doc("Owner's limit, below that of the head")] | None = None
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
@@ -48,5 +48,5 @@ class DC4100Settings(SerialLightSettings):
     """Selection and settings of a Thorlabs DC4100 or DC4104."""
 
     driver: Literal["thorlabs_dc4100"] = "thorlabs_dc4100"
-    channel: Annotated[int, Interval(ge=0, le=3), Doc("0 ... 3 are LED1 ... LED4")] = 0
-    limit_a: Annotated[float, Interval(gt=0, le=10), Doc("Owner's limit, below that of the head")] | None = None
+    channel: Annotated[int, Ge(0), Le(3), Doc("0 ... 3 are LED1 ... LED4")] = 0
+    limit_a: Annotated[float, Gt(0), Le(10), Doc("Owner's limit, below that of the head")] | None = None

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Interval
+from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
 from reconstruction.annotated_settings import Checked
@@ -22,12 +22,10 @@ class Imaging(Checked):
     a positive rotation turns the field's +x towards its +y in the image.
     """
 
-    pixel_m: Annotated[float, Interval(ge=1e-10, le=1e-2), Doc("Size of a pixel in the field")]
-    center_x_px: (
-        Annotated[float, Doc("Where the middle of the field lies; omitted: the middle of the image")] | None
-    ) = None
+    pixel_m: Annotated[float, Ge(1e-10), Le(1e-2), Doc("Size of a pixel in the field")]
+    center_x_px: Annotated[float, Doc("Of the field's middle; omitted: the middle of the image")] | None = None
     center_y_px: float | None = None
-    rotation_rad: Annotated[float, Interval(ge=-4, le=4)] = 0.0
+    rotation_rad: Annotated[float, Ge(-4), Le(4)] = 0.0
     is_mirrored: bool = False
     pupil_diameter_m: Annotated[float, Gt(0), Doc("Of a round pupil; omitted: the whole lattice")] | None = None
     numerical_aperture: Annotated[float, Gt(0), Doc("In place of the diameter")] | None = None

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from annotated_types import Ge, Gt, Interval
+from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
@@ -29,7 +29,7 @@ class CameraNoise(Checked):
 
     counts_per_electron: Annotated[float, Gt(0)]  # per photoelectron, including the register's gain
     read_noise_counts: Annotated[float, Ge(0)]  # standard deviation of a dark pixel
-    excess_noise: Annotated[float, Interval(ge=1, le=2)] = 1.0  # F^2, the register's factor on the variance of light
+    excess_noise: Annotated[float, Ge(1), Le(2)] = 1.0  # F^2, the register's factor on the variance of light
 
     @property
     def counts_per_light(self) -> float:
