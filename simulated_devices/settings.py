@@ -148,7 +148,7 @@ class SimulatedCameraSettings(Checked):
     electrons_per_count: Annotated[float, Ge(1e-4), Le(1e4)] = 5.8
     offset_counts: Annotated[float, Ge(0)] = 500.0
     bits: Annotated[int, Ge(8), Le(16)] = 16
-    pixel_fill_factor: Annotated[float, Ge(0), Le(1), Doc("Width of the sensitive square over the pitch")] = 1.0
+    pixel_fill_factor: Annotated[float, Ge(0), Le(1), Doc("Sensitive width over the pitch; 0: the centre")] = 1.0
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
