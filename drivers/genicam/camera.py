@@ -15,39 +15,16 @@ from numpy.typing import NDArray
 from drivers.camera import Camera, CameraCapabilities, Frame, Region
 from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, undone_if_refused
-from drivers.genicam import GenicamSettings
+from drivers.genicam import GenicamSettings, features, frames
 from drivers.genicam.connection import GenicamConnection, chosen, update_list
-from drivers.genicam.features import (
-    FEATURES,
-    FRAME_RATE,
-    INTERNAL,
-    RESETS,
-    ExposureTime,
-    Geometry,
-    reset,
-    set_digitiser,
-    set_trigger,
-    sources,
-    trigger,
-)
-from drivers.genicam.frames import (
-    PIXEL_FORMATS,
-    ExposureLog,
-    FrameCount,
-    PixelFormat,
-    Saturation,
-    byte_order_of,
-    copied_pixels,
-    preferred_format,
-)
 from drivers.genicam.library import STATUS_SUCCESS, load_aravis
 
 _SLICE_S: Final = 0.1  # longest wait for a frame between two checks of the connection
 # properties, if the camera has them
 _PROPERTIES_AS_TEXT: Final = (
     *("DeviceVersion", "DeviceFirmwareVersion", "DeviceUserID", "BinningHorizontalMode", "BinningVerticalMode"),
-    *FEATURES,
-    *RESETS,
+    *features.DIGITISERS,
+    *features.RESETS,
 )
 _PROPERTIES_AS_NUMBER: Final = ("DeviceTemperature", "BlackLevel")
 
@@ -74,18 +51,18 @@ class GenicamCamera(Camera):
         self._aravis = load_aravis()
         device = chosen(settings.device)
         self._line = GenicamConnection(self._aravis, device, settings)
-        self._count = FrameCount()
-        self._exposures = ExposureLog.beginning_with(0.0)
+        self._count = frames.FrameCount()
+        self._exposures = frames.ExposureLog.beginning_with(0.0)
         self._incomplete = 0
         self._asked_region: Region | None = None  # may be no multiple of the binning
         try:
             details = ("vendor_name", "model_name", "device_serial_number")
             self._name = " ".join(filter(None, (self._line.call(f"arv_camera_get_{detail}") for detail in details)))
             self._line.attempt(self._line.call, "arv_camera_execute_command", b"AcquisitionStop")
-            reset(self._line, RESETS)
-            self._geometry = Geometry(self._line)
+            features.reset(self._line, features.RESETS)
+            self._geometry = features.Geometry(self._line)
             self._prepare_pixels()
-            self._exposure = ExposureTime(self._line)
+            self._exposure = features.ExposureTime(self._line)
             self._prepare()
         except BaseException:
             self._line.close()
@@ -123,20 +100,20 @@ class GenicamCamera(Camera):
         """Set the format of the settings, or the one that suits the digitiser best."""
         line, settings = self._line, self._settings
         offered = line.choices("PixelFormat")
-        asked = PIXEL_FORMATS.get(settings.pixel_format)
-        deepest = preferred_format(offered, None)
+        asked = frames.PIXEL_FORMATS.get(settings.pixel_format)
+        deepest = frames.preferred_format(offered, None)
         if deepest is None:
             raise Unsupported(f"{self.name} offers {', '.join(offered) or 'no pixel format'}: a grey camera is needed")
         if asked and asked.name not in offered:
-            usable = ", ".join(name for name in PIXEL_FORMATS if name in offered)
+            usable = ", ".join(name for name in frames.PIXEL_FORMATS if name in offered)
             raise BadValue(f"pixel_format = {asked.name} is not one of {usable}, which {self.name} sends")
         line.set_text("PixelFormat", (asked or deepest).name)  # some digitisers follow it, as of the Basler ace 2
-        digitiser_bits = set_digitiser(line, asked.bits if asked else 16)
-        self._format: PixelFormat = asked or preferred_format(offered, digitiser_bits) or deepest
+        digitiser_bits = features.set_digitiser(line, asked.bits if asked else 16)
+        self._format: frames.PixelFormat = asked or frames.preferred_format(offered, digitiser_bits) or deepest
         line.set_text("PixelFormat", self._format.name)
-        self._saturation = Saturation(self._format, digitiser_bits)
+        self._saturation = frames.Saturation(self._format, digitiser_bits)
         is_big = line.optional_text("GevSCPSBigEndian") == "true"
-        self._byte_order = settings.byte_order or byte_order_of(self.name, is_reported_big=is_big)
+        self._byte_order = settings.byte_order or frames.byte_order_of(self.name, is_reported_big=is_big)
 
     def _prepare(self) -> None:
         """Set the camera to a defined mode."""
@@ -152,7 +129,7 @@ class GenicamCamera(Camera):
             line.attempt(lambda: self._geometry.set_region(self._geometry.sensor()))
         self.set_trigger(settings.trigger)
         if settings.gain is not None:
-            gains = Range(*line.bounds("arv_camera_get_gain_bounds"))
+            gains = Range(*line.outputs("arv_camera_get_gain_bounds"))
             line.call("arv_camera_set_gain", gains.check(settings.gain, "gain"))
         if settings.exposure_s is not None:
             self.set_exposure(settings.exposure_s)
@@ -170,7 +147,7 @@ class GenicamCamera(Camera):
             em_gain_range=Range(1.0, 1.0),
             amplifiers=("normal",),
             binnings=geometry.binnings(),
-            triggers=sources(line),
+            triggers=features.sources(line),
             sensor=geometry.sensor() if geometry.has_offsets else None,
             region_step_px=geometry.region_step_px(),
         )
@@ -190,8 +167,8 @@ class GenicamCamera(Camera):
         payload = self._line.call("arv_camera_get_payload")
         if payload < expected:
             raise Unsupported(f"{self.name} sends {payload} bytes per frame instead of {expected} or more")
-        self._count = FrameCount()
-        self._exposures = ExposureLog.beginning_with(self._read_exposure())
+        self._count = frames.FrameCount()
+        self._exposures = frames.ExposureLog.beginning_with(self._read_exposure())
         self._line.start_stream(payload)
 
     def _stop(self) -> None:
@@ -223,7 +200,7 @@ class GenicamCamera(Camera):
             self._incomplete += 1
             raise FrameLost(f"a frame arrived incomplete, the {self._incomplete}. so far: packets were lost")
         sent_s = self._aravis.call("arv_buffer_get_system_timestamp", buffer) / 1e9
-        pixels = copied_pixels(address, rows, columns, padding.value, self._format, self._byte_order)
+        pixels = frames.copied_pixels(address, rows, columns, padding.value, self._format, self._byte_order)
         self._observe_saturation(pixels)
         host_time_s = time.perf_counter()
         return Frame(
@@ -270,7 +247,7 @@ class GenicamCamera(Camera):
             self._geometry.set_region(self._geometry.nearest(asked))
 
     def _read_trigger(self) -> str:
-        return trigger(self._line)
+        return features.trigger(self._line)
 
     def _set_trigger(self, source: str) -> None:
         before = self._read_trigger()
@@ -278,9 +255,9 @@ class GenicamCamera(Camera):
             self._write_trigger(source)
 
     def _write_trigger(self, source: str) -> None:
-        reset(self._line, FRAME_RATE)
-        set_trigger(self._line, source)
-        if source == INTERNAL and self._settings.frame_rate_hz is not None:
+        features.reset(self._line, features.FRAME_RATE)
+        features.set_trigger(self._line, source)
+        if source == features.INTERNAL and self._settings.frame_rate_hz is not None:
             self._line.call("arv_camera_set_frame_rate", self._settings.frame_rate_hz)
 
     def _read_region(self) -> Region:

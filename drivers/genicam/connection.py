@@ -147,23 +147,19 @@ class GenicamConnection:
 
     def integer_bounds(self, feature: str) -> tuple[int, int, int]:
         """Return minimum, maximum and step of an integer feature."""
-        low, high = ctypes.c_int64(), ctypes.c_int64()
         name = feature.encode()
-        self.call("arv_camera_get_integer_bounds", name, ctypes.byref(low), ctypes.byref(high))
-        return low.value, high.value, max(1, self.call("arv_camera_get_integer_increment", name))
+        low, high = self.outputs("arv_camera_get_integer_bounds", name, kind=ctypes.c_int64)
+        return low, high, max(1, self.call("arv_camera_get_integer_increment", name))
 
-    def bounds(self, function: str) -> tuple[float, float]:
-        """Return the two output arguments of an Aravis function."""
-        low, high = ctypes.c_double(), ctypes.c_double()
-        self.call(function, ctypes.byref(low), ctypes.byref(high))
-        return low.value, high.value
-
-    def region(self) -> tuple[int, int, int, int]:
+    def region(self) -> list[int]:
         """Return left, top, columns and rows of the region, in binned pixels."""
-        numbers = [ctypes.c_int() for _ in range(4)]
-        self.call("arv_camera_get_region", *map(ctypes.byref, numbers))
-        left, top, columns, rows = (number.value for number in numbers)
-        return left, top, columns, rows
+        return self.outputs("arv_camera_get_region", kind=ctypes.c_int, count=4)
+
+    def outputs(self, name: str, *arguments: Any, kind: Any = ctypes.c_double, count: int = 2) -> list[Any]:
+        """Call an Aravis function with the camera as first argument; return its output arguments."""
+        outputs = [kind() for _ in range(count)]
+        self.call(name, *arguments, *map(ctypes.byref, outputs))
+        return [output.value for output in outputs]
 
     def start_stream(self, payload_bytes: int) -> None:
         """Allocate buffers of this size and start the acquisition."""

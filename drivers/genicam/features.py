@@ -78,7 +78,7 @@ def _reset(line: GenicamConnection, feature: str, values: tuple[str, ...]) -> No
         line.attempt(line.set_text, feature, fitting[0])
 
 
-FEATURES: Final = ("AdcBitDepth", "SensorBitDepth", "BslSensorBitDepth", "SensorBits")  # "Bit12", "Bpp12" or "12"
+DIGITISERS: Final = ("AdcBitDepth", "SensorBitDepth", "BslSensorBitDepth", "SensorBits")  # "Bit12", "Bpp12" or "12"
 
 
 def set_digitiser(line: GenicamConnection, wanted_bits: int) -> int | None:
@@ -86,7 +86,7 @@ def set_digitiser(line: GenicamConnection, wanted_bits: int) -> int | None:
 
     A leftover depth of 8 bits would leave the others of a deeper pixel format empty.
     """
-    for feature in FEATURES:
+    for feature in DIGITISERS:
         choices = line.attempt(line.choices, feature) or ()
         depths = {bits: choice for choice in choices if (bits := trailing_number(choice))}
         if depths and line.is_writable(feature):
@@ -113,7 +113,7 @@ class ExposureTime:
     def __init__(self, line: GenicamConnection) -> None:
         self._line = line
         self._integer = ""
-        if line.attempt(line.bounds, "arv_camera_get_exposure_time_bounds") is None:
+        if line.attempt(line.outputs, "arv_camera_get_exposure_time_bounds") is None:
             self._integer = next(filter(line.has, _IN_MICROSECONDS), "")
             if not self._integer:
                 raise Unsupported(f"the camera offers no exposure time: neither {' nor '.join(_IN_MICROSECONDS)}")
@@ -123,7 +123,7 @@ class ExposureTime:
         if self._integer:
             shortest_us, longest_us, _ = map(float, self._line.integer_bounds(self._integer))
         else:
-            shortest_us, longest_us = self._line.bounds("arv_camera_get_exposure_time_bounds")
+            shortest_us, longest_us = self._line.outputs("arv_camera_get_exposure_time_bounds")
         return Range(shortest_us / 1e6, longest_us / 1e6)
 
     def read_s(self) -> float:
