@@ -419,7 +419,7 @@ def test_unusable_setting_is_one_line(small_toml: Path, steady: Recording, overr
 
 def test_recording_camera_needs_a_folder(small_toml: Path) -> None:
     text = bench_text(small_toml, Path("run")).replace('folder = "run"\n', "")
-    with pytest.raises(InputError, match=r"camera\.folder: is missing"):
+    with pytest.raises(InputError, match=r"camera\.folder is missing"):
         parse_bench(text, "bench")
 
 
