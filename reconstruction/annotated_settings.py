@@ -143,14 +143,15 @@ def check(settings: object) -> None:
     """Raise `SettingError` if a setting, or one of a part, has a value that it cannot have."""
     cls: type = type(settings)
     for setting in settings_of(cls):
-        value = getattr(settings, setting.name)
-        if is_dataclass(value):
+        value, limit = getattr(settings, setting.name), setting.limit(settings)
+        if limit is not None:
+            if value is not None and not limit.allows(value):
+                raise SettingError(setting.name, limit.words(), limit)
+        elif is_dataclass(value):
             try:
                 check(value)
             except SettingError as error:
                 raise SettingError(f"{setting.name}.{error.path}", error.why, error.limit) from None
-        elif value is not None and (limit := setting.limit(settings)) is not None and not limit.allows(value):
-            raise SettingError(setting.name, limit.words(), limit)
     for path, why in getattr(settings, "faults", tuple)():
         raise SettingError(path, why)
 
