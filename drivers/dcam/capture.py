@@ -140,10 +140,6 @@ class Capture:
         self._next, self._last, self._is_loss_reported, self._is_exposing = 0, None, False, False
         self._library.call("dcamcap_start", self._handle, _SEQUENCE)
 
-    def _note_exposure_end(self) -> None:
-        if self._is_fired_here:
-            self._is_exposing = False
-
     def _check_alive(self, *, at_once: bool = False) -> None:
         """Raise if a camera, silent for a slice, is gone or has stopped."""
         now_s = self._clock()
@@ -168,7 +164,8 @@ class Capture:
             self._next = transferred.nFrameCount - self._ring_frames // 2
         number = self._next
         self._next += 1  # also if its copy fails
-        self._note_exposure_end()
+        if self._is_fired_here:
+            self._is_exposing = False
         slot = (transferred.nNewestFrameIndex - (transferred.nFrameCount - 1 - number)) % self._ring_frames
         pixels, copied = self._copy(slot)
         host_time_s = self._clock()

@@ -64,18 +64,13 @@ RESETS: Final[dict[str, tuple[str, ...]]] = {
 def reset(line: GenicamConnection, features: dict[str, tuple[str, ...]]) -> None:
     """Reset features where they are writable; what the camera refuses stays, and shows in its properties."""
     for feature, values in features.items():
-        _reset(line, feature, values)
-
-
-def _reset(line: GenicamConnection, feature: str, values: tuple[str, ...]) -> None:
-    """Set a feature to the first of the values that fits its type."""
-    before = line.optional_text(feature)
-    if before is None or before in values or not line.is_writable(feature):
-        return
-    choices = line.attempt(line.choices, feature)  # None if it is no enumeration
-    fitting = [value for value in values if choices is None or value in choices]
-    if fitting:
-        line.attempt(line.set_text, feature, fitting[0])
+        before = line.optional_text(feature)
+        if before is None or before in values or not line.is_writable(feature):
+            continue
+        choices = line.attempt(line.choices, feature)  # None if it is no enumeration
+        fitting = [value for value in values if choices is None or value in choices]
+        if fitting:
+            line.attempt(line.set_text, feature, fitting[0])
 
 
 DIGITISERS: Final = ("AdcBitDepth", "SensorBitDepth", "BslSensorBitDepth", "SensorBits")  # "Bit12", "Bpp12" or "12"

@@ -206,22 +206,19 @@ class SerialLine:
 
 
 def _open(port: str, dialect: Dialect, wire: Wire) -> Port:
+    """Open a port; on Windows pyserial gives the reason of a failure only in its text."""
+    device = dialect.device
     try:
         return wire.open_port(port, baudrate=dialect.baudrate, timeout=_SLICE_S, write_timeout=_WRITE_S, exclusive=True)
     except _FAULTS as error:
-        raise _opening_error(port, dialect.device, error) from error
-
-
-def _opening_error(port: str, device: str, error: BaseException) -> DeviceError:
-    """Translate an error; on Windows pyserial gives the reason only in its text."""
-    number, text = getattr(error, "errno", None), str(error)
-    if number in {errno.EBUSY, errno.EAGAIN} or "PermissionError" in text:
-        return Busy(f"another program holds {port}; close it to use the {device}")
-    if number in {errno.EACCES, errno.EPERM}:
-        return DeviceError(no_permission(port))
-    if number in {errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO} or "FileNotFoundError" in text:
-        return Disconnected(f"there is no {port}, so no {device}; {connected()}")
-    return DeviceError(f"{port} cannot be opened as a serial port for the {device}: {text}")
+        number, text = getattr(error, "errno", None), str(error)
+        if number in {errno.EBUSY, errno.EAGAIN} or "PermissionError" in text:
+            raise Busy(f"another program holds {port}; close it to use the {device}") from error
+        if number in {errno.EACCES, errno.EPERM}:
+            raise DeviceError(no_permission(port)) from error
+        if number in {errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO} or "FileNotFoundError" in text:
+            raise Disconnected(f"there is no {port}, so no {device}; {connected()}") from error
+        raise DeviceError(f"{port} cannot be opened as a serial port for the {device}: {text}") from error
 
 
 def find_port(serial_number: str) -> str:

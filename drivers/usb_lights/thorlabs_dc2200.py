@@ -73,7 +73,11 @@ class ThorlabsDC2200(LedDriver):
         self._begin()
 
     def _identify(self) -> None:
-        maker, model, self._serial_number, self._firmware = self._identity()
+        answer = self._usb.query("*IDN?")
+        parts = [part.strip() for part in answer.split(",")]
+        if len(parts) != 4 or parts[1] != "DC2200":
+            raise DeviceError(f"{self._where} identifies itself as {answer[:60]!r}, which is no DC2200")
+        maker, model, self._serial_number, self._firmware = parts
         self._name = f"{maker} {model} {self._serial_number} terminal {self._terminal}"
         self._usb.write("OUTP 0")
         self._usb.write("*CLS")
@@ -108,13 +112,6 @@ class ThorlabsDC2200(LedDriver):
             else:
                 return question
         return ""
-
-    def _identity(self) -> tuple[str, str, str, str]:
-        answer = self._usb.query("*IDN?")
-        parts = [part.strip() for part in answer.split(",")]
-        if len(parts) != 4 or parts[1] != "DC2200":
-            raise DeviceError(f"{self._where} identifies itself as {answer[:60]!r}, which is no DC2200")
-        return parts[0], parts[1], parts[2], parts[3]
 
     def properties(self) -> dict[str, Property]:
         """Properties of every light, and of driver and head."""
