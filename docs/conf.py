@@ -1,20 +1,23 @@
 """Sphinx settings of the documentation, and the pages that are made from the program itself."""
 
+import inspect
+import json
 import re
-import tomllib
 from collections.abc import Iterator
+from dataclasses import MISSING, is_dataclass
 from importlib.metadata import version as version_of
-from typing import get_type_hints
+from types import SimpleNamespace
+from typing import Literal, get_args, get_origin
 
 import typer.main
 from sphinx.application import Sphinx
 
 import svwfs
 from app.bench.config import Bench
-from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
-from app.bench.presets import PRESETS
-from app.bench.settings_form import FormField, SettingsForm
+from app.bench.device_kinds import DRIVERS
+from app.bench.settings_form import unit_of
 from app.cli.application import cli
+from reconstruction.annotated_settings import Limit, Setting, settings_of
 
 project = "svwfs"
 author = "the authors of svwfs"
@@ -96,58 +99,42 @@ def _without_arguments(_sphinx: Sphinx, kind: str, *facts: object) -> tuple[str,
 
 def _settings() -> Iterator[str]:
     """Return every section of a bench as a table; camera and light once for each driver."""
-    unions = {"camera": CameraSettings, "light": LightSettings}
-    preset = tomllib.loads(PRESETS["small_demo"].read_text("utf-8"))
-    required = {name: preset[name] for name in ("sensor", "field")}
-    for name in get_type_hints(Bench):
-        if name not in unions:
-            yield from _tables(name, {}, required, f"`[{name}]`")
-            continue
-        for driver in drivers_of(unions[name]):
-            chosen = {name: {"driver": driver}}
-            yield from _tables(name, chosen, chosen, f'`[{name}]` with `driver = "{driver}"`')
+    for section in settings_of(Bench):
+        if section.name not in DRIVERS:
+            yield from _tables(section.name, section.kind, f"## `[{section.name}]`")
+        for driver, kind in DRIVERS.get(section.name, {}).items():
+            yield from _tables(section.name, kind.settings, f'## `[{section.name}]` with `driver = "{driver}"`')
 
 
-def _tables(name: str, chosen: dict, required: dict, title: str) -> Iterator[str]:
-    """Return the sections of a setting's class; their limits are known if `required` has what has no default."""
-    empty = SettingsForm(chosen).sections()
-    texts = {
-        field.path.split(".")[1]: "text"
-        for section in empty
-        for field in section.fields
-        if section.path == name and field.kind == "text" and not field.is_optional
-    }
-    filled = SettingsForm({**required, name: {**required.get(name, {}), **texts}})
-    for section, limits in zip(empty, filled.sections(), strict=True):
-        if section.path == name:
-            yield f"## {title}\n"
-        elif section.path.startswith(f"{name}."):
-            yield f"### `[{section.path}]`\n"
-        else:
-            continue
-        pairs = zip(section.fields, limits.fields, strict=True)
-        rows = [_cells(field, limited.help) for field, limited in pairs if not field.path.endswith(".driver")]
-        head = [("setting", "unit", "default", "is"), ("---",) * 4] if rows else []
-        yield f"{section.help}\n"
-        yield from ("| " + " | ".join(cells) + " |" for cells in head + rows)
-        yield ""
+def _tables(path: str, cls: type, title: str) -> Iterator[str]:
+    """Return the table of a settings class, and those of its parts."""
+    settings = [one for one in settings_of(cls) if not one.section and one.name != "driver"]
+    parts = [one for one in settings if is_dataclass(one.kind) and not one.is_optional]
+    usual = SimpleNamespace(**{one.name: one.default for one in settings})
+    rows = [_cells(one, one.limit(usual)) for one in settings if one not in parts]
+    head = [("setting", "unit", "default", "is"), ("---",) * 4] if rows else []
+    yield f"{title}\n\n{inspect.getdoc(cls).splitlines()[0]}\n"
+    yield from ("| " + " | ".join(cells) + " |" for cells in head + rows)
+    yield ""
+    for one in parts:
+        yield from _tables(f"{path}.{one.name}", one.kind, f"### `[{path}.{one.name}]`")
 
 
-def _cells(field: FormField, meaning: str) -> tuple[str, str, str, str]:
-    unit = field.unit[1:] if field.factor != 1 else field.unit  # a bench file has SI units without prefixes
-    meaning = meaning.replace("None", "omitted")
-    if meaning.partition(" ")[0][1:].islower():
-        meaning = meaning[:1].lower() + meaning[1:]  # it begins a sentence in the form
-    choices = ", ".join(f"`{choice}`" for choice in field.choices if choice)
-    meaning = ". ".join(filter(None, (re.sub(r"([|*<])", r"\\\1", meaning), choices)))
-    return f"`{field.path.rpartition('.')[2]}`", unit, _default(field), meaning
+def _cells(setting: Setting, limit: Limit | None) -> tuple[str, str, str, str]:
+    if get_origin(setting.kind) is Literal:
+        allowed = ", ".join(f"`{choice}`" for choice in get_args(setting.kind) if choice)
+    else:
+        allowed = "" if limit is None else limit.words().capitalize().replace("Must be finite", "")
+    meaning = ". ".join(filter(None, (re.sub(r"([|*<])", r"\\\1", setting.help), allowed)))
+    return f"`{setting.name}`", unit_of(setting.name)[1], _default(setting), meaning
 
 
-def _default(field: FormField) -> str:
-    value = field.parse(field.text) if field.text else None
-    if value is None:
-        return "omitted" if field.is_optional or "" in field.choices else "**required**"
-    return f"`{field.text}`" if field.kind in {"toml", "switch"} else f"`{value!r}`".replace("'", '"')
+def _default(setting: Setting) -> str:
+    if setting.default is MISSING:
+        return "**required**"
+    if setting.default is None or setting.default == "":
+        return "omitted"
+    return f"`{json.dumps(setting.default)}`"  # which is TOML, too
 
 
 _MADE = {"api": _names, "bench": _settings, "commands": _commands}

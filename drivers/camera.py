@@ -1,21 +1,70 @@
-"""The camera interface and the rules common to all cameras.
+"""The camera interface with its frames, and the rules common to all cameras.
 
 A driver implements the methods with a leading underscore. They are called only while the device is open and connected,
 with values within the capabilities, and in the state that they need.
 """
 
 from abc import abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from drivers.device import Device, Property, Range
 from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
-from drivers.frame import Frame, Region, check_region
 
 CameraState = Literal["stopped", "running", "lost", "closed"]
 Mode = TypeVar("Mode", int, str)
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Part of the sensor that is read out, in unbinned pixels."""
+
+    top: int
+    left: int
+    rows: int
+    columns: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One exposure with its metadata."""
+
+    pixels: NDArray[np.uint16]  # (row, column), counts; read-only, not shared
+    index: int  # the camera's frame number since start, from 0; a gap is a lost frame
+    camera_time_s: float  # end of the exposure on the camera's clock
+    host_time_s: float  # time.perf_counter() after the frame arrived
+    exposure_s: float
+    em_gain: float  # 1 without electron multiplication
+
+
+class SettingsInForce:
+    """Exposure (s) and gain of each frame of a run in which they may change; cameras do not report them."""
+
+    def __init__(self, exposure_s: float, em_gain: float) -> None:
+        self._changes = deque([(0, exposure_s, em_gain)])  # first index, exposure, gain
+
+    def change(self, first_index: int, exposure_s: float, em_gain: float) -> None:
+        """Record what holds from this frame on."""
+        if self._changes[-1][0] == first_index:
+            self._changes.pop()
+        self._changes.append((first_index, exposure_s, em_gain))
+
+    def of_frame(self, index: int) -> tuple[float, float]:
+        """Return exposure and gain of a frame; later calls are for later frames."""
+        while len(self._changes) > 1 and self._changes[1][0] <= index:
+            self._changes.popleft()
+        return self._changes[0][1:]
+
+    @property
+    def newest(self) -> tuple[float, float]:
+        """Exposure and gain of the newest change."""
+        return self._changes[-1][1:]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,6 +280,12 @@ class Camera(Device):
         if self.is_running:
             raise WrongState(f"the {what} can be changed only while the camera is stopped")
 
+    def _apply(self, **settings: Any) -> None:
+        """Apply settings in their order; None leaves the camera's value."""
+        for name, value in settings.items():
+            if value is not None:
+                getattr(self, f"set_{name}")(value)
+
     @abstractmethod
     def _read_capabilities(self) -> CameraCapabilities: ...
 
@@ -289,3 +344,23 @@ class Camera(Device):
 
     def _set_region(self, region: Region) -> Region:
         return region
+
+
+def check_region(region: Region, sensor: Region, step_px: int) -> None:
+    """Raise `BadValue` unless the region is the whole sensor, or lies on it in whole steps."""
+    if region == sensor:
+        return
+    numbers = (region.top, region.left, region.rows, region.columns)
+    is_on_sensor = (
+        region.top >= 0
+        and region.left >= 0
+        and region.rows > 0
+        and region.columns > 0
+        and region.top + region.rows <= sensor.rows
+        and region.left + region.columns <= sensor.columns
+    )
+    if not is_on_sensor or any(number % step_px for number in numbers):
+        raise BadValue(
+            f"a region of {region.rows} x {region.columns} pixels at row {region.top}, column {region.left} does not"
+            f" lie on the sensor of {sensor.rows} x {sensor.columns} in steps of {step_px}"
+        )

@@ -6,7 +6,7 @@ Each driver offers `discover() -> tuple[DiscoveredDevice, ...]`. It changes noth
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal, Self, TypeAlias
@@ -88,6 +88,21 @@ class Range:
         if not self.minimum <= value <= self.maximum:  # false for NaN, too
             raise BadValue(f"{what} = {value:g} is outside {self.minimum:g} ... {self.maximum:g}")
         return value
+
+
+def choose(wanted: str, devices: Sequence[Collection[str]], what: str, setting: str) -> int:
+    """Return the place of the device that has the wanted name among its names, "" for the only one.
+
+    `what` is the kind of the devices; `setting` chooses among them.
+    """
+    fitting = [place for place, names in enumerate(devices) if wanted in {"", *names}]
+    if len(fitting) == 1:
+        return fitting[0]
+    listed = ", ".join(" or ".join(names) for names in devices)
+    if fitting:
+        raise BadValue(f"there are {len(fitting)} {what}s; say which by {setting}: {listed}")
+    others = f"; there are {listed}" if devices else ": none answers"
+    raise Disconnected(f"there is no {what} {wanted}".rstrip() + others)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

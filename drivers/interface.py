@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Self
 
-from drivers.camera import Camera, CameraCapabilities, CameraState
+from drivers.camera import Camera, CameraCapabilities, CameraState, Frame, Region
 from drivers.device import Device, Property, Range
 from drivers.errors import (
     REFUSALS,
@@ -22,7 +22,6 @@ from drivers.errors import (
     Unsupported,
     WrongState,
 )
-from drivers.frame import Frame, Region
 from drivers.light_source import LightSource
 from drivers.stage import Stage
 

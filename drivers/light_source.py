@@ -1,4 +1,4 @@
-"""The light interface and the safety rules common to all lights.
+"""The light interface, the safety rules common to all lights, and the light that a person switches.
 
 A light is off after opening, after closing, after any fault and at interpreter exit. Its current rises in steps, never
 above the limits of its head and of its owner. A driver implements the methods with a leading underscore.
@@ -11,15 +11,18 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Literal
 from weakref import WeakSet
 
 import numpy as np
 
 from drivers.device import Device, Property, Range
-from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected, LightHeldOff
+from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected, LightHeldOff, WrongState
 
 _RAMP_STEPS = 8  # from the lowest to the highest current
 _RAMP_S = 0.08
+_ATTEMPTS = 2  # to switch off: a command can be lost
 _LOCK_TIMEOUT_S = 1.0  # for another thread, which may hang, before the light is closed
 
 
@@ -234,6 +237,104 @@ class LightSource(Device):
 
     @abstractmethod
     def _switch(self, *, on: bool) -> None: ...
+
+
+class LedDriver(LightSource):
+    """A light that reports refusals of commands, and may be switched off at the device or go out on its own."""
+
+    _where: str  # the light, in errors
+    _panel: str  # where a person can switch it off
+    _switching: tuple[str, str]  # commands: off, on
+    _is_wanted_lit = False
+
+    def _is_lit(self) -> bool:
+        self._check_lit()
+        return self._is_output_on()
+
+    def _switch(self, *, on: bool) -> None:
+        self._is_wanted_lit = False
+        if on:
+            refusal = self._send(self._switching[True])
+            self._is_wanted_lit = True
+            self._check_lit(refusal)
+            return
+        for _ in range(_ATTEMPTS):
+            self._send(self._switching[False])
+            if not self._is_output_on():
+                return
+        raise DeviceError(f"{self._where} is still on after the command to switch off; unplug its head")
+
+    def _check_lit(self, refusal: str = "") -> None:
+        """Raise if the light should be on but is off."""
+        if self._is_wanted_lit:
+            if fault := self._fault():
+                raise DeviceError(f"{self._where}{fault}")
+            if not self._is_output_on():
+                reason = refusal or f"switched off at its {self._panel}, or on its own"
+                raise DeviceError(f"{self._where} is off: {reason}")
+
+    def _execute(self, command: str) -> None:
+        """Send a command; raise `BadValue` if it was refused."""
+        if refusal := self._send(command):
+            raise BadValue(f"{self._where} refuses “{command}”: {refusal}")
+
+    @abstractmethod
+    def _send(self, command: str) -> str: ...  # returns why it was refused; empty if it was not
+
+    @abstractmethod
+    def _is_output_on(self) -> bool: ...
+
+    @abstractmethod
+    def _fault(self) -> str: ...  # why there is no light, to follow its name; empty if nothing is known
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ManualLightSettings:
+    """A light that a person switches."""
+
+    driver: Literal["manual"] = "manual"
+
+
+class ManualLight(LightSource):
+    """Knows what a person has said; before that, and after closing, the light counts as on.
+
+    It has no current: the only allowed one is 0. Closing sends nothing, as there is nothing to send it to.
+    """
+
+    def __init__(self, _settings: ManualLightSettings = ManualLightSettings()) -> None:
+        super().__init__()
+        self._name = "manual light"
+        self._is_noted_on = True
+
+    def note_light(self, on: bool) -> None:
+        """Record that a person has switched the light."""
+        with self._access():
+            self._is_noted_on = on
+            self._note(on=on)
+
+    def set_on(self, on: bool) -> None:
+        """Raise `WrongState` unless a person has noted that it is so."""
+        with self._access():
+            if on != self._is_noted_on:
+                raise WrongState(f"the light is manual: switch it {'on' if on else 'off'} by hand, then confirm (L)")
+
+    def _read_range(self) -> Range:
+        return Range(0.0, 0.0)
+
+    def _read_current(self) -> float:
+        return 0.0
+
+    def _set_current(self, current_a: float) -> float:
+        return current_a
+
+    def _is_lit(self) -> bool:
+        return self._is_noted_on
+
+    def _switch(self, *, on: bool) -> None:
+        """Nothing to do: only a person can."""
+
+    def _close(self) -> None:
+        """Nothing to do."""
 
 
 def _still_lit(error: DeviceError) -> DeviceError:

@@ -7,10 +7,11 @@ from drivers.errors import BadValue, WrongState
 
 
 class Stage(Device):
-    """A holder of the sample and of the masks."""
+    """A holder of the sample and of the masks; by default of one fixed mask."""
 
-    def __init__(self) -> None:
+    def __init__(self, mask: str = "") -> None:
         super().__init__("stage")
+        self._mask = mask
 
     def properties(self) -> dict[str, Property]:
         """Mask and sample position."""
@@ -51,13 +52,12 @@ class Stage(Device):
         """Move the sample, or without a motor record that a person has moved it."""
         self.set_sample_in(sample_in)
 
-    @abstractmethod
-    def _read_masks(self) -> tuple[str, ...]: ...
+    def _read_masks(self) -> tuple[str, ...]:
+        return (self._mask,)
 
-    @abstractmethod
-    def _read_mask(self) -> str: ...
+    def _read_mask(self) -> str:
+        return self._mask
 
-    @abstractmethod
     def _set_mask(self, mask: str) -> None: ...
 
     @abstractmethod
@@ -67,24 +67,7 @@ class Stage(Device):
     def _set_sample_in(self, *, sample_in: bool) -> None: ...
 
 
-class OneMaskStage(Stage):
-    """A stage with one fixed mask."""
-
-    def __init__(self, mask: str) -> None:
-        super().__init__()
-        self._mask = mask
-
-    def _read_masks(self) -> tuple[str, ...]:
-        return (self._mask,)
-
-    def _read_mask(self) -> str:
-        return self._mask
-
-    def _set_mask(self, mask: str) -> None:
-        """Nothing to do."""
-
-
-class ManualStage(OneMaskStage):
+class ManualStage(Stage):
     """A stage without a motor: a person moves the sample and confirms it. The sample starts out of the beam."""
 
     def __init__(self, mask: str) -> None:

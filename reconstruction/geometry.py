@@ -6,13 +6,16 @@ camera. Every vector has (x, y) as its last axis; every image is [row, column] w
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
+from annotated_types import Ge, Le
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import Doc
 
+from reconstruction.annotated_settings import Checked
 from reconstruction.arrays import Floats, Mask
 
 Arrangement: TypeAlias = Literal["square", "hexagonal"]
@@ -30,32 +33,23 @@ def require(conditions: Mapping[str, bool]) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sensor:
+class Sensor(Checked):
     """A lenslet array in front of a camera."""
 
-    lenslet_rows: int  # that are evaluated, along y
-    lenslet_columns: int  # that are evaluated, along x
-    lenslet_pitch_m: float  # distance between two lenslets, from the data sheet
-    lenslet_focal_length_m: float  # at the wavelength; the camera lies in the focal plane
-    wavelength_m: float  # of the light, in vacuum
-    pixel_pitch_m: float  # of the camera; binned pixels are larger
+    lenslet_rows: Annotated[int, Ge(2), Le(1000), Doc("That are evaluated, along y")]
+    lenslet_columns: Annotated[int, Ge(2), Le(1000), Doc("That are evaluated, along x")]
+    lenslet_pitch_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Distance between two lenslets, from the data sheet")]
+    lenslet_focal_length_m: Annotated[float, Ge(1e-5), Le(2), Doc("At the wavelength; the camera lies in that plane")]
+    wavelength_m: Annotated[float, Ge(100e-9), Le(20e-6), Doc("Of the light, in vacuum")]
+    pixel_pitch_m: Annotated[float, Ge(1e-7), Le(1e-3), Doc("Of the camera; binned pixels are larger")]
     arrangement: Arrangement = field(default="square", metadata={"section": "lattice"})  # where bench files have it
 
-    def __post_init__(self) -> None:
-        require(
-            {
-                "lenslet_rows must be 2 ... 1000": 2 <= self.lenslet_rows <= 1000,
-                "lenslet_columns must be 2 ... 1000": 2 <= self.lenslet_columns <= 1000,
-                "lenslet_rows times lenslet_columns must be at most 40000": (
-                    self.lenslet_rows * self.lenslet_columns <= 40_000
-                ),
-                "lenslet_pitch_m must be 1e-6 ... 0.1": 1e-6 <= self.lenslet_pitch_m <= 0.1,
-                "lenslet_focal_length_m must be 1e-5 ... 2": 1e-5 <= self.lenslet_focal_length_m <= 2,
-                "wavelength_m must lie between 100e-9 and 20e-6": 100e-9 <= self.wavelength_m <= 20e-6,
-                "pixel_pitch_m must be 1e-7 ... 1e-3": 1e-7 <= self.pixel_pitch_m <= 1e-3,
-                "lenslet_pitch_m must be at least 8 pixels": self.lenslet_pitch_m >= 8 * self.pixel_pitch_m,
-            }
-        )
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield settings that contradict others, and why."""
+        if self.lenslet_rows * self.lenslet_columns > 40_000:
+            yield "lenslet_rows", "times lenslet_columns must be at most 40000"
+        if self.lenslet_pitch_m < 8 * self.pixel_pitch_m:
+            yield "lenslet_pitch_m", "must be at least 8 pixels"
 
     @property
     def wavenumber_rad_per_m(self) -> float:
@@ -111,24 +105,14 @@ class Sensor:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lattice:
+class Lattice(Checked):
     """Position of the lenslets on the camera; a positive rotation turns +x towards +y."""
 
-    center_x_px: float  # of the lattice, in the frame
-    center_y_px: float
-    pitch_px: float  # between two lenslets, as measured
-    rotation_rad: float = 0.0
-    arrangement: Arrangement = "square"  # of the lenslets
-
-    def __post_init__(self) -> None:
-        require(
-            {
-                "center_x_px must be -1e5 ... 1e5": abs(self.center_x_px) <= 1e5,
-                "center_y_px must be -1e5 ... 1e5": abs(self.center_y_px) <= 1e5,
-                "pitch_px must be 8 ... 10000": 8 <= self.pitch_px <= 10_000,
-                "rotation_rad must lie between -0.8 and 0.8": abs(self.rotation_rad) <= 0.8,
-            }
-        )
+    center_x_px: Annotated[float, Ge(-1e5), Le(1e5), Doc("Of the lattice, in the frame")]
+    center_y_px: Annotated[float, Ge(-1e5), Le(1e5)]
+    pitch_px: Annotated[float, Ge(8), Le(10_000), Doc("Between two lenslets, as measured")]
+    rotation_rad: Annotated[float, Ge(-0.8), Le(0.8)] = 0.0
+    arrangement: Annotated[Arrangement, Doc("Of the lenslets")] = "square"
 
     def to_camera_px(self, position_px: Floats) -> Floats:
         """Camera positions of lattice positions (..., xy), px from the lattice's middle."""
@@ -204,32 +188,25 @@ def nominal_lattice(sensor: Sensor, rows: int, columns: int) -> Lattice:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Field:
+class Field(Checked):
     """Field of view in the front focal plane of the collimator, and its views.
 
     A square field has Legendre modes, a circular one Zernike modes; `half_width_m` is half the side, or the radius.
     """
 
-    collimator_focal_length_m: float  # of the lens between source and lenslets
-    half_width_m: float  # of the source: half its side, or its radius
+    collimator_focal_length_m: Annotated[float, Ge(1e-3), Le(20), Doc("Of the lens between source and lenslets")]
+    half_width_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Of the source: half its side, or its radius")]
     shape: Literal["square", "circle"] = "square"
-    view_rows: int = 3
-    view_columns: int = 3
-    view_spacing_m: float = 0.5e-3
-    neglect_propagation: bool = False  # true: the paper's simulation, uniform light on the lenslets, conserved flux
+    view_rows: Annotated[int, Ge(1), Le(99)] = 3
+    view_columns: Annotated[int, Ge(1), Le(99)] = 3
+    view_spacing_m: Annotated[float, Ge(1e-9), Le(0.1)] = 0.5e-3
+    neglect_propagation: Annotated[bool, Doc("True: the paper's simulation, uniform light, conserved flux")] = False
 
-    def __post_init__(self) -> None:
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield settings that contradict others, and why."""
         reach_m = (max(self.view_rows, self.view_columns) - 1) / 2 * self.view_spacing_m
-        require(
-            {
-                "collimator_focal_length_m must be 1e-3 ... 20": 1e-3 <= self.collimator_focal_length_m <= 20,
-                "half_width_m must be 1e-6 ... 0.1": 1e-6 <= self.half_width_m <= 0.1,
-                "view_rows must be 1 ... 99": 1 <= self.view_rows <= 99,
-                "view_columns must be 1 ... 99": 1 <= self.view_columns <= 99,
-                "view_spacing_m must be 1e-9 ... 0.1": 1e-9 <= self.view_spacing_m <= 0.1,
-                "view_spacing_m places views outside the field's half_width_m": reach_m <= self.half_width_m * 1.0001,
-            }
-        )
+        if reach_m > self.half_width_m * 1.0001:
+            yield "view_spacing_m", "places views outside the field's half_width_m"
 
     @property
     def view_x_m(self) -> Floats:

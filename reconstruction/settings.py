@@ -1,10 +1,12 @@
 """Settings of registration and reconstruction: `[registration]` and `[reconstruction]` of a bench."""
 
-import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
-from reconstruction.geometry import require
+from annotated_types import Ge, Gt, Le
+from typing_extensions import Doc
+
+from reconstruction.annotated_settings import Checked, OwnNames
 
 PupilBasis = Literal["legendre", "zernike"]
 SampleModel = Literal["automatic", "free", "layers"]
@@ -15,43 +17,29 @@ FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RegistrationSettings:
+class RegistrationSettings(Checked):
     """Method and warp of the registration, and the star positions of a pinhole source."""
 
-    method: Method = "gauss_newton"
-    warp: Warp | None = None  # omitted: the one with the least expected error; quartic if the noise is unknown
-    rotation: bool = False  # gauss_newton: whether subimages may rotate; layers cannot make them
-    threads: int = 2  # of gauss_newton
-    excluded: tuple[tuple[int, int], ...] = ()  # lenslets (row, column from 0) that are left out, as if lost
-    star_rows: int = 3
-    star_columns: int = 3
-    star_spacing_m: float = 0.5e-3
-
-    def __post_init__(self) -> None:
-        require(
-            {
-                "threads must be 1 ... 64": 1 <= self.threads <= 64,
-                "star_rows must be 1 ... 99": 1 <= self.star_rows <= 99,
-                "star_columns must be 1 ... 99": 1 <= self.star_columns <= 99,
-                "star_spacing_m must be positive": 0 < self.star_spacing_m < math.inf,
-            }
-        )
+    method: Annotated[Method, OwnNames()] = "gauss_newton"
+    warp: Annotated[Warp, Doc("Omitted: that of the least expected error; quartic if noise is unknown")] | None = None
+    rotation: Annotated[bool, Doc("Of gauss_newton: whether subimages may rotate; layers cannot make them")] = False
+    threads: Annotated[int, Ge(1), Le(64), Doc("Of gauss_newton")] = 2
+    excluded: Annotated[tuple[tuple[int, int], ...], Doc("Lenslets (row, column from 0) that are left out")] = ()
+    star_rows: Annotated[int, Ge(1), Le(99)] = 3
+    star_columns: Annotated[int, Ge(1), Le(99)] = 3
+    star_spacing_m: Annotated[float, Gt(0)] = 0.5e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReconstructionSettings:
+class ReconstructionSettings(Checked):
     """From displacements to wavefronts; without a number of modes as many as the lattice carries, smoothed."""
 
     method: Literal["zonal", "modal"] = "modal"
-    basis: PupilBasis = "legendre"
-    pupil_modes: int | None = None
-    response: bool = True  # modal: with warps that do not rotate, the modelled response instead of mean gradients
-    sample: SampleModel = "automatic"  # modal: any wavefront, one or two layers, or the one that the evidence prefers
-    refine: bool = False  # live: correct frames by the bias that a forward model finds in the background
-
-    def __post_init__(self) -> None:
-        limits = f"{PUPIL_MODES.start} ... {PUPIL_MODES[-1]}"
-        require({f"pupil_modes must be {limits}": self.pupil_modes is None or self.pupil_modes in PUPIL_MODES})
+    basis: Annotated[PupilBasis, OwnNames()] = "legendre"
+    pupil_modes: Annotated[int, Ge(PUPIL_MODES.start), Le(PUPIL_MODES[-1])] | None = None
+    response: Annotated[bool, Doc("Modal, without rotation: the modelled response, not mean gradients")] = True
+    sample: Annotated[SampleModel, Doc("Modal: any wavefront, layers, or what the evidence prefers")] = "automatic"
+    refine: Annotated[bool, Doc("Live: subtract the bias that a forward model finds in the background")] = False
 
 
 def obstacle_to_layers(reconstruction: ReconstructionSettings, registration: RegistrationSettings) -> str:

@@ -80,7 +80,7 @@ def test_results_name_own_methods_and_are_refused_by_those_who_lack_them(
         assert 'basis = "own monomials"' in result.attrs["bench"]
     assert run(monkeypatch, "field", tmp_path / "r.nc", "--out", tmp_path / "f.nc") == 2
     said = capsys.readouterr().err
-    assert 'reconstruction.basis: must be one of "legendre", "zernike"' in said
+    assert 'reconstruction.basis must be one of "legendre", "zernike"' in said
     assert said.count("\n") == 1
 
 

@@ -27,8 +27,9 @@ from app.acquisition.start_up import knows_sample
 from app.bench.config import Bench
 from app.evaluation.simulated_frames import SimulatedFrames
 from app.images import read_image
+from drivers.dcam import DcamSettings
 from drivers.interface import LightSource
-from drivers.settings import DC4100Settings, DcamSettings
+from drivers.serial_lights import DC4100Settings
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import rms
 

@@ -1,28 +1,20 @@
-"""Opening a bench's devices: the one place that knows real from simulated."""
+"""Opening a bench's devices, real or simulated."""
 
 import math
 from collections.abc import Callable
 from contextlib import ExitStack
+from typing import Any
 
 from app.bench.config import Bench
-from app.bench.device_settings import CameraSettings, LightSettings
-from app.bench.settings import RecordingSettings
+from app.bench.device_kinds import DRIVERS, DeviceSettings, RecordingSettings
 from app.bench.trusted_libraries import check_unchanged
 from app.cache import cache_folder
 from app.errors import InputError
 from app.recording.reader import Recording
 from app.recording.recorded_devices import recorded_devices
 from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource
-from drivers.manual_light import ManualLight, ManualLightSettings
-from drivers.settings import (
-    CoolLEDSettings,
-    DC2200Settings,
-    DC4100Settings,
-    DcamSettings,
-    GenicamSettings,
-    MicroManagerSettings,
-)
 from drivers.stage import ManualStage
+from reconstruction.annotated_settings import SettingError, check
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import Clock
@@ -83,54 +75,36 @@ def _check_pitch(bench: Bench, camera: Camera) -> None:
         )
 
 
-def open_camera(settings: CameraSettings) -> Camera:
+def open_camera(settings: DeviceSettings) -> Camera:
     """Open a real camera."""
-    check_unchanged(settings)
-    match settings:
-        case DcamSettings():
-            from drivers.dcam.camera import DcamCamera
-
-            return DcamCamera(settings)
-        case GenicamSettings():
-            from drivers.genicam.camera import GenicamCamera
-
-            return GenicamCamera(settings)
-        case MicroManagerSettings():
-            from drivers.micro_manager.camera import MicroManagerCamera
-
-            return MicroManagerCamera(settings)
-    raise InputError(f"camera.driver = {settings.driver!r} has no device of its own")
+    camera: Camera = _open("camera", settings)
+    return camera
 
 
-def open_light(settings: LightSettings) -> LightSource:
+def open_light(settings: DeviceSettings) -> LightSource:
     """Open a real light, switched off and set to the configured current; a manual one is as it is."""
-    if isinstance(settings, ManualLightSettings):
-        return ManualLight()
-    light = _light(settings)
-    if settings.current_a is not None:
+    light: LightSource = _open("light", settings)
+    current_a = getattr(settings, "current_a", None)
+    if current_a is not None:
         try:
-            light.set_current(settings.current_a)
+            light.set_current(current_a)
         except DeviceError:
             light.close()
             raise
     return light
 
 
-def _light(settings: LightSettings) -> LightSource:
-    match settings:
-        case DC4100Settings():
-            from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
-
-            return ThorlabsDC4100(settings)
-        case DC2200Settings():
-            from drivers.usb_lights.thorlabs_dc2200 import ThorlabsDC2200
-
-            return ThorlabsDC2200(settings)
-        case CoolLEDSettings():
-            from drivers.serial_lights.coolled import CoolLED
-
-            return CoolLED(settings)
-    raise InputError(f"light.driver = {settings.driver!r} has no device of its own")
+def _open(section: str, settings: DeviceSettings) -> Any:
+    """Open the device of these settings, which may come from no bench."""
+    try:
+        check(settings)
+    except SettingError as error:
+        raise InputError(f"{section}.{error}") from error
+    check_unchanged(settings)
+    kind = DRIVERS[section][settings.driver]
+    if not kind.device:
+        raise InputError(f"{section}.driver = {settings.driver!r} has no device of its own")
+    return kind.open(settings)
 
 
 def simulated_bench(bench: Bench, progress: Callable[[float], None], clock: Clock | None = None) -> SimulatedBench:

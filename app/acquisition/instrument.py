@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from app.acquisition.kept_averages import KeptAverages
 from app.acquisition.validity import Validity
-from app.bench.config import Bench, with_known
-from app.bench.settings_words import changes_in_words
+from app.bench.config import Bench, changes_in_words, with_known
 from app.measurement.assumptions import mask_sentence
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.live_solver import Assumptions, LiveSolver

@@ -1,11 +1,27 @@
-"""Bench files: a preset by its name, any other file by its path."""
+"""Bench files: where they are, their text, and the place of a fault in it."""
 
 import os
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from app.bench.presets import PRESETS
 from app.errors import InputError
 from app.files import check_readable, in_words
+from reconstruction.annotated_settings import SettingError
+
+_HEADER = re.compile(r"\s*\[+\s*([\w.\-\s]+?)\s*\]+")
+_KEY = re.compile(r"\s*([\w.\-]+)\s*=")
+_TOML_PLACE = re.compile(r"\(at (?:line (\d+), column \d+|end of document)\)")
+
+
+class BenchError(InputError):
+    """An invalid bench."""
+
+    def __init__(self, sentence: str, line: int | None, fault: SettingError | None = None) -> None:
+        """`line` counts from 1, None if the fault lies at no line of the file; `fault` names the wrong setting."""
+        super().__init__(sentence)
+        self.line, self.fault = line, fault
 
 
 def bench_file(source: str | Path) -> Path:
@@ -37,3 +53,34 @@ def read_bench_text(path: Path) -> str:
         raise InputError(f"{path}: not a text file") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {in_words(error)}") from error
+
+
+def line_of_syntax(text: str, sentence: str) -> int | None:
+    """Return the line that an error of `tomllib` names."""
+    place = _TOML_PLACE.search(sentence)
+    if place is None:
+        return None
+    return int(place[1]) if place[1] else max(len(text.splitlines()), 1)
+
+
+def line_of_setting(text: str, path: str) -> int | None:
+    """Return the line of a setting, given by its dotted path, in a valid TOML text: of its key, or of its section."""
+    lines = dict(reversed(list(_settings(text))))  # the first line of each
+    return next((lines[each] for each in (path, path.rpartition(".")[0]) if each in lines), None)
+
+
+def _settings(text: str) -> Iterator[tuple[str, int]]:
+    """Yield the dotted path of each header and key, with its line."""
+    section = ""
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := _HEADER.match(line):
+            section = re.sub(r"\s", "", header[1])
+            yield section, number
+        elif key := _KEY.match(line):
+            yield f"{section}.{key[1]}".strip("."), number
+
+
+def excerpt(text: str, line: int, around: int = 2) -> tuple[tuple[int, str], ...]:
+    """Return a line of a text and its neighbours, each with its number."""
+    first = max(line - 1 - around, 0)
+    return tuple(enumerate(text.splitlines()[first : line + around], first + 1))

@@ -1,30 +1,32 @@
 """Bench configuration: one TOML file, read into frozen dataclasses of the packages that use them.
 
-An invalid file raises one sentence that names the key and what is allowed.
+An invalid file raises one sentence that names the key and what is allowed. Nothing is converted implicitly: no text
+becomes a number, and no 1 becomes true.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import ipaddress
 import math
+import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
-import cattrs
 import tomli_w
+from annotated_types import Ge, Le
+from typing_extensions import Doc
 
-from app.bench.bench_error import BenchError, line_of_setting, line_of_syntax
-from app.bench.bench_files import bench_file, read_bench_text
-from app.bench.conversion import UNKNOWN, converter, sentence_of
-from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
+from app.bench.bench_files import BenchError, bench_file, line_of_setting, line_of_syntax, read_bench_text
+from app.bench.device_kinds import DRIVERS, DeviceSettings, RecordingSettings
 from app.bench.earlier_versions import replace_conserve_flux, set_recorded_defaults, take_non_rigid
-from app.bench.settings import RecordingSettings, StreamSettings
 from app.errors import InputError
 from app.files import in_words
-from drivers.manual_light import ManualLightSettings
+from drivers.light_source import ManualLightSettings
+from reconstruction.annotated_settings import Checked, Limit, SettingError, settings_of
 from reconstruction.arrays import Counts
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.geometry import Field, Lattice, Sensor, nominal_lattice
@@ -41,10 +43,29 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 
 AUTOMATIC = "automatic"  # same as omitting the setting
 _CHOSEN_IF_OMITTED = (("registration", "warp"), ("reconstruction", "pupil_modes"))
+_EXACT: dict[Any, str] = {int: "a whole number", bool: "true or false", str: "text in quotes"}
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
-class Bench:
+class StreamSettings:
+    """Port for other programs; without one nothing is published and no socket opened.
+
+    `address` is this computer's on the network to be served; by default only this computer can connect.
+    """
+
+    port: Annotated[int, Ge(1), Le(65535)] | None = None
+    address: Annotated[str, Doc("0.0.0.0: every network")] = "127.0.0.1"
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield what no limit says."""
+        try:
+            ipaddress.IPv4Address(self.address)
+        except ValueError:
+            yield "address", "must be an IPv4 address of this computer, as 127.0.0.1"
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Bench(Checked):
     """A whole configuration; the attributes are the sections of the TOML file."""
 
     sensor: Sensor
@@ -52,34 +73,34 @@ class Bench:
     lattice: Lattice | None = None  # None: found in the reference
     registration: RegistrationSettings = RegistrationSettings()
     reconstruction: ReconstructionSettings = ReconstructionSettings()
-    camera: CameraSettings = SimulatedCameraSettings()
-    light: LightSettings = SimulatedLightSettings()
+    camera: DeviceSettings = SimulatedCameraSettings()
+    light: DeviceSettings = SimulatedLightSettings()
     simulation: Simulation = Simulation()
     streams: StreamSettings = StreamSettings()
     imaging: Imaging | None = None  # of images to be corrected
 
-    def __post_init__(self) -> None:
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield settings that contradict those of other sections, and why."""
         has_real_light = not isinstance(self.light, SimulatedLightSettings)
         if has_real_light and not self.has_manual_stage:
             kind = "simulated camera" if self.is_simulated else "recording"
-            raise ValueError(f'light.driver = "{self.light.driver}" cannot be used: a {kind} sees no real light')
+            yield "light.driver", f'= "{self.light.driver}" cannot be used: a {kind} sees no real light'
         if self.has_manual_stage and not has_real_light:
-            known = ", ".join(f'"{driver}"' for driver in drivers_of(LightSettings) if driver != "simulated")
-            raise ValueError(f'light.driver is missing: camera.driver = "{self.camera.driver}" needs one of {known}')
+            known = ", ".join(f'"{driver}"' for driver in DRIVERS["light"] if driver != "simulated")
+            yield "light.driver", f'is missing: camera.driver = "{self.camera.driver}" needs one of {known}'
         designed_px = self.sensor.lenslet_pitch_px
         if self.lattice is not None and not 0.9 < self.lattice.pitch_px / designed_px < 1.1:
-            raise ValueError(
-                f"lattice.pitch_px = {self.lattice.pitch_px:g} is far from"
-                f" sensor.lenslet_pitch_m / pixel_pitch_m = {designed_px:.4g}"
-            )
+            ratio = f"sensor.lenslet_pitch_m / pixel_pitch_m = {designed_px:.4g}"
+            yield "lattice.pitch_px", f"= {self.lattice.pitch_px:g} is far from {ratio}"
         shape = self.sensor.lenslet_rows, self.sensor.lenslet_columns
         for lenslet in self.registration.excluded:
             if not all(0 <= index < count for index, count in zip(lenslet, shape, strict=True)):
-                raise ValueError(
-                    f"registration.excluded: there is no lenslet {list(lenslet)} among {shape[0]} x {shape[1]}"
+                yield (
+                    "registration.excluded",
+                    f"is wrong: there is no lenslet {list(lenslet)} among {shape[0]} x {shape[1]}",
                 )
         if self.lattice is not None and self.lattice.arrangement != self.sensor.arrangement:
-            raise ValueError(f'lattice.arrangement = "{self.sensor.arrangement}" is missing')
+            yield "lattice.arrangement", f'= "{self.sensor.arrangement}" is missing'
 
     def with_toggled(self, lenslet: tuple[int, int]) -> Self:
         """Exclude a lenslet (row, column), or use it again."""
@@ -175,7 +196,7 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
     Raises
     ------
     BenchError
-        One sentence that names the key and what is allowed, with the line.
+        One sentence that names the key and what is allowed, with the line and the setting.
     """
     try:
         tree = tomllib.loads(text)
@@ -193,25 +214,85 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
             del tree[section][key]
     _arrange(tree, name)
     try:
-        bench = converter().structure(tree, Bench)
-    except cattrs.BaseValidationError as error:
-        faults = cattrs.transform_error(error, format_exception=sentence_of)
-        faults.sort(
-            key=lambda fault: not fault.startswith(UNKNOWN)
-        )  # before the key that a misspelt one leaves missing
-        sentence, _, path = faults[0].rpartition(" @ $")
-        section = path.lstrip(".").replace("sensor.arrangement", "lattice.arrangement")
-        line = None if overrides else line_of_setting(text, section, sentence)  # an override may be at fault
-        raise BenchError(f"{name}: {section}{': ' if path else ''}{sentence}", line) from error
+        bench: Bench = _read(Bench, tree)
+    except SettingError as error:
+        path = error.path.replace("sensor.arrangement", "lattice.arrangement")
+        line = None if overrides else line_of_setting(text, path)  # an override may be at fault
+        fault = SettingError(path, error.why, error.limit)
+        raise BenchError(f"{name}: {fault}", line, fault) from error
     if non_rigid:  # the reconstruction refuses it
         bench = dataclasses.replace(bench, registration=dataclasses.replace(bench.registration, method=non_rigid))
     return bench
+
+
+def _read(cls: Any, tree: Any, path: str = "") -> Any:
+    """Read a section of a TOML file into a settings class; `SettingError` with the path of the wrong key."""
+    if path in DRIVERS and isinstance(tree, dict):
+        driver, known_drivers = tree.get("driver", "simulated"), DRIVERS[path]
+        if driver not in list(known_drivers):
+            known = ", ".join(f'"{name}"' for name in known_drivers)
+            raise SettingError(f"{path}.driver", f"= {driver!r} is unknown; known are {known}")
+        cls = known_drivers[driver].settings
+    if not isinstance(tree, dict):
+        raise SettingError(path, "must be a section")
+    within, settings, values = f"{path}." if path else "", settings_of(cls), {}
+    for key in tree:
+        if not any(key == setting.name for setting in settings):
+            known = ", ".join(setting.name for setting in settings)
+            raise SettingError(f"{within}{key}", f"is an unknown key; known are {known}")
+    for setting in settings:
+        if setting.name in tree:
+            values[setting.name] = _value(setting.kind, tree[setting.name], f"{within}{setting.name}")
+        elif setting.default is dataclasses.MISSING:
+            raise SettingError(f"{within}{setting.name}", "is missing")
+    try:
+        return cls(**values)
+    except SettingError as error:
+        raise SettingError(f"{within}{error.path}", error.why, error.limit) from error
+
+
+def _value(kind: Any, value: Any, path: str) -> Any:
+    """Read a value of a TOML file as one of this type."""
+    parts = get_args(kind)
+    if dataclasses.is_dataclass(kind) or kind is DeviceSettings:
+        return _read(kind, value, path)
+    if kind is float:
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number or not abs(value) <= sys.float_info.max:  # true for NaN, too
+            raise SettingError(path, "must be a finite number")
+        return float(value)
+    if get_origin(kind) is Literal and value not in parts:
+        limit = Limit(choices=parts)
+        raise SettingError(path, limit.words(), limit)
+    if get_origin(kind) is tuple:
+        kinds = parts[:1] * len(value) if isinstance(value, list) and parts[-1] is ... else parts
+        if not isinstance(value, list) or len(value) != len(kinds):
+            raise SettingError(path, "must be a list" + f" of {len(parts)}" * (parts[-1] is not ...))
+        return tuple(_value(part, each, path) for part, each in zip(kinds, value, strict=True))
+    if get_origin(kind) is dict:
+        if not isinstance(value, dict):
+            raise SettingError(path, "must be a section")
+        return {key: _value(parts[1], each, f"{path}.{key}") for key, each in value.items()}
+    if kind in _EXACT and type(value) is not kind:
+        raise SettingError(path, f"must be {_EXACT[kind]}")
+    return value
 
 
 def with_known(settings: Settings, values: Mapping[str, object]) -> Settings:
     """Replace the values that these settings have; ignore the others."""
     known = {field.name for field in dataclasses.fields(settings)}
     return dataclasses.replace(settings, **{name: value for name, value in values.items() if name in known})
+
+
+def changes_in_words(before: Bench, after: Bench) -> str:
+    """Name the settings of registration and reconstruction that differ, with their new values: "pupil modes 200"."""
+    texts = [
+        f"{name.replace('_', ' ')} {'automatic' if value is None else value}"
+        for old, new in ((before.registration, after.registration), (before.reconstruction, after.reconstruction))
+        for name, value in dataclasses.asdict(new).items()
+        if value != getattr(old, name)
+    ]
+    return ", ".join(texts) or "the new lattice" * (before.lattice != after.lattice) or "the same settings"
 
 
 def write_bench(bench: Bench) -> str:
@@ -226,7 +307,8 @@ def _arrange(tree: dict[str, Any], name: str) -> None:
     """Copy `lattice.arrangement` to the sensor, which has it even if the place of the lattice is not known."""
     sensor, lattice = (tree.get(section) for section in ("sensor", "lattice"))
     if isinstance(sensor, dict) and "arrangement" in sensor:
-        raise BenchError(f"{name}: sensor: {UNKNOWN} arrangement; it is lattice.arrangement", line=None)
+        fault = SettingError("sensor.arrangement", "is an unknown key; it is lattice.arrangement")
+        raise BenchError(f"{name}: {fault}", None, fault)
     if isinstance(sensor, dict) and isinstance(lattice, dict) and "arrangement" in lattice:
         sensor["arrangement"] = lattice["arrangement"]
         if len(lattice) == 1:

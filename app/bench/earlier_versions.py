@@ -7,7 +7,7 @@ light does between sample and lenslets, and did not search for layers. All offer
 import tomllib
 from typing import Any
 
-from app.bench.bench_error import BenchError, line_of_setting
+from app.bench.bench_files import BenchError, line_of_setting
 
 _FLUX = "conserve_flux"  # of [registration], until version 0.2
 # Every version after 0.1 writes `registration.rotation`, every version after 0.2 `field.neglect_propagation`.
@@ -48,7 +48,7 @@ def replace_conserve_flux(tree: dict[str, Any], text: str, name: str, *, is_reco
         raise BenchError(
             f"{name}: registration.{_FLUX} = false is no longer offered: leave it out for real light, whose brightness"
             " is conserved, or set field.neglect_propagation = true for the paper's simulation",
-            line_of_setting(text, f"registration.{_FLUX}", _FLUX),
+            line_of_setting(text, f"registration.{_FLUX}"),
         )
 
 

@@ -1,20 +1,22 @@
-"""Settings of a bench as a form: fields made from the dataclasses, with their units, help and limits."""
+"""Settings of a bench as a form: fields made from their descriptions, with labels and units for people."""
 
 import dataclasses
 import inspect
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from types import SimpleNamespace
+from typing import Any, Literal, get_args, get_origin
 
 import tomli_w
 
+from app.bench.bench_files import BenchError
 from app.bench.config import Bench, parse_bench, write_bench
-from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
-from app.bench.settings_words import in_unit
+from app.bench.device_kinds import DRIVERS
 from app.errors import InputError
+from drivers.camera import Region
 from drivers.device import DiscoveredDevice
-from drivers.frame import Region
+from reconstruction.annotated_settings import Setting, settings_of
 
 _UNITS = {  # by the end of a name; the first that fits
     "_m_per_s": "m/s",
@@ -35,12 +37,10 @@ _WORDS = {"rms": "RMS", "pv": "PV", "em": "EM", "center": "centre"}
 _USUAL = {"wavelength_m": "n", "current_a": "m", "pixel_m": "\N{MICRO SIGN}"}  # prefixes, whatever the value
 _PREFIXED = {"m", "s", "A", "m/s"}
 _NUMBER = re.compile(r"([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(\D*)")
-_COMMENT = re.compile(r"^    (\w+): [^#\n]*#\s*(.+)$", re.MULTILINE)
-_UNIONS: dict[str, Any] = {"camera": CameraSettings, "light": LightSettings}
 _OF_LENSLETS = ("sensor", "field")  # sections without useful defaults
-_ABSURD = (-(10.0**30), 10.0**30)  # beyond all limits, to learn them
 
 Kind = Literal["switch", "choice", "integer", "number", "text", "toml"]
+_KINDS: dict[Any, Kind] = {bool: "switch", int: "integer", str: "text", float: "number"}
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -117,25 +117,21 @@ class SettingsForm:
 
         A new bench has none of the simulation, and the fields that must be typed are empty.
         """
-        hints = get_type_hints(Bench)
         return tuple(
             self._emptied(section)
-            for field in dataclasses.fields(Bench)
+            for setting in settings_of(Bench)
             for section in _sections(
-                field.name,
-                self._class(field.name, hints[field.name]),
-                self._tree.get(field.name),
-                is_optional=type(None) in get_args(hints[field.name]),
+                setting.name, self._class(setting), self._tree.get(setting.name, {}), is_optional=setting.is_optional
             )
-            if not (self._is_new and field.name == "simulation")
+            if not (self._is_new and setting.name == "simulation")
         )
 
     def _emptied(self, section: FormSection) -> FormSection:
         """Turn the values that must still be typed into examples."""
         if not self._is_new or section.path not in _OF_LENSLETS:
             return section
-        cls = get_type_hints(Bench)[section.path]
-        mandatory = {one.name for one in dataclasses.fields(cls) if _default(one) is dataclasses.MISSING}
+        cls = next(setting.kind for setting in settings_of(Bench) if setting.name == section.path)
+        mandatory = (setting.name for setting in settings_of(cls) if setting.default is dataclasses.MISSING)
         wanted = {f"{section.path}.{name}" for name in mandatory} - self._typed
         fields = (
             dataclasses.replace(field, text="", example=field.text) if field.path in wanted else field
@@ -164,80 +160,83 @@ class SettingsForm:
         """Replace the settings of the camera or the light by those of a connected device."""
         self._tree[device.kind] = {"driver": device.driver, **device.settings}
 
-    def faulty_path(self, sentence: str) -> str:
-        """Return the path of the setting that an error of `bench` names; empty if it names none."""
-        words = sentence.removeprefix("the settings: ").split(":")
-        path, rest = words[0].strip(), ":".join(words[1:]).split()
-        paths = {field.path for section in self.sections() for field in section.fields}
-        named = f"{path}.{rest[0]}" if rest else path
-        return next((one for one in (path, named, path.split()[0]) if one in paths), "")
-
     def bench(self) -> Bench:
         """Return the bench; `BenchError` names what is wrong."""
         tree = {name: section for name, section in self._tree.items() if section}
         return parse_bench(tomli_w.dumps(tree), "the settings")
 
-    def _class(self, name: str, hint: Any) -> type:
-        if name in _UNIONS:
-            return drivers_of(_UNIONS[name])[self._tree.get(name, {}).get("driver", "simulated")]
-        found: type = next((one for one in get_args(hint) if one is not type(None)), hint)
-        return found
+    def _class(self, setting: Setting) -> Any:
+        if setting.name not in DRIVERS:
+            return setting.kind
+        return DRIVERS[setting.name][self._tree.get(setting.name, {}).get("driver", "simulated")].settings
 
 
-def _sections(
-    path: str, cls: Any, values: Mapping[str, Any] | None, *, is_optional: bool = False
-) -> Iterator[FormSection]:
-    hints, comments = get_type_hints(cls), dict(_COMMENT.findall(inspect.getsource(cls)))
-    limits = _limits(cls, values or {})
-    simple, nested = [], []
-    for field in dataclasses.fields(cls):
-        if field.metadata:  # belongs to another section
-            continue
-        value = (values or {}).get(field.name, _default(field))
-        if dataclasses.is_dataclass(hints[field.name]):
-            nested.append((f"{path}.{field.name}", hints[field.name], (values or {}).get(field.name)))
-        else:
-            told = comments.get(field.name, ""), limits.get(field.name, "")
-            made = _field(path, field.name, hints[field.name], value, told)
-            simple.append(dataclasses.replace(made, is_optional=True) if is_optional else made)
-    yield FormSection(path, (inspect.getdoc(cls) or "").splitlines()[0], tuple(simple))
-    for one in nested:
-        yield from _sections(*one)
+def fault_path(error: InputError) -> str:
+    """Return the path of the setting that an error of a form's bench names; empty if it names none."""
+    return "" if not isinstance(error, BenchError) or error.fault is None else error.fault.path
 
 
-def _field(path: str, name: str, hint: Any, value: Any, told: tuple[str, str]) -> FormField:
-    """Make a field; `told` is what it means, and its limits in SI units."""
-    is_optional = type(None) in get_args(hint)
-    if is_optional:
-        hint = next(one for one in get_args(hint) if one is not type(None))
-    unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
-    end = next((end for end in _UNITS if name.endswith(end)), "")
-    kind: Kind = "toml"
+def in_words(error: InputError, fields: Mapping[str, FormField]) -> str:
+    """Return an error of a form's bench with labels and units in place of keys and SI units.
+
+    `fields` are the fields by path, as they are shown.
+    """
+    fault = getattr(error, "fault", None)
+    if fault is None or fault.path not in fields:
+        return str(error).removeprefix("the settings: ")
+    field, why = fields[fault.path], fault.why
+    if fault.limit is not None:
+        return f"{field.label} {fault.limit.words(field.unit, field.factor)}"
+    for path, other in sorted(fields.items(), key=lambda item: -len(item[0])):
+        section, _, key = path.rpartition(".")
+        why = why.replace(path, f"{other.label} ({section})")
+        if "_" in key:  # others may be words of the sentence
+            why = re.sub(rf"\b{key}\b", other.label, why)
+    return f"{field.label} {why}"
+
+
+def unit_of(name: str) -> tuple[str, str]:
+    """Return the end of a setting's name that is its unit, and the unit in words; both may be empty."""
+    return next(((end, unit) for end, unit in _UNITS.items() if name.endswith(end)), ("", ""))
+
+
+def _sections(path: str, cls: Any, values: Mapping[str, Any], *, is_optional: bool = False) -> Iterator[FormSection]:
+    settings = [setting for setting in settings_of(cls) if not setting.section]
+    present = {setting.name: values.get(setting.name, setting.default) for setting in settings}
+    nested = [setting for setting in settings if dataclasses.is_dataclass(setting.kind) and not setting.is_optional]
+    fields = [
+        _field(path, setting, present, is_optional=is_optional or setting.is_optional)
+        for setting in settings
+        if setting not in nested
+    ]
+    yield FormSection(path, (inspect.getdoc(cls) or "").splitlines()[0], tuple(fields))
+    for setting in nested:
+        yield from _sections(f"{path}.{setting.name}", setting.kind, values.get(setting.name, {}))
+
+
+def _field(path: str, setting: Setting, present: Mapping[str, Any], *, is_optional: bool) -> FormField:
+    """Make a field of a setting, beside the present values of its section."""
+    name, value, kind = setting.name, present[setting.name], _KINDS.get(setting.kind, "toml")
+    limit, (end, unit), factor = setting.limit(SimpleNamespace(**present)), unit_of(name), 1.0
     choices: tuple[str, ...] = ()
-    factor = 1.0
     if name == "driver":
-        kind, choices = "choice", tuple(drivers_of(_UNIONS[path]))
-    elif get_origin(hint) is Literal:
-        kind, choices = "choice", ("",) * is_optional + get_args(hint)
-    elif hint in (bool, int, str):
-        kind = "switch" if hint is bool else "integer" if hint is int else "text"
-    elif hint is float:
-        kind = "number"
-        if unit in _PREFIXED:
-            prefix = next((usual for of, usual in _USUAL.items() if name.endswith(of)), _prefix(value))
-            unit, factor = prefix + unit, _PREFIXES[prefix]
-    words = [_WORDS.get(word, word) for word in name.removesuffix(end).split("_")]
-    about = filter(None, (told[0], in_unit(told[1], unit, factor)))
+        kind, choices = "choice", tuple(DRIVERS[path])
+    elif get_origin(setting.kind) is Literal:
+        kind, choices, limit = "choice", ("",) * setting.is_optional + get_args(setting.kind), None
+    elif kind == "number" and unit in _PREFIXED:
+        prefix = next((usual for of, usual in _USUAL.items() if name.endswith(of)), _prefix(value))
+        unit, factor = prefix + unit, _PREFIXES[prefix]
+    allowed = "" if limit is None or limit.words() == "must be finite" else _sentence(limit.words(unit, factor))
     return FormField(
         f"{path}.{name}",
-        _sentence(" ".join(words)),
+        _sentence(" ".join(_WORDS.get(word, word) for word in name.removesuffix(end).split("_"))),
         kind,
         _text(kind, value, factor),
         unit,
         factor,
         choices,
         is_optional or (kind == "text" and value == ""),
-        ". ".join(map(_sentence, about)),
+        ". ".join(filter(None, (setting.help, allowed))),
     )
 
 
@@ -265,27 +264,6 @@ def _text(kind: Kind, value: Any, factor: float) -> str:
             )
         return str(list(plain))
     return str(value)
-
-
-def _default(field: "dataclasses.Field[Any]") -> Any:
-    return field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-
-
-def _limits(cls: Any, values: Mapping[str, Any]) -> dict[str, str]:
-    """Return what a dataclass says of numbers beyond its limits, by field."""
-    known = {field.name: field for field in dataclasses.fields(cls)}
-    present = {name: value for name, value in values.items() if name in known and not isinstance(value, Mapping)}
-    told: dict[str, str] = {}
-    for name in known:
-        for absurd in _ABSURD:
-            try:
-                cls(**{**present, name: absurd})
-            except ValueError as error:
-                if str(error).startswith(f"{name} must"):
-                    told.setdefault(name, str(error).removeprefix(name).strip())
-            except (TypeError, ArithmeticError):
-                pass  # a missing or nested setting, or one that is no number
-    return told
 
 
 def _sentence(text: str) -> str:

@@ -14,21 +14,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cattrs
 from rich.console import Console
 
-from app.acquisition.device_kinds import KINDS
 from app.acquisition.devices import open_camera, open_light
 from app.bench.config import Bench
-from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
+from app.bench.device_kinds import DRIVERS, KINDS, DeviceSettings
 from app.commands import terminal
 from app.errors import InputError, RunError
 from app.run_facts import versions
 from drivers.camera import Camera
+from drivers.contract import ContractBroken, describe
 from drivers.contract import camera as camera_contract
 from drivers.contract import light as light_contract
-from drivers.contract.device import ContractBroken, describe
-from drivers.device import DiscoveredDevice, Property
+from drivers.device import Property
 from drivers.errors import DeviceError, Disconnected
 from drivers.interface import Frame
 from drivers.light_source import LightSource
@@ -47,11 +45,11 @@ def check_and_print(name: str, bench: Bench | None = None, *, serial_numbers: bo
     With a bench, the name is "camera" or "light", and the device is opened with the bench's settings. The report can be
     published: serial numbers are hidden unless asked for.
     """
-    settings = _settings_of(_connected(name)) if bench is None else _configured(bench, name)
+    section, settings = _connected(name) if bench is None else (name, _configured(bench, name))
     report = _Report(settings, is_open=serial_numbers)
     report.print_versions()
     try:
-        (_check_camera if isinstance(settings, CameraSettings) else _check_light)(settings, report)
+        (_check_camera if section == "camera" else _check_light)(settings, report)
     except DeviceError as error:
         raise RunError(report.public(str(error))) from error
     if report.failed:
@@ -97,7 +95,7 @@ def _check_light(settings: Any, report: _Report) -> None:
 class _Report:
     """Checks a device and prints a report that can be published."""
 
-    def __init__(self, settings: CameraSettings | LightSettings, *, is_open: bool) -> None:
+    def __init__(self, settings: DeviceSettings, *, is_open: bool) -> None:
         """`is_open` shows serial numbers and the home folder."""
         self._console = Console(soft_wrap=True, highlight=False)
         self._settings, self._is_open = settings, is_open
@@ -148,14 +146,7 @@ class _Report:
             self.print(f"         {line}")
 
 
-def _settings_of(device: DiscoveredDevice) -> CameraSettings | LightSettings:
-    """Return the settings of a discovered device, the others at their defaults."""
-    kind: Any = CameraSettings if device.kind == "camera" else LightSettings
-    settings: CameraSettings | LightSettings = cattrs.structure(dict(device.settings), drivers_of(kind)[device.driver])
-    return settings
-
-
-def _configured(bench: Bench, name: str) -> CameraSettings | LightSettings:
+def _configured(bench: Bench, name: str) -> DeviceSettings:
     if name == "camera":
         return bench.camera
     if name == "light":
@@ -165,7 +156,8 @@ def _configured(bench: Bench, name: str) -> CameraSettings | LightSettings:
     raise InputError(f"{name}: with --bench, --check takes camera or light")
 
 
-def _connected(name: str) -> DiscoveredDevice:
+def _connected(name: str) -> tuple[str, DeviceSettings]:
+    """Return "camera" or "light" and the settings of a connected device, which has the defaults otherwise."""
     kind = next((kind for kind in KINDS if kind.driver == name.split(":", 1)[0]), None)
     if kind is None:
         known = ", ".join(kind.driver for kind in KINDS)
@@ -173,7 +165,7 @@ def _connected(name: str) -> DiscoveredDevice:
     devices, missing = kind.discover()
     for device in devices:
         if device.name == name:
-            return device
+            return device.kind, DRIVERS[device.kind][device.driver].settings(**device.settings)
     raise RunError(f"{name} is not connected" + (f": {missing}" if missing else "; `svwfs devices` shows what is"))
 
 

@@ -63,7 +63,7 @@ def print_devices() -> None:
     import tomli_w
     from rich.console import Console
 
-    from app.acquisition.device_kinds import KINDS
+    from app.bench.device_kinds import KINDS
 
     console = Console(soft_wrap=True, highlight=False)
     for kind in KINDS:

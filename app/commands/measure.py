@@ -178,7 +178,7 @@ def _calibrate_by_hand(acquisition: Acquisition, average: int, progress: Progres
 def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, progress: Progress) -> None:
     """Record from the first frame of which sample and correction are known; of played frames from the first one."""
     from app.acquisition.start_up import knows_sample, move_sample_in, start_camera
-    from app.bench.settings import RecordingSettings
+    from app.bench.device_kinds import RecordingSettings
     from app.recording.recorder import Limit
 
     def begin() -> Future[None]:

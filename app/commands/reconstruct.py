@@ -16,7 +16,7 @@ from app.progress import counted
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from app.bench.device_settings import CameraSettings
+    from app.bench.device_kinds import DeviceSettings
     from reconstruction.arrays import Floats
     from reconstruction.wavefront import Wavefront
 
@@ -118,7 +118,7 @@ def _check_scale(image: NDArray[Any], path: Path, other: NDArray[Any], other_pat
         )
 
 
-def _size_note(camera: CameraSettings, frame: NDArray[Any]) -> str:
+def _size_note(camera: DeviceSettings, frame: NDArray[Any]) -> str:
     """Say if a frame has another size than the bench's simulated camera, unless that has the size it has by default."""
     from simulated_devices.settings import SimulatedCameraSettings
 

@@ -11,8 +11,7 @@ from PyQt6.QtCore import QObject, QSettings, QUrl
 from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
 
-from app.bench.bench_error import BenchError, excerpt
-from app.bench.bench_files import bench_file, read_bench_text
+from app.bench.bench_files import BenchError, bench_file, excerpt, read_bench_text
 from app.bench.config import Bench, load_bench
 from app.bench.presets import PRESETS
 from app.bench.trusted_libraries import unconfirmed

@@ -19,10 +19,9 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from app.acquisition.device_kinds import KINDS
 from app.bench.config import Bench, write_bench
-from app.bench.settings_form import FormField, SettingsForm
-from app.bench.settings_words import in_words
+from app.bench.device_kinds import KINDS
+from app.bench.settings_form import FormField, SettingsForm, fault_path, in_words
 from app.errors import InputError, RunError
 from app.files import atomic_write
 from app.gui import theme
@@ -220,9 +219,8 @@ class SettingsDialog(QDialog):
         try:
             bench = self._form.bench()
         except InputError as error:
-            path, fields = self._form.faulty_path(str(error)), {name: one for name, (one, _) in self.editors.items()}
-            faulty = self.editors[path][1] if path in self.editors else None
-            self._show_problem(in_words(str(error), path, fields), faulty)
+            _, faulty = self.editors.get(fault_path(error), (None, None))
+            self._show_problem(in_words(error, {path: field for path, (field, _) in self.editors.items()}), faulty)
             return None
         self._show_problem("", None)
         return bench

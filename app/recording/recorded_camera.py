@@ -10,7 +10,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from app.bench.settings import Pace
+from app.bench.device_kinds import Pace
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.routines.averages import Average

@@ -2,11 +2,10 @@
 
 from contextlib import ExitStack
 
-from app.bench.settings import Pace
+from app.bench.device_kinds import Pace
 from app.recording.reader import Recording
 from app.recording.recorded_camera import RecordedCamera
-from drivers.interface import Devices, LightSource, Range
-from drivers.stage import OneMaskStage
+from drivers.interface import Devices, LightSource, Range, Stage
 
 
 def recorded_devices(recording: Recording, frames: range, *, pace: Pace = "own", repeat: bool = True) -> Devices:
@@ -47,7 +46,7 @@ class RecordedLight(LightSource):
         pass
 
 
-class RecordedStage(OneMaskStage):
+class RecordedStage(Stage):
     """Stage of a recording: with the sample out, the camera sees the reference."""
 
     name = "as recorded"

@@ -6,18 +6,9 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from drivers.camera import Camera
-from drivers.contract.device import (
-    Calls,
-    ContractBroken,
-    calls,
-    check_properties,
-    require,
-    require_all_raise,
-    require_raises,
-)
+from drivers.camera import Camera, Frame, Region
+from drivers.contract import Calls, ContractBroken, calls, check_properties, require, require_all_raise, require_raises
 from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, WrongState
-from drivers.frame import Frame, Region
 
 _NAN = float("nan")
 _MODES = ("amplifier", "readout_speed", "binning", "trigger")

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from drivers.contract.device import Calls, calls, check_properties, require, require_all_raise, require_raises
+from drivers.contract import Calls, calls, check_properties, require, require_all_raise, require_raises
 from drivers.errors import BadValue, WrongState
 from drivers.light_source import LightSource
 

@@ -1,1 +1,48 @@
-"""Hamamatsu's cameras behind the DCAM-API 4, called through ctypes."""
+"""Hamamatsu cameras over the DCAM-API: their settings."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt, Le
+from typing_extensions import Doc
+
+from drivers.camera import Region
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DcamSettings:
+    """Selection and settings of a DCAM camera; what is omitted keeps the camera's value.
+
+    Opening the camera checks what depends on its mode: exposure, EM gain, binning, region.
+    """
+
+    driver: Literal["dcam"] = "dcam"
+    device: Annotated[str, Doc('Serial number, or "0" for the first; empty takes the only one')] = ""
+    library: Annotated[str, Doc("Path of dcamapi.dll or libdcamapi.so if not installed in the standard place")] = ""
+    pixel_pitch_m: Annotated[float, Gt(0), Doc("Of the sensor, if the camera does not report it")] | None = None
+    amplifier: Literal["normal", "em"] | None = None
+    readout_speed: Annotated[int, Ge(1), Doc("1 is the slowest; the normal amplifier has no other")] | None = None
+    exposure_s: Annotated[float, Gt(0)] | None = None
+    em_gain: Annotated[float, Ge(0)] | None = None
+    em_gain_protection: Annotated[bool, Doc("Black frames instead of light that would age the EM register")] = True
+    em_gain_protection_frames: Annotated[int, Ge(1), Le(255), Doc("With too much light, before it acts")] | None = None
+    em_gain_warning_level: Annotated[int, Ge(1), Le(3), Doc("Up to 3, the most sensitive")] | None = None
+    binning: Annotated[int, Ge(1), Le(16)] = 1
+    region: Annotated[Region, Doc("Omitted: the whole sensor")] | None = None
+    trigger: Literal["internal", "external", "software"] = "internal"
+    trigger_active: Literal["edge", "level", "synchronous"] | None = None
+    trigger_polarity: Literal["negative", "positive"] | None = None
+    trigger_delay_s: Annotated[float, Ge(0)] | None = None
+    output: (
+        Annotated[Literal["low", "exposure", "programmable", "trigger ready", "high"], Doc("Of the first connector")]
+        | None
+    ) = None
+    output_polarity: Literal["negative", "positive"] | None = None
+    cooler: Literal["off", "on", "max"] | None = None
+    ring_frames: Annotated[int, Ge(4), Le(10000), Doc("Buffered before the oldest is overwritten")] = 128
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield settings that contradict others, and why."""
+        if self.em_gain not in {None, 1} and self.amplifier == "normal":
+            yield "em_gain", 'needs amplifier = "em"'

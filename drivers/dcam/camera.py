@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from ctypes import byref
 
-from drivers.camera import Camera, CameraCapabilities
+from drivers.camera import Camera, CameraCapabilities, Frame, Region
+from drivers.dcam import DcamSettings, session
 from drivers.dcam import property_ids as ids
-from drivers.dcam import session
 from drivers.dcam.capabilities import (
     AMPLIFIERS,
     FILTERS,
@@ -23,21 +23,27 @@ from drivers.dcam.capabilities import (
     set_region,
 )
 from drivers.dcam.capture import Capture
-from drivers.dcam.library import DcamLibrary, load_library
+from drivers.dcam.library import DcamLibrary, DeviceOpen, load_library, sized
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
-from drivers.dcam.session import ListedCamera
-from drivers.dcam.structures import DeviceOpen, sized
-from drivers.device import Property
+from drivers.device import DiscoveredDevice, Property
 from drivers.errors import REFUSALS, DeviceError, Disconnected, Unsupported, WrongState
-from drivers.frame import Frame, Region
-from drivers.settings import DcamSettings
 
 # A running camera may deny reading these.
 _MODE = (
     *(Id.CCDMODE, Id.READOUTSPEED, Id.BINNING, Id.TRIGGERSOURCE, Id.TRIGGERACTIVE, *FILTERS),
     *(Id.SUBARRAYMODE, Id.SUBARRAYHPOS, Id.SUBARRAYHSIZE, Id.SUBARRAYVPOS, Id.SUBARRAYVSIZE),
 )
+
+
+def discover(library: DcamLibrary | None = None) -> tuple[DiscoveredDevice, ...]:
+    """Return the connected cameras; raise `Unsupported` if Hamamatsu's library is missing."""
+    return tuple(
+        DiscoveredDevice(
+            kind="camera", driver="dcam", description=camera.name, settings={"device": camera.serial_number}
+        )
+        for camera in session.connected(library or load_library())
+    )
 
 
 class DcamCamera(Camera):
@@ -55,9 +61,11 @@ class DcamCamera(Camera):
         with ExitStack() as undo:
             cameras = session.begin(self._library)
             undo.callback(self._try, session.end, self._library)
-            camera = session.choose(self._library, cameras, settings.device)
+            camera = session.chosen(self._library, cameras, settings.device)
             self._name = camera.name
-            self._handle = _opened(self._library, camera)
+            opened = sized(DeviceOpen, index=camera.index)
+            self._library.call("dcamdev_open", byref(opened))
+            self._handle: int = opened.hdcam
             undo.callback(self._try, self._library.call, "dcamdev_close", self._handle)
             self._values = Properties(self._library, self._handle)
             self._set_up(settings)
@@ -80,23 +88,14 @@ class DcamCamera(Camera):
 
     def _set_up(self, settings: DcamSettings) -> None:
         self._take_16_bits()
-        if settings.amplifier is not None:
-            self.set_amplifier(settings.amplifier)
+        self._apply(amplifier=settings.amplifier)
         with self._access():
             if has_em_gain(self._values):
                 self._prepare_em_gain()
-        if settings.readout_speed is not None:
-            self.set_readout_speed(settings.readout_speed)
-        self.set_binning(settings.binning)
-        region = settings.region or self.capabilities.sensor
-        if region is not None:
-            self.set_region(region)
+        self._apply(readout_speed=settings.readout_speed, binning=settings.binning)
+        self._apply(region=settings.region or self.capabilities.sensor)
         self._reset_trigger()
-        self.set_trigger(settings.trigger)
-        if settings.exposure_s is not None:
-            self.set_exposure(settings.exposure_s)
-        if settings.em_gain is not None:
-            self.set_em_gain(settings.em_gain)
+        self._apply(trigger=settings.trigger, exposure=settings.exposure_s, em_gain=settings.em_gain)
         with self._access():
             for identifier, value in _simple_settings(settings).items():
                 if value is not None:
@@ -286,13 +285,6 @@ class DcamCamera(Camera):
         protected = ids.EMGAINWARNING_PROTECTED  # also if the running camera denies its status: the frame is black
         has_status = has_em_gain(self._values) and self._values.has(Id.EMGAINWARNING_STATUS)
         return has_status and self._values.get_or(Id.EMGAINWARNING_STATUS, protected) == protected
-
-
-def _opened(library: DcamLibrary, camera: ListedCamera) -> int:
-    request = sized(DeviceOpen, index=camera.index)
-    library.call("dcamdev_open", byref(request))
-    handle: int = request.hdcam
-    return handle
 
 
 def _simple_settings(settings: DcamSettings) -> dict[Id, float | None]:

@@ -3,13 +3,12 @@
 import math
 from contextlib import suppress
 
-from drivers.camera import CameraCapabilities
+from drivers.camera import CameraCapabilities, Region
 from drivers.dcam import property_ids as ids
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
 from drivers.device import Range
 from drivers.errors import DeviceError, Unsupported
-from drivers.frame import Region
 
 AMPLIFIERS = {ids.CCDMODE_NORMAL: "normal", ids.CCDMODE_EM: "em"}
 TRIGGERS = {number: name for name, number in ids.TRIGGER_SOURCES.items()}

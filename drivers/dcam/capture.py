@@ -1,35 +1,24 @@
 """Capture of frames through the DCAM-API's ring buffer."""
 
 import math
-from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from ctypes import Structure, byref, c_int32
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.camera import Frame, SettingsInForce
+from drivers.dcam.library import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import PRODUCER_NONE, Id
-from drivers.dcam.structures import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
 from drivers.errors import DeviceError, DeviceTimeout, FrameLost, WrongState
-from drivers.frame import Frame
 
 _SLICE_S = 0.1  # longest wait in the library; after that much silence the camera's status is polled
 _SEQUENCE = -1
 _FRAMEREADY, _STOPPED = 0x2, 0x10
 _BUSY = 1
 _STAMPS = 2**16  # some interfaces carry only 16 bits of the camera's frame number
-
-
-@dataclass(frozen=True, slots=True)
-class InForce:
-    """Exposure and gain from this frame index on."""
-
-    first_index: int
-    exposure_s: float
-    em_gain: float
 
 
 class Capture:
@@ -57,7 +46,7 @@ class Capture:
         self._clock = clock
         self._is_fired_here = trigger == "software"
         self._is_exposing = trigger == "internal"  # as far as known
-        self._in_force = deque([InForce(0, *in_force)])
+        self._in_force = SettingsInForce(*in_force)
         self._next = 0  # library's number of the next frame
         self._lost = 0  # before transfer
         self._last: tuple[int, int] | None = None  # library's and camera's number of the last frame
@@ -97,14 +86,9 @@ class Capture:
             self._library.call("dcamwait_abort", self._wait_handle)
 
     def change(self, exposure_s: float, em_gain: float) -> None:
-        """Record changed settings; they hold from the frame after the one being exposed, if any.
-
-        The DCAM-API does not report the settings of a frame.
-        """
+        """Record changed settings; they hold from the frame after the one being exposed, if any."""
         first = self._transferred().nFrameCount + self._lost + self._is_exposing
-        if self._in_force[-1].first_index == first:
-            self._in_force.pop()
-        self._in_force.append(InForce(first, exposure_s, em_gain))
+        self._in_force.change(first, exposure_s, em_gain)
 
     def read(self, timeout_s: float) -> Frame:
         """Return the oldest unread frame, firing the software trigger for it once.
@@ -156,10 +140,6 @@ class Capture:
         self._next, self._last, self._is_loss_reported, self._is_exposing = 0, None, False, False
         self._library.call("dcamcap_start", self._handle, _SEQUENCE)
 
-    def _note_exposure_end(self) -> None:
-        if self._is_fired_here:
-            self._is_exposing = False
-
     def _check_alive(self, *, at_once: bool = False) -> None:
         """Raise if a camera, silent for a slice, is gone or has stopped."""
         now_s = self._clock()
@@ -184,7 +164,8 @@ class Capture:
             self._next = transferred.nFrameCount - self._ring_frames // 2
         number = self._next
         self._next += 1  # also if its copy fails
-        self._note_exposure_end()
+        if self._is_fired_here:
+            self._is_exposing = False
         slot = (transferred.nNewestFrameIndex - (transferred.nFrameCount - 1 - number)) % self._ring_frames
         pixels, copied = self._copy(slot)
         host_time_s = self._clock()
@@ -207,18 +188,8 @@ class Capture:
         self._seen_alive_s = host_time_s
         self._count_lost(number, copied.framestamp)
         index = number + self._lost
-        while len(self._in_force) > 1 and self._in_force[1].first_index <= index:
-            self._in_force.popleft()
-        in_force = self._in_force[0]
-        camera_time_s = copied.timestamp.sec + 1e-6 * copied.timestamp.microsec
-        return Frame(
-            pixels,
-            index,
-            camera_time_s or host_time_s,  # 0 without time stamps
-            host_time_s,
-            in_force.exposure_s,
-            in_force.em_gain,
-        )
+        camera_time_s = copied.timestamp.sec + 1e-6 * copied.timestamp.microsec  # 0 without time stamps
+        return Frame(pixels, index, camera_time_s or host_time_s, host_time_s, *self._in_force.of_frame(index))
 
     def _count_lost(self, number: int, stamp: int) -> None:
         """Count the frames that the camera took but the library never received."""

@@ -1,42 +1,185 @@
-"""Hamamatsu's DCAM-API library: functions with prototypes, failures as device errors."""
+"""Hamamatsu's DCAM-API 4: its structures and functions through ctypes, and its error codes as device errors."""
 
 import ctypes
 import sys
 from collections.abc import Callable
-from ctypes import POINTER, c_char_p, c_double, c_int32, c_void_p
+from ctypes import (
+    POINTER,
+    Structure,
+    byref,
+    c_char_p,
+    c_double,
+    c_int32,
+    c_uint32,
+    c_void_p,
+    cast,
+    create_string_buffer,
+    sizeof,
+)
 from functools import cache
+from typing import Any
 
-from drivers.dcam import structures as s
-from drivers.dcam.errors import error_of
-from drivers.errors import Disconnected, Unsupported
+from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
+
+
+def sized(kind: type[Structure], **values: Any) -> Structure:
+    """Return a structure whose first member is its own size, as every call requires."""
+    made = kind(**values)
+    setattr(made, made._fields_[0][0], sizeof(kind))
+    return made
+
+
+def _int32(names: str) -> list[tuple[str, Any]]:
+    return [(name, c_int32) for name in names.split()]
+
+
+def _structure(name: str, *fields: tuple[str, Any]) -> type[Structure]:
+    return type(name, (Structure,), {"_fields_": fields})
+
+
+# Laid out for 64-bit pointers.
+Init = _structure(
+    "Init", *_int32("size iDeviceCount reserved initoptionbytes"), ("initoption", c_void_p), ("guid", c_void_p)
+)
+DeviceOpen = _structure("DeviceOpen", *_int32("size index"), ("hdcam", c_void_p))
+DeviceString = _structure("DeviceString", *_int32("size iString"), ("text", c_char_p), *_int32("textbytes"))
+PropertyAttribute = _structure(
+    "PropertyAttribute",
+    *_int32("cbSize iProp option iReserved1 attribute iGroup iUnit attribute2"),
+    *[(name, c_double) for name in ("valuemin", "valuemax", "valuestep", "valuedefault")],
+    *_int32("nMaxChannel iReserved3 nMaxView iProp_NumberOfElement iProp_ArrayBase iPropStep_Element"),
+)
+PropertyValueText = _structure(
+    "PropertyValueText", *_int32("cbSize iProp"), ("value", c_double), ("text", c_char_p), *_int32("textbytes")
+)
+TimeStamp = _structure("TimeStamp", ("sec", c_uint32), ("microsec", c_int32))
+TransferInfo = _structure("TransferInfo", *_int32("size iKind nNewestFrameIndex nFrameCount"))
+BufferFrame = _structure(
+    "BufferFrame",
+    *_int32("size iKind option iFrame"),
+    ("buf", c_void_p),
+    *_int32("rowbytes type width height left top"),
+    ("timestamp", TimeStamp),
+    *_int32("framestamp camerastamp"),
+)
+WaitOpen = _structure("WaitOpen", *_int32("size supportevent"), ("hwait", c_void_p), ("hdcam", c_void_p))
+WaitStart = _structure("WaitStart", *_int32("size eventhappened eventmask timeout"))
+
+
+class NotThere(Unsupported):
+    """The camera has no such property, or no next one."""
+
+
+class Denied(WrongState):
+    """A busy camera does not allow access to this property."""
+
+
+# Messages, and the codes (unsigned) with their names in Hamamatsu's header; the library returns negative numbers.
+_TABLE: dict[type[DeviceError], dict[str, str]] = {
+    WrongState: {
+        "the camera cannot do this in its present state": (
+            "80000101 BUSY, 80000103 NOTREADY, 80000104 NOTSTABLE, 80000105 UNSTABLE, 80000107 NOTBUSY"
+        ),
+        "the wait for a frame was aborted": "80000102 ABORT",
+    },
+    Denied: {"a running camera does not allow this: stop it first": "8000082C ACCESSDENY"},
+    DeviceTimeout: {
+        "the camera did not answer in time": "80000106 TIMEOUT",
+        "no trigger reached the camera": "80000303 NOTRIGGER",
+    },
+    Busy: {
+        "the camera cannot be opened: another program holds it (close it), or the camera is switched off": (
+            "80000110 EXCLUDED, 81001001 FAILOPENBUS, 82001001 FAILOPENCAMERA"
+        )
+    },
+    DeviceError: {
+        "the computer lacks a resource that the camera needs": "80000201 NORESOURCE",
+        "the computer lacks memory for the frames: lower camera.ring_frames": (
+            "80000203 NOMEMORY, 8000083F LESSSYSTEMMEMORY"
+        ),
+        "the camera's cooling fails: check its fan or water": "80000302 COOLINGTROUBLE",
+        "the camera warns of its temperature: check its cooling": "80000304 TEMPERATURE_TROUBLE",
+    },
+    Unsupported: {
+        "Hamamatsu's driver for the camera's interface is missing or damaged: install the DCAM-API again": (
+            "80000204 NOMODULE, 80000205 NODRIVER, 80000211 INVALIDMODULE"
+        ),
+        "the camera needs a newer DCAM-API: install it from Hamamatsu": "84002002 NEWRUNTIMEREQUIRED",
+        "the frame grabber of the camera is missing, or its driver": "80000207 NOGRABBER",
+        "this camera cannot do this, or not in its present mode": (
+            "80000823 NOTWRITABLE, 80000824 NOTREADABLE, 80000F02 NOTIMPLEMENT, 80000F03 NOTSUPPORT"
+        ),
+        "frame bundling must be off: switch it off in Hamamatsu's program": "80000832 FRAMEBUNDLESHOULDBEOFF",
+    },
+    Disconnected: {
+        "no Hamamatsu camera was found: check its power and cable, and that no other program holds it": (
+            "80000206 NOCAMERA"
+        ),
+        "the camera is gone: check its power and cable, then connect again": (
+            "80000806 INVALIDCAMERA, 80000807 INVALIDHANDLE, 80000F01 UNREACH, 80000F07 NOCONNECTION, "
+            "83001002 FAILREADCAMERA, 83001003 FAILWRITECAMERA, 84002001 INVALIDWAITHANDLE"
+        ),
+        "Hamamatsu's DCAM-API has ended: connect again": "80000F04 UNLOADED",
+    },
+    FrameLost: {
+        "a frame was lost or damaged in transfer": (
+            "80000301 LOSTFRAME, 80000321 INVALIDIMAGE, 80000833 INVALIDFRAMEINDEX, 80000F06 MISSINGFRAME_TROUBLE"
+        ),
+        "triggers come faster than the camera can take frames": "80000305 TOOFREQUENTTRIGGER",
+    },
+    BadValue: {
+        "the camera refused the value": (
+            "80000808 INVALIDPARAM, 80000821 INVALIDVALUE, 80000822 OUTOFRANGE, 8000082E WRONGPROPERTYVALUE"
+        ),
+        "the camera refused the region": "8000082B INVALIDSUBARRAY",
+    },
+    NotThere: {
+        "this camera cannot do this, or not in its present mode": "80000825 INVALIDPROPERTYID, 80000828 NOPROPERTY"
+    },
+}
+ERRORS = {
+    int(code, 16): (name, kind, message)
+    for kind, messages in _TABLE.items()
+    for message, codes in messages.items()
+    for code, name in (pair.split() for pair in codes.split(", "))
+}
+
+
+def error_of(code: int, what: str) -> DeviceError:
+    """Return the error for a code, signed or not, that `what` returned."""
+    unsigned = code & 0xFFFFFFFF
+    name, kind, message = ERRORS.get(unsigned, ("unknown", DeviceError, "the camera reports an error"))
+    return kind(f"{message} ({what}: {name}, {unsigned:08x})")
+
 
 FILE = "dcamapi.dll" if sys.platform == "win32" else "libdcamapi.so"
 
+_TEXT_BYTES = 256
 _HANDLE = c_void_p  # without prototypes ctypes would pass 32 bits
 PROTOTYPES: dict[str, tuple[type, ...]] = {
-    "dcamapi_init": (POINTER(s.Init),),
+    "dcamapi_init": (POINTER(Init),),
     "dcamapi_uninit": (),
-    "dcamdev_open": (POINTER(s.DeviceOpen),),
+    "dcamdev_open": (POINTER(DeviceOpen),),
     "dcamdev_close": (_HANDLE,),
-    "dcamdev_getstring": (_HANDLE, POINTER(s.DeviceString)),
-    "dcamprop_getattr": (_HANDLE, POINTER(s.PropertyAttribute)),
+    "dcamdev_getstring": (_HANDLE, POINTER(DeviceString)),
+    "dcamprop_getattr": (_HANDLE, POINTER(PropertyAttribute)),
     "dcamprop_getvalue": (_HANDLE, c_int32, POINTER(c_double)),
     "dcamprop_setgetvalue": (_HANDLE, c_int32, POINTER(c_double), c_int32),
     "dcamprop_queryvalue": (_HANDLE, c_int32, POINTER(c_double), c_int32),
     "dcamprop_getnextid": (_HANDLE, POINTER(c_int32), c_int32),
     "dcamprop_getname": (_HANDLE, c_int32, c_char_p, c_int32),
-    "dcamprop_getvaluetext": (_HANDLE, POINTER(s.PropertyValueText)),
+    "dcamprop_getvaluetext": (_HANDLE, POINTER(PropertyValueText)),
     "dcambuf_alloc": (_HANDLE, c_int32),
     "dcambuf_release": (_HANDLE, c_int32),
-    "dcambuf_copyframe": (_HANDLE, POINTER(s.BufferFrame)),
+    "dcambuf_copyframe": (_HANDLE, POINTER(BufferFrame)),
     "dcamcap_start": (_HANDLE, c_int32),
     "dcamcap_stop": (_HANDLE,),
     "dcamcap_status": (_HANDLE, POINTER(c_int32)),
-    "dcamcap_transferinfo": (_HANDLE, POINTER(s.TransferInfo)),
+    "dcamcap_transferinfo": (_HANDLE, POINTER(TransferInfo)),
     "dcamcap_firetrigger": (_HANDLE, c_int32),
-    "dcamwait_open": (POINTER(s.WaitOpen),),
+    "dcamwait_open": (POINTER(WaitOpen),),
     "dcamwait_close": (_HANDLE,),
-    "dcamwait_start": (_HANDLE, POINTER(s.WaitStart)),
+    "dcamwait_start": (_HANDLE, POINTER(WaitStart)),
     "dcamwait_abort": (_HANDLE,),
 }
 
@@ -62,6 +205,14 @@ class DcamLibrary:
             raise Disconnected(f"Hamamatsu's DCAM-API failed in {name} ({error}): connect again") from error
         if code < 0:
             raise error_of(code, name)
+
+    def text(self, name: str, target: int, kind: type[Structure], **values: Any) -> str:
+        """Call a function of a camera that writes a text."""
+        text = create_string_buffer(_TEXT_BYTES)
+        request = sized(kind, textbytes=_TEXT_BYTES, **values)
+        request.text = cast(text, c_char_p)
+        self.call(name, target, byref(request))
+        return text.value.decode(errors="replace").strip()
 
 
 @cache

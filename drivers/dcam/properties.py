@@ -2,13 +2,11 @@
 
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from ctypes import byref, c_char_p, c_double, c_int32, cast, create_string_buffer
+from ctypes import byref, c_double, c_int32, create_string_buffer
 from dataclasses import dataclass
 
-from drivers.dcam.errors import Denied, NotThere
-from drivers.dcam.library import DcamLibrary
+from drivers.dcam.library import DcamLibrary, Denied, NotThere, PropertyAttribute, PropertyValueText, sized
 from drivers.dcam.property_ids import ALIVE_ONLINE, OPTION_NEXT, TYPE_MASK, TYPE_REAL, Attribute, Id
-from drivers.dcam.structures import PropertyAttribute, PropertyValueText, sized
 from drivers.device import Property, Range
 from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected
 
@@ -131,14 +129,6 @@ class Properties:
         self.library.call("dcamprop_getname", self.handle, identifier, text, _TEXT_BYTES)
         return text.value.decode(errors="replace")
 
-    def text(self, identifier: int, value: float) -> str:
-        """Hamamatsu's text for a value of a mode."""
-        text = create_string_buffer(_TEXT_BYTES)
-        request = sized(PropertyValueText, iProp=identifier, value=value, textbytes=_TEXT_BYTES)
-        request.text = cast(text, c_char_p)
-        self.library.call("dcamprop_getvaluetext", self.handle, byref(request))
-        return text.value.decode(errors="replace")
-
     def readable(self) -> dict[str, Property]:
         """All readable properties by Hamamatsu's names; one that fails holds the error message.
 
@@ -163,7 +153,8 @@ class Properties:
         value = self.get(identifier)
         if allowed.attribute & Attribute.HASVALUETEXT:
             with suppress(*REFUSALS):
-                return self.text(identifier, value)
+                kind = PropertyValueText
+                return self.library.text("dcamprop_getvaluetext", self.handle, kind, iProp=identifier, value=value)
         return value if allowed.kind == TYPE_REAL else round(value)
 
     def _identifiers(self) -> Iterator[int]:

@@ -2,13 +2,12 @@
 
 import threading
 from contextlib import suppress
-from ctypes import byref, c_char_p, cast, create_string_buffer
+from ctypes import byref
 from dataclasses import dataclass
 
-from drivers.dcam.library import DcamLibrary, load_library
-from drivers.dcam.structures import DeviceString, Init, sized
-from drivers.device import DiscoveredDevice
-from drivers.errors import BadValue, DeviceError, Disconnected
+from drivers.dcam.library import DcamLibrary, DeviceString, Init, sized
+from drivers.device import choose
+from drivers.errors import DeviceError, Disconnected
 
 STRINGS = {
     "bus": 0x04000101,
@@ -20,7 +19,6 @@ STRINGS = {
     "module version": 0x04000107,
     "DCAM-API version": 0x04000108,
 }
-_TEXT_BYTES = 256
 
 
 @dataclass(slots=True)
@@ -75,44 +73,28 @@ def end(library: DcamLibrary) -> None:
             library.call("dcamapi_uninit")
 
 
-def discover(library: DcamLibrary | None = None) -> tuple[DiscoveredDevice, ...]:
-    """Return the connected cameras; raise `Unsupported` if Hamamatsu's library is missing."""
-    library = library or load_library()
+def connected(library: DcamLibrary) -> tuple[ListedCamera, ...]:
+    """Return the connected cameras."""
     try:
         count = begin(library)
     except Disconnected:  # the DCAM-API's error for no camera
         return ()
     try:
-        cameras = [_listed(library, index) for index in range(count)]
+        return tuple(_listed(library, index) for index in range(count))
     finally:
         end(library)
-    return tuple(
-        DiscoveredDevice(
-            kind="camera", driver="dcam", description=camera.name, settings={"device": camera.serial_number}
-        )
-        for camera in cameras
-    )
 
 
-def choose(library: DcamLibrary, count: int, wanted: str) -> ListedCamera:
+def chosen(library: DcamLibrary, count: int, wanted: str) -> ListedCamera:
     """Return the camera of this serial number or index, "" for the only one of `count`; needs a session."""
     cameras = [_listed(library, index) for index in range(count)]
-    chosen = [camera for camera in cameras if wanted in {"", camera.serial_number, str(camera.index)}]
-    if len(chosen) == 1:
-        return chosen[0]
-    names = "; ".join(camera.name for camera in cameras)
-    if chosen:
-        raise BadValue(f"there are {len(chosen)} Hamamatsu cameras; say which by its serial number: {names}")
-    raise Disconnected(f"there is no Hamamatsu camera {wanted}; there are {names}")
+    names = [(camera.serial_number, str(camera.index)) for camera in cameras]
+    return cameras[choose(wanted, names, "Hamamatsu camera", "device")]
 
 
 def string(library: DcamLibrary, camera: int, identifier: int) -> str:
     """Return one of the `STRINGS` of a camera, given by its handle if open, else by its index."""
-    text = create_string_buffer(_TEXT_BYTES)
-    request = sized(DeviceString, iString=identifier, textbytes=_TEXT_BYTES)
-    request.text = cast(text, c_char_p)
-    library.call("dcamdev_getstring", camera, byref(request))
-    return text.value.decode(errors="replace").strip()
+    return library.text("dcamdev_getstring", camera, DeviceString, iString=identifier)
 
 
 def _listed(library: DcamLibrary, index: int) -> ListedCamera:

@@ -1,1 +1,47 @@
-"""GenICam cameras (GigE Vision and USB3 Vision) over Aravis."""
+"""GigE Vision and USB3 Vision cameras, over Aravis: their settings."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt, Le
+from typing_extensions import Doc
+
+from drivers.camera import Region
+from drivers.genicam.frames import PIXEL_FORMATS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GenicamSettings:
+    """Selection and settings of a GigE Vision or USB3 Vision camera; what is omitted keeps the camera's value."""
+
+    driver: Literal["genicam"] = "genicam"
+    device: Annotated[str, Doc("Name in `svwfs devices`, serial number or address; empty takes the only one")] = ""
+    pixel_pitch_m: Annotated[float, Gt(0), Doc("Of the sensor, if the camera does not report it")] | None = None
+    pixel_format: Annotated[str, Doc('For example "Mono12"; empty takes the deepest without padding')] = ""
+    full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel; omitted: found in frames")] | None = (
+        None
+    )
+    byte_order: Annotated[Literal["", "little", "big"], Doc("Of 16-bit pixels; empty takes that of the model")] = ""
+    exposure_s: Annotated[float, Gt(0)] | None = None
+    gain: Annotated[float, Doc("Analogue, in the camera's unit, mostly dB; no electron multiplication")] | None = None
+    frame_rate_hz: Annotated[float, Gt(0), Doc("Omitted: as fast as exposure and readout allow")] | None = None
+    binning: Annotated[int, Ge(1), Le(64)] = 1
+    region: Annotated[Region, Doc("Omitted: the whole sensor")] | None = None
+    trigger: Annotated[str, Doc('"internal", or one of the camera\'s sources, for example "Line0"')] = "internal"
+    buffers: Annotated[int, Ge(2), Le(10000), Doc("Buffered frames before the next is lost")] = 32
+    packet_size: (
+        Annotated[
+            int, Ge(576), Le(65535), Doc("Bytes, GigE; omitted: the largest that gets through; 8000 needs jumbo frames")
+        ]
+        | None
+    ) = None
+    socket_buffer_bytes: Annotated[
+        int, Ge(2**16), Le(2**30), Doc("GigE; the system may grant less (net.core.rmem_max)")
+    ] = 2**24
+    packet_socket: Annotated[bool, Doc("GigE: faster, past the system's network stack; needs root")] = False
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield settings that contradict others, and why."""
+        if self.pixel_format not in {"", *PIXEL_FORMATS}:
+            yield "pixel_format", f"must be one of {', '.join(PIXEL_FORMATS)}"

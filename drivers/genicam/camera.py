@@ -7,52 +7,39 @@ and the EM gain is 1. Not yet tried on a real camera; the tests use Aravis's fak
 import time
 from ctypes import byref, c_int, c_size_t
 from dataclasses import replace
-from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera import Camera, CameraCapabilities
-from drivers.device import Property, Range
+from drivers.camera import Camera, CameraCapabilities, Frame, Region
+from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, undone_if_refused
-from drivers.frame import Frame, Region
-from drivers.genicam.connection import GenicamConnection
-from drivers.genicam.discovery import choose
-from drivers.genicam.features import (
-    FEATURES,
-    FRAME_RATE,
-    INTERNAL,
-    RESETS,
-    ExposureTime,
-    reset,
-    set_digitiser,
-    set_trigger,
-    sources,
-    trigger,
-)
-from drivers.genicam.frames import (
-    PIXEL_FORMATS,
-    ExposureLog,
-    FrameCount,
-    PixelFormat,
-    Saturation,
-    byte_order_of,
-    copied_pixels,
-    preferred_format,
-)
-from drivers.genicam.geometry import Geometry
+from drivers.genicam import GenicamSettings, features, frames
+from drivers.genicam.connection import GenicamConnection, chosen, update_list
 from drivers.genicam.library import STATUS_SUCCESS, load_aravis
-from drivers.settings import GenicamSettings
 
 _SLICE_S: Final = 0.1  # longest wait for a frame between two checks of the connection
 # properties, if the camera has them
 _PROPERTIES_AS_TEXT: Final = (
     *("DeviceVersion", "DeviceFirmwareVersion", "DeviceUserID", "BinningHorizontalMode", "BinningVerticalMode"),
-    *FEATURES,
-    *RESETS,
+    *features.DIGITISERS,
+    *features.RESETS,
 )
 _PROPERTIES_AS_NUMBER: Final = ("DeviceTemperature", "BlackLevel")
+
+
+def discover() -> tuple[DiscoveredDevice, ...]:
+    """Return the cameras that answer within about a second; raise `Unsupported` if the library is missing."""
+    aravis = load_aravis()
+    update_list(aravis)
+    cameras = []
+    for i in range(aravis.call("arv_get_n_devices")):
+        details = (aravis.call(f"arv_get_device_{detail}", i) for detail in ("vendor", "model", "serial_nbr"))
+        description = " ".join(filter(None, details))
+        settings = {"device": aravis.call("arv_get_device_id", i)}
+        cameras.append(DiscoveredDevice(kind="camera", driver="genicam", description=description, settings=settings))
+    return tuple(cameras)
 
 
 class GenicamCamera(Camera):
@@ -62,20 +49,20 @@ class GenicamCamera(Camera):
         super().__init__()
         self._settings = settings = settings or GenicamSettings()
         self._aravis = load_aravis()
-        device = choose(settings.device)
+        device = chosen(settings.device)
         self._line = GenicamConnection(self._aravis, device, settings)
-        self._count = FrameCount()
-        self._exposures = ExposureLog.beginning_with(0.0)
+        self._count = frames.FrameCount()
+        self._exposures = frames.ExposureLog.beginning_with(0.0)
         self._incomplete = 0
         self._asked_region: Region | None = None  # may be no multiple of the binning
         try:
             details = ("vendor_name", "model_name", "device_serial_number")
             self._name = " ".join(filter(None, (self._line.call(f"arv_camera_get_{detail}") for detail in details)))
-            self._line.attempt(lambda: self._line.call("arv_camera_execute_command", b"AcquisitionStop"))
-            reset(self._line, RESETS)
-            self._geometry = Geometry(self._line)
+            self._line.attempt(self._line.call, "arv_camera_execute_command", b"AcquisitionStop")
+            features.reset(self._line, features.RESETS)
+            self._geometry = features.Geometry(self._line)
             self._prepare_pixels()
-            self._exposure = ExposureTime(self._line)
+            self._exposure = features.ExposureTime(self._line)
             self._prepare()
         except BaseException:
             self._line.close()
@@ -96,11 +83,9 @@ class GenicamCamera(Camera):
             readings = {"gain": "arv_camera_get_gain", "frame_rate_hz": "arv_camera_get_frame_rate"}
             if line.is_gige:
                 readings["packet_size"] = "arv_camera_gv_get_packet_size"
-            found: dict[str, Property | None] = {
-                key: line.attempt(partial(line.call, name)) for key, name in readings.items()
-            }
+            found: dict[str, Property | None] = {key: line.attempt(line.call, name) for key, name in readings.items()}
             found |= {name: line.optional_text(name) for name in _PROPERTIES_AS_TEXT}
-            found |= {name: line.attempt(partial(line.number, name)) for name in _PROPERTIES_AS_NUMBER}
+            found |= {name: line.attempt(line.number, name) for name in _PROPERTIES_AS_NUMBER}
         details |= {key: value for key, value in found.items() if value is not None}
         return details | {"incomplete_frames": self._incomplete}
 
@@ -115,20 +100,20 @@ class GenicamCamera(Camera):
         """Set the format of the settings, or the one that suits the digitiser best."""
         line, settings = self._line, self._settings
         offered = line.choices("PixelFormat")
-        asked = PIXEL_FORMATS.get(settings.pixel_format)
-        deepest = preferred_format(offered, None)
+        asked = frames.PIXEL_FORMATS.get(settings.pixel_format)
+        deepest = frames.preferred_format(offered, None)
         if deepest is None:
             raise Unsupported(f"{self.name} offers {', '.join(offered) or 'no pixel format'}: a grey camera is needed")
         if asked and asked.name not in offered:
-            usable = ", ".join(name for name in PIXEL_FORMATS if name in offered)
+            usable = ", ".join(name for name in frames.PIXEL_FORMATS if name in offered)
             raise BadValue(f"pixel_format = {asked.name} is not one of {usable}, which {self.name} sends")
         line.set_text("PixelFormat", (asked or deepest).name)  # some digitisers follow it, as of the Basler ace 2
-        digitiser_bits = set_digitiser(line, asked.bits if asked else 16)
-        self._format: PixelFormat = asked or preferred_format(offered, digitiser_bits) or deepest
+        digitiser_bits = features.set_digitiser(line, asked.bits if asked else 16)
+        self._format: frames.PixelFormat = asked or frames.preferred_format(offered, digitiser_bits) or deepest
         line.set_text("PixelFormat", self._format.name)
-        self._saturation = Saturation(self._format, digitiser_bits)
+        self._saturation = frames.Saturation(self._format, digitiser_bits)
         is_big = line.optional_text("GevSCPSBigEndian") == "true"
-        self._byte_order = settings.byte_order or byte_order_of(self.name, is_reported_big=is_big)
+        self._byte_order = settings.byte_order or frames.byte_order_of(self.name, is_reported_big=is_big)
 
     def _prepare(self) -> None:
         """Set the camera to a defined mode."""
@@ -144,7 +129,7 @@ class GenicamCamera(Camera):
             line.attempt(lambda: self._geometry.set_region(self._geometry.sensor()))
         self.set_trigger(settings.trigger)
         if settings.gain is not None:
-            gains = Range(*line.bounds("arv_camera_get_gain_bounds"))
+            gains = Range(*line.outputs("arv_camera_get_gain_bounds"))
             line.call("arv_camera_set_gain", gains.check(settings.gain, "gain"))
         if settings.exposure_s is not None:
             self.set_exposure(settings.exposure_s)
@@ -152,7 +137,7 @@ class GenicamCamera(Camera):
     def _read_capabilities(self) -> CameraCapabilities:
         line, geometry, settings = self._line, self._geometry, self._settings
         _, _, columns, rows = line.region()
-        self._saturation.reported = line.attempt(lambda: line.integer("PixelDynamicRangeMax"))
+        self._saturation.reported = line.attempt(line.integer, "PixelDynamicRangeMax")
         return CameraCapabilities(
             rows=rows,
             columns=columns,
@@ -162,14 +147,14 @@ class GenicamCamera(Camera):
             em_gain_range=Range(1.0, 1.0),
             amplifiers=("normal",),
             binnings=geometry.binnings(),
-            triggers=sources(line),
+            triggers=features.sources(line),
             sensor=geometry.sensor() if geometry.has_offsets else None,
             region_step_px=geometry.region_step_px(),
         )
 
     def _pixel_pitch_m(self) -> float | None:
         pitch_m = self._settings.pixel_pitch_m
-        if pitch_m is None and (reported_um := self._line.attempt(lambda: self._line.number("SensorPixelWidth"))):
+        if pitch_m is None and (reported_um := self._line.attempt(self._line.number, "SensorPixelWidth")):
             pitch_m = reported_um * 1e-6
         return None if pitch_m is None else pitch_m * self._read_binning()
 
@@ -182,8 +167,8 @@ class GenicamCamera(Camera):
         payload = self._line.call("arv_camera_get_payload")
         if payload < expected:
             raise Unsupported(f"{self.name} sends {payload} bytes per frame instead of {expected} or more")
-        self._count = FrameCount()
-        self._exposures = ExposureLog.beginning_with(self._read_exposure())
+        self._count = frames.FrameCount()
+        self._exposures = frames.ExposureLog.beginning_with(self._read_exposure())
         self._line.start_stream(payload)
 
     def _stop(self) -> None:
@@ -215,7 +200,7 @@ class GenicamCamera(Camera):
             self._incomplete += 1
             raise FrameLost(f"a frame arrived incomplete, the {self._incomplete}. so far: packets were lost")
         sent_s = self._aravis.call("arv_buffer_get_system_timestamp", buffer) / 1e9
-        pixels = copied_pixels(address, rows, columns, padding.value, self._format, self._byte_order)
+        pixels = frames.copied_pixels(address, rows, columns, padding.value, self._format, self._byte_order)
         self._observe_saturation(pixels)
         host_time_s = time.perf_counter()
         return Frame(
@@ -235,7 +220,7 @@ class GenicamCamera(Camera):
             self._cached_capabilities = replace(self.capabilities, full_scale=counts)
 
     def _read_temperature(self) -> float | None:
-        return self._line.attempt(partial(self._line.number, "DeviceTemperature"))
+        return self._line.attempt(self._line.number, "DeviceTemperature")
 
     def _read_exposure(self) -> float:
         return self._exposure.read_s()
@@ -262,7 +247,7 @@ class GenicamCamera(Camera):
             self._geometry.set_region(self._geometry.nearest(asked))
 
     def _read_trigger(self) -> str:
-        return trigger(self._line)
+        return features.trigger(self._line)
 
     def _set_trigger(self, source: str) -> None:
         before = self._read_trigger()
@@ -270,9 +255,9 @@ class GenicamCamera(Camera):
             self._write_trigger(source)
 
     def _write_trigger(self, source: str) -> None:
-        reset(self._line, FRAME_RATE)
-        set_trigger(self._line, source)
-        if source == INTERNAL and self._settings.frame_rate_hz is not None:
+        features.reset(self._line, features.FRAME_RATE)
+        features.set_trigger(self._line, source)
+        if source == features.INTERNAL and self._settings.frame_rate_hz is not None:
             self._line.call("arv_camera_set_frame_rate", self._settings.frame_rate_hz)
 
     def _read_region(self) -> Region:

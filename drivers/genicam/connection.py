@@ -5,14 +5,18 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
+from contextlib import suppress
+from ipaddress import ip_address
 from queue import SimpleQueue
 from typing import Any, Final, TypeVar
 
+from drivers.device import choose
 from drivers.errors import Busy, DeviceError, Disconnected, Unsupported
-from drivers.genicam.library import PACKET_SOCKET_DISABLED, READ_WRITE, SOCKET_BUFFER_FIXED, Aravis
-from drivers.settings import GenicamSettings
+from drivers.genicam import GenicamSettings
+from drivers.genicam.library import PACKET_SOCKET_DISABLED, READ_WRITE, SOCKET_BUFFER_FIXED, Aravis, load_aravis
 
 PATIENCE_S: Final = 1.1  # three attempts of Aravis: one lost packet is no disconnection
+_DISCOVERY_S: Final = 2.0  # cameras in the network have one second to answer
 _OPENING_S: Final = 10.0  # loads the camera's XML description, some 100 kB in packets of 500 bytes
 _SIGN_INTERVAL_S: Final = 0.3
 _RELEASE_S: Final = 0.5
@@ -92,12 +96,12 @@ class GenicamConnection:
 
     def has(self, feature: str) -> bool:
         """True if the feature is implemented and available now."""
-        return bool(self.attempt(lambda: self._is_available(feature)))
+        return bool(self.attempt(self._is_available, feature))
 
-    def attempt(self, call: Callable[[], T]) -> T | None:
+    def attempt(self, call: Callable[..., T], *arguments: Any) -> T | None:
         """Return the result of an optional call; None if the camera refuses it."""
         try:
-            return call()
+            return call(*arguments)
         except Disconnected:
             raise
         except DeviceError:
@@ -107,7 +111,7 @@ class GenicamConnection:
         """True if the feature is available and not locked now."""
         if not self.has(feature):
             return False
-        is_locked = self.attempt(lambda: self._call_node("arv_gc_feature_node_is_locked", feature))
+        is_locked = self.attempt(self._call_node, "arv_gc_feature_node_is_locked", feature)
         return is_locked == 0 and self._call_node("arv_gc_feature_node_get_actual_access_mode", feature) == READ_WRITE
 
     def choices(self, feature: str) -> tuple[str, ...]:
@@ -127,7 +131,7 @@ class GenicamConnection:
 
     def optional_text(self, feature: str) -> str | None:
         """Return the value of a feature as text; None if it is missing or cannot be read."""
-        return self.attempt(lambda: self.text(feature)) if self.has(feature) else None
+        return self.attempt(self.text, feature) if self.has(feature) else None
 
     def integer(self, feature: str) -> int:
         """Return the value of an integer feature."""
@@ -143,23 +147,19 @@ class GenicamConnection:
 
     def integer_bounds(self, feature: str) -> tuple[int, int, int]:
         """Return minimum, maximum and step of an integer feature."""
-        low, high = ctypes.c_int64(), ctypes.c_int64()
         name = feature.encode()
-        self.call("arv_camera_get_integer_bounds", name, ctypes.byref(low), ctypes.byref(high))
-        return low.value, high.value, max(1, self.call("arv_camera_get_integer_increment", name))
+        low, high = self.outputs("arv_camera_get_integer_bounds", name, kind=ctypes.c_int64)
+        return low, high, max(1, self.call("arv_camera_get_integer_increment", name))
 
-    def bounds(self, function: str) -> tuple[float, float]:
-        """Return the two output arguments of an Aravis function."""
-        low, high = ctypes.c_double(), ctypes.c_double()
-        self.call(function, ctypes.byref(low), ctypes.byref(high))
-        return low.value, high.value
-
-    def region(self) -> tuple[int, int, int, int]:
+    def region(self) -> list[int]:
         """Return left, top, columns and rows of the region, in binned pixels."""
-        numbers = [ctypes.c_int() for _ in range(4)]
-        self.call("arv_camera_get_region", *map(ctypes.byref, numbers))
-        left, top, columns, rows = (number.value for number in numbers)
-        return left, top, columns, rows
+        return self.outputs("arv_camera_get_region", kind=ctypes.c_int, count=4)
+
+    def outputs(self, name: str, *arguments: Any, kind: Any = ctypes.c_double, count: int = 2) -> list[Any]:
+        """Call an Aravis function with the camera as first argument; return its output arguments."""
+        outputs = [kind() for _ in range(count)]
+        self.call(name, *arguments, *map(ctypes.byref, outputs))
+        return [output.value for output in outputs]
 
     def start_stream(self, payload_bytes: int) -> None:
         """Allocate buffers of this size and start the acquisition."""
@@ -258,3 +258,30 @@ class GenicamConnection:
         """Raise `Disconnected` if another program took the camera, or it restarted."""
         if self.is_gige and not self._aravis.call("arv_gv_device_is_controller", self._handle):
             raise Disconnected("the camera is no longer under control: it was switched off, or another program has it")
+
+
+def chosen(wanted: str) -> str:
+    """Return Aravis's identifier of the camera with this name, serial number or address; "" takes the only one."""
+    with suppress(ValueError):
+        return str(ip_address(wanted))  # perhaps in another network, beyond the reach of a discovery
+    aravis = load_aravis()
+    listed = _listed(aravis) if wanted else []  # by an earlier discovery: reopening need not wait for another
+    if not any(wanted in names for names in listed):
+        update_list(aravis)
+        listed = _listed(aravis)
+    return listed[choose(wanted, listed, "GenICam camera", "camera.device")][0]
+
+
+def update_list(aravis: Aravis) -> None:
+    """Search for cameras."""
+    calls = PatientCalls("genicam discovery")
+    try:
+        calls.make(lambda: aravis.call("arv_update_device_list"), _DISCOVERY_S)
+    finally:
+        calls.end()
+
+
+def _listed(aravis: Aravis) -> list[tuple[str, str]]:
+    """Identifier and serial number of each listed camera."""
+    calls = ("arv_get_device_id", "arv_get_device_serial_nbr")
+    return [tuple(aravis.call(call, i) for call in calls) for i in range(aravis.call("arv_get_n_devices"))]

@@ -1,11 +1,12 @@
-"""Features of a GenICam camera that take more than one value to set: resets, digitiser, exposure time and trigger."""
+"""Features of a GenICam camera that take more than one value: resets, digitiser, exposure, trigger, binning, region."""
 
+import math
 import re
-from functools import partial
 from typing import Final
 
+from drivers.camera import Region
 from drivers.device import Range
-from drivers.errors import Unsupported
+from drivers.errors import BadValue, Unsupported
 from drivers.genicam.connection import GenicamConnection
 
 # In this order: the exposure mode, for example, may lock the automatic exposure. The first value that fits is set.
@@ -63,21 +64,16 @@ RESETS: Final[dict[str, tuple[str, ...]]] = {
 def reset(line: GenicamConnection, features: dict[str, tuple[str, ...]]) -> None:
     """Reset features where they are writable; what the camera refuses stays, and shows in its properties."""
     for feature, values in features.items():
-        _reset(line, feature, values)
+        before = line.optional_text(feature)
+        if before is None or before in values or not line.is_writable(feature):
+            continue
+        choices = line.attempt(line.choices, feature)  # None if it is no enumeration
+        fitting = [value for value in values if choices is None or value in choices]
+        if fitting:
+            line.attempt(line.set_text, feature, fitting[0])
 
 
-def _reset(line: GenicamConnection, feature: str, values: tuple[str, ...]) -> None:
-    """Set a feature to the first of the values that fits its type."""
-    before = line.optional_text(feature)
-    if before is None or before in values or not line.is_writable(feature):
-        return
-    choices = line.attempt(lambda: line.choices(feature))  # None if it is no enumeration
-    fitting = [value for value in values if choices is None or value in choices]
-    if fitting:
-        line.attempt(lambda: line.set_text(feature, fitting[0]))
-
-
-FEATURES: Final = ("AdcBitDepth", "SensorBitDepth", "BslSensorBitDepth", "SensorBits")  # "Bit12", "Bpp12" or "12"
+DIGITISERS: Final = ("AdcBitDepth", "SensorBitDepth", "BslSensorBitDepth", "SensorBits")  # "Bit12", "Bpp12" or "12"
 
 
 def set_digitiser(line: GenicamConnection, wanted_bits: int) -> int | None:
@@ -85,13 +81,13 @@ def set_digitiser(line: GenicamConnection, wanted_bits: int) -> int | None:
 
     A leftover depth of 8 bits would leave the others of a deeper pixel format empty.
     """
-    for feature in FEATURES:
-        choices = line.attempt(partial(line.choices, feature)) or ()
+    for feature in DIGITISERS:
+        choices = line.attempt(line.choices, feature) or ()
         depths = {bits: choice for choice in choices if (bits := trailing_number(choice))}
         if depths and line.is_writable(feature):
             best = depths[min((bits for bits in depths if bits >= wanted_bits), default=max(depths))]
             if line.optional_text(feature) != best:
-                line.attempt(partial(line.set_text, feature, best))
+                line.attempt(line.set_text, feature, best)
         if bits := trailing_number(line.optional_text(feature) or ""):
             return bits
     return None
@@ -112,7 +108,7 @@ class ExposureTime:
     def __init__(self, line: GenicamConnection) -> None:
         self._line = line
         self._integer = ""
-        if line.attempt(lambda: line.bounds("arv_camera_get_exposure_time_bounds")) is None:
+        if line.attempt(line.outputs, "arv_camera_get_exposure_time_bounds") is None:
             self._integer = next(filter(line.has, _IN_MICROSECONDS), "")
             if not self._integer:
                 raise Unsupported(f"the camera offers no exposure time: neither {' nor '.join(_IN_MICROSECONDS)}")
@@ -122,7 +118,7 @@ class ExposureTime:
         if self._integer:
             shortest_us, longest_us, _ = map(float, self._line.integer_bounds(self._integer))
         else:
-            shortest_us, longest_us = self._line.bounds("arv_camera_get_exposure_time_bounds")
+            shortest_us, longest_us = self._line.outputs("arv_camera_get_exposure_time_bounds")
         return Range(shortest_us / 1e6, longest_us / 1e6)
 
     def read_s(self) -> float:
@@ -181,3 +177,107 @@ def set_trigger(line: GenicamConnection, source: str) -> None:
 def _switch(line: GenicamConnection, mode: str) -> None:
     if line.optional_text("TriggerMode") not in {None, mode}:
         line.set_text("TriggerMode", mode)
+
+
+_LARGEST_BINNING: Final = 64
+_AXES: Final = ("BinningVertical", "BinningHorizontal")  # in this order: on some, the horizontal one only follows
+
+
+class Geometry:
+    """Binning and region, through features that may be missing, locked, or enumerations.
+
+    Regions are in pixels of the sensor, region features in binned pixels.
+    """
+
+    def __init__(self, line: GenicamConnection) -> None:
+        self._line = line
+        axes = [axis for axis in _AXES if line.has(axis)]
+        is_complete = len(axes) == len(_AXES)
+        self._free = [axis for axis in axes if is_complete and line.is_writable(axis) and self._values(axis)]
+        self.has_offsets = line.has("OffsetX") and line.has("OffsetY")
+
+    def binning(self) -> int:
+        """Return the binning in force."""
+        down, across = (self._axis_binning(axis) for axis in _AXES)
+        if down != across:
+            raise Unsupported(f"the camera bins {down} rows and {across} columns: square pixels are needed")
+        return down
+
+    def binnings(self) -> tuple[int, ...]:
+        """Return the binnings available on both axes; an axis that cannot be set follows the other one."""
+        if not self._free:
+            return (self.binning(),)
+        common = set.intersection(*(set(self._values(axis)) for axis in self._free))
+        return tuple(sorted(common)) or (self.binning(),)
+
+    def set_binning(self, binning: int) -> None:
+        """Change the binning of both axes; the camera may change its region."""
+        for axis in self._free:
+            self._line.set_text(axis, self._values(axis)[binning])
+        if (taken := self.binning()) != binning:
+            raise Unsupported(f"the camera set a binning of {taken} instead of {binning}")
+
+    def sensor(self) -> Region:
+        """Return the largest region that can be read out with the present binning."""
+        binning = self.binning()
+        sides = (("Height", "HeightMax", "SensorHeight"), ("Width", "WidthMax", "SensorWidth"))
+        rows, columns = (self._length(*side, binning) for side in sides)
+        return Region(0, 0, rows, columns)
+
+    def region_step_px(self) -> int:
+        """Return the common step of all sides of a region."""
+        return math.lcm(*(self._step(side) for side in ("OffsetX", "OffsetY", "Width", "Height"))) * self.binning()
+
+    def region(self) -> Region:
+        """Return the region in force."""
+        binning = self.binning()
+        left, top, columns, rows = (number * binning for number in self._line.region())
+        return Region(top, left, rows, columns)
+
+    def set_region(self, region: Region) -> None:
+        """Change the region."""
+        binning = self.binning()
+        rows, columns = region.rows // binning, region.columns // binning
+        fewest_rows, fewest_columns = (self._line.integer_bounds(side)[0] for side in ("Height", "Width"))
+        if rows < fewest_rows or columns < fewest_columns:
+            raise BadValue(
+                f"the camera reads out at least {fewest_rows * binning} rows and {fewest_columns * binning} columns"
+            )
+        self._line.call("arv_camera_set_region", region.left // binning, region.top // binning, columns, rows)
+
+    def nearest(self, region: Region) -> Region:
+        """Return the largest region in whole steps within this one."""
+        binning = self.binning()
+        top, left, rows, columns = (self._step(side) * binning for side in ("OffsetY", "OffsetX", "Height", "Width"))
+        return Region(
+            region.top - region.top % top,
+            region.left - region.left % left,
+            max(rows, region.rows - region.rows % rows),
+            max(columns, region.columns - region.columns % columns),
+        )
+
+    def _axis_binning(self, axis: str) -> int:
+        return trailing_number(self._line.optional_text(axis) or "") or 1
+
+    def _values(self, axis: str) -> dict[int, str]:
+        """Binnings of an axis with their text: numbers, or choices such as X2."""
+        choices = self._line.attempt(self._line.choices, axis)
+        if choices is not None:
+            return {number: choice for choice in choices if (number := trailing_number(choice))}
+        low, high, step = self._line.integer_bounds(axis)
+        return {number: str(number) for number in range(max(low, 1), min(high, _LARGEST_BINNING) + 1, step)}
+
+    def _length(self, side: str, longest: str, sensor: str, binning: int) -> int:
+        """Longest side in whole steps; 2064 pixels in steps of 16 give 2048 with a binning of 2."""
+        line = self._line
+        binned, whole = (line.attempt(line.integer, name) for name in (longest, sensor))
+        most = min(length for length in (binned and binned * binning, whole, math.inf) if length)
+        if most == math.inf:  # the limit of the side itself may shrink with the offset
+            most = line.integer_bounds(side)[1] * binning
+        step = self._step(side) * binning
+        return int(most - most % step)
+
+    def _step(self, side: str) -> int:
+        if side.startswith("Offset") and not self.has_offsets:
+            return 1
+        return self._line.integer_bounds(side)[2]

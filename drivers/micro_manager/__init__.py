@@ -1,1 +1,36 @@
-"""Cameras behind Micro-Manager's device adapters, called through pymmcore."""
+"""Cameras behind Micro-Manager's device adapters, called through pymmcore: their settings."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt, Le, MinLen
+from typing_extensions import Doc
+
+from drivers.camera import Region
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MicroManagerSettings:
+    """Selection and settings of a camera; what is omitted keeps the camera's value.
+
+    Opening the camera checks what depends on it: exposure, binning, region, properties.
+    """
+
+    driver: Literal["micro_manager"] = "micro_manager"
+    adapter: Annotated[str, MinLen(1), Doc('For example "AndorSDK3"')]
+    device: Annotated[str, MinLen(1), Doc('Name of the camera in the adapter, for example "Andor sCMOS Camera"')]
+    adapter_folder: Annotated[str, Doc("Where Micro-Manager is installed")] = ""
+    properties: Annotated[dict[str, str], Doc("Set at open, by the adapter's names")] = field(default_factory=dict)
+    pixel_pitch_m: Annotated[float, Gt(0), Doc("Of the sensor; Micro-Manager does not know it")] | None = None
+    full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel, if not 2**bits - 1")] | None = None
+    exposure_s: Annotated[float, Gt(0)] | None = None
+    binning: Annotated[int, Ge(1), Le(64)] = 1
+    region: Annotated[Region, Doc("Omitted: the whole sensor")] | None = None
+    ring_frames: Annotated[int, Ge(4), Le(10000), Doc("Buffered before the oldest are overwritten")] = 64
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield settings that contradict others, and why."""
+        if not re.fullmatch(r"[A-Za-z0-9_.-]+", self.adapter):  # a slash would load a library anywhere on the disk
+            yield "adapter", "must be a name of letters, digits, '_', '.' and '-'"

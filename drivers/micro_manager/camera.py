@@ -6,15 +6,14 @@ with which the tests run. So they are read at rest and remembered. Not yet tried
 """
 
 import time
-from collections import deque
 from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera import Camera, CameraCapabilities
-from drivers.device import Property, Range
+from drivers.camera import Camera, CameraCapabilities, Frame, Region, SettingsInForce
+from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import (
     DeviceError,
     DeviceTimeout,
@@ -24,9 +23,8 @@ from drivers.errors import (
     WrongState,
     undone_if_refused,
 )
-from drivers.frame import Frame, Region
+from drivers.micro_manager import MicroManagerSettings
 from drivers.micro_manager.core import LABEL, LoadedCamera, load_pymmcore
-from drivers.settings import MicroManagerSettings
 
 _POLL_S: Final = 1e-3  # between two looks for a frame: the core offers no event
 _CHECK_S: Final = 0.1  # between two checks of a silent camera
@@ -34,6 +32,12 @@ _SILENCE_S: Final = 2.0  # beyond the exposure; after that the camera counts as 
 _SHORTEST_S: Final = 1e-3  # if the adapter reports 0; many round to 0.01 ms
 _LONGEST_S: Final = 60.0  # if the adapter reports no limit
 _NUMBERS_NOTE: Final = "by Micro-Manager's core: a frame lost before it leaves no gap"
+
+
+def discover() -> tuple[DiscoveredDevice, ...]:
+    """Raise `Unsupported`: searching would load the library of every maker."""
+    load_pymmcore()
+    raise Unsupported("name adapter and device in a bench, then `svwfs devices --check camera --bench B`")
 
 
 class MicroManagerCamera(Camera):
@@ -46,7 +50,7 @@ class MicroManagerCamera(Camera):
         self._is_started = self._is_aborted = False
         self._heard_s = 0.0  # last sign of life; in the future while a long exposure ends
         self._last = -1  # index of the last frame
-        self._exposures: deque[tuple[int, float]] = deque()  # first index and exposure_s
+        self._in_force = SettingsInForce(0.0, 1.0)
         self._details: dict[str, Property] = {}  # the adapter's properties when last at rest
         self._mode = 1, Region(0, 0, 0, 0)  # binning and region of the running camera
         try:
@@ -124,7 +128,7 @@ class MicroManagerCamera(Camera):
         )
 
     def _read_exposure(self) -> float:
-        return self._exposures[-1][1] if self._is_started else self._ask_exposure()
+        return self._in_force.newest[0] if self._is_started else self._ask_exposure()
 
     def _ask_exposure(self) -> float:
         return 1e-3 * float(self._line.call("getExposure", LABEL))
@@ -148,7 +152,7 @@ class MicroManagerCamera(Camera):
         if self._is_started:
             self._heard_s = time.monotonic() + before_s
             newest = self._line.newest()  # the one after it is being exposed
-            self._exposures.append(((self._last if newest is None else newest) + 2, taken_s))
+            self._in_force.change((self._last if newest is None else newest) + 2, taken_s, self._em_gain)
         return taken_s
 
     def _find_binnings(self) -> dict[int, str]:
@@ -216,7 +220,7 @@ class MicroManagerCamera(Camera):
         allowed = self.capabilities
         frame_bytes = self._line.call("getBytesPerPixel") * allowed.rows * allowed.columns
         self._line.call("setCircularBufferMemoryFootprint", 1 + self._settings.ring_frames * frame_bytes // 2**20)
-        self._exposures = deque([(0, self._ask_exposure())])
+        self._in_force = SettingsInForce(self._ask_exposure(), self._em_gain)
         self._mode = self._read_binning(), self._read_region()
         self._line.call("startContinuousSequenceAcquisition", 0)
         self._is_started, self._last = True, -1
@@ -260,13 +264,4 @@ class MicroManagerCamera(Camera):
             raise FrameLost(f"a frame of {pixels.shape} pixels came, unlike the region")
         pixels = pixels.astype(np.uint16, copy=False)
         pixels.setflags(write=False)
-        while len(self._exposures) > 1 and self._exposures[1][0] <= number:
-            self._exposures.popleft()
-        return Frame(
-            pixels=pixels,
-            index=number,
-            camera_time_s=camera_time_s,
-            host_time_s=host_time_s,
-            exposure_s=self._exposures[0][1],
-            em_gain=self._em_gain,
-        )
+        return Frame(pixels, number, camera_time_s, host_time_s, *self._in_force.of_frame(number))

@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.device import DiscoveredDevice
 from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported
 
 LABEL: Final = "camera"
@@ -23,12 +22,6 @@ def load_pymmcore() -> Any:
         return import_module("pymmcore")
     except ImportError as error:
         raise Unsupported("Micro-Manager's cameras need pymmcore: install the extra svwfs[micro-manager]") from error
-
-
-def discover() -> tuple[DiscoveredDevice, ...]:
-    """Raise `Unsupported`: searching would load the library of every maker."""
-    load_pymmcore()
-    raise Unsupported("name adapter and device in a bench, then `svwfs devices --check camera --bench B`")
 
 
 class LoadedCamera:
@@ -115,25 +108,22 @@ class LoadedCamera:
 
     def pop(self) -> tuple[NDArray[np.unsignedinteger], int, float] | None:
         """Take the oldest frame, if any: pixels, number, and time in seconds since the start."""
-        if not self.call("getRemainingImageCount"):
-            return None
-        metadata = load_pymmcore().Metadata()
-        try:
-            pixels = self.call("popNextImageMD", metadata)
-        except IndexError:  # the core has just emptied its full buffer
-            return None
-        return pixels, int(_tag(metadata, "ImageNumber")), 1e-3 * float(_tag(metadata, "ElapsedTime-ms"))
+        return self._waiting("popNextImageMD")
 
     def newest(self) -> int | None:
         """Number of the newest frame in the buffer, if any."""
+        newest = self._waiting("getLastImageMD")
+        return None if newest is None else newest[1]
+
+    def _waiting(self, function: str) -> tuple[NDArray[np.unsignedinteger], int, float] | None:
         if not self.call("getRemainingImageCount"):
             return None
         metadata = load_pymmcore().Metadata()
         try:
-            self.call("getLastImageMD", metadata)
-        except IndexError:  # as above
+            pixels = self.call(function, metadata)
+        except IndexError:  # the core has just emptied its full buffer
             return None
-        return int(_tag(metadata, "ImageNumber"))
+        return pixels, int(_tag(metadata, "ImageNumber")), 1e-3 * float(_tag(metadata, "ElapsedTime-ms"))
 
     def unload(self) -> None:
         """Release the camera, in any state."""

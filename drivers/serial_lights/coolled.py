@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import BadValue, DeviceError, Unsupported
 from drivers.light_source import LightSource
+from drivers.serial_lights import CoolLEDSettings
 from drivers.serial_lights.line import Dialect, SerialLine, Wire, find_port
 from drivers.serial_lights.line import discover as discover_on_ports
-from drivers.settings import CoolLEDSettings
 
 _DIALECT = Dialect("CoolLED", end=b"\r", baudrate=57600, timeout_s=0.5)
 _MODEL = r"XMODEL[:=\s]*(.*pE-(300|340|4000).*)"

@@ -79,7 +79,7 @@ class SerialLine:
         self._received = bytearray()
         self._port = _open(port, dialect, wire)
         try:
-            self._send("")  # completes an unfinished command of another program
+            self.command("")  # completes an unfinished command of another program
             self._wait_until_quiet(_QUIET_S)
         except DeviceError:
             self.close()
@@ -96,7 +96,13 @@ class SerialLine:
 
     def command(self, text: str) -> None:
         """Send a command without an answer."""
-        self._send(text)
+        data = text.encode("ascii") + self._dialect.end
+        if self._is_cut:
+            data = self._dialect.end + data
+        self._is_cut = True
+        with self._faults():
+            self._port.write(data)
+        self._is_cut = False
 
     def query(self, text: str, pattern: str = r".+") -> re.Match[str]:
         """Send a query and return the first line that matches as a whole; an empty line never does.
@@ -108,7 +114,7 @@ class SerialLine:
     def query_lines(self, text: str, pattern: str, count: int) -> list[re.Match[str]]:
         """Send a query and return the first `count` lines that match."""
         self._resynchronise()
-        self._send(text)
+        self.command(text)
         try:
             return [self._await(re.compile(pattern), f"“{text}”") for _ in range(count)]
         except DeviceError:
@@ -132,7 +138,7 @@ class SerialLine:
             fresh = list(self._markers)
         if fresh:
             self._unanswered.add(fresh[0])
-            self._send(fresh[0])
+            self.command(fresh[0])
             self._await(self._markers[fresh[0]], f"“{fresh[0]}”")
         if are_some_unanswered:  # late answers may come now
             self._wait_until_quiet(_QUIET_S)
@@ -188,15 +194,6 @@ class SerialLine:
                 self._port.read(waiting)
         self._received.clear()
 
-    def _send(self, text: str) -> None:
-        data = text.encode("ascii") + self._dialect.end
-        if self._is_cut:
-            data = self._dialect.end + data
-        self._is_cut = True
-        with self._faults():
-            self._port.write(data)
-        self._is_cut = False
-
     @contextmanager
     def _faults(self) -> Iterator[None]:
         try:
@@ -209,22 +206,19 @@ class SerialLine:
 
 
 def _open(port: str, dialect: Dialect, wire: Wire) -> Port:
+    """Open a port; on Windows pyserial gives the reason of a failure only in its text."""
+    device = dialect.device
     try:
         return wire.open_port(port, baudrate=dialect.baudrate, timeout=_SLICE_S, write_timeout=_WRITE_S, exclusive=True)
     except _FAULTS as error:
-        raise _opening_error(port, dialect.device, error) from error
-
-
-def _opening_error(port: str, device: str, error: BaseException) -> DeviceError:
-    """Translate an error; on Windows pyserial gives the reason only in its text."""
-    number, text = getattr(error, "errno", None), str(error)
-    if number in {errno.EBUSY, errno.EAGAIN} or "PermissionError" in text:
-        return Busy(f"another program holds {port}; close it to use the {device}")
-    if number in {errno.EACCES, errno.EPERM}:
-        return DeviceError(no_permission(port))
-    if number in {errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO} or "FileNotFoundError" in text:
-        return Disconnected(f"there is no {port}, so no {device}; {connected()}")
-    return DeviceError(f"{port} cannot be opened as a serial port for the {device}: {text}")
+        number, text = getattr(error, "errno", None), str(error)
+        if number in {errno.EBUSY, errno.EAGAIN} or "PermissionError" in text:
+            raise Busy(f"another program holds {port}; close it to use the {device}") from error
+        if number in {errno.EACCES, errno.EPERM}:
+            raise DeviceError(no_permission(port)) from error
+        if number in {errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO} or "FileNotFoundError" in text:
+            raise Disconnected(f"there is no {port}, so no {device}; {connected()}") from error
+        raise DeviceError(f"{port} cannot be opened as a serial port for the {device}: {text}") from error
 
 
 def find_port(serial_number: str) -> str:

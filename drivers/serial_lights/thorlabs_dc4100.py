@@ -10,14 +10,13 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from drivers.device import DiscoveredDevice, Property, Range
-from drivers.errors import BadValue, DeviceError, DeviceTimeout, WrongState
-from drivers.light_source import LightSource
+from drivers.errors import DeviceError, DeviceTimeout, WrongState
+from drivers.light_source import LedDriver
+from drivers.serial_lights import DC4100Settings
 from drivers.serial_lights.line import Dialect, SerialLine, Wire, find_port
 from drivers.serial_lights.line import discover as discover_on_ports
-from drivers.settings import DC4100Settings
 
 _DIALECT = Dialect("DC4100", end=b"\r\n")
 _MODEL = r".*\b(DC4100|DC4104|LEDD4)\b.*"  # as in Micro-Manager
@@ -31,44 +30,35 @@ def discover() -> tuple[DiscoveredDevice, ...]:
     return discover_on_ports("thorlabs_dc4100", "DC4100 or DC4104", ("dc4100", "dc4104", "thorlabs"))
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelStatus:
-    """Status register of one channel."""
-
-    is_supply_bad: bool
-    is_over_temperature: bool
-    is_without_led: bool
-    is_open: bool
-    is_at_limit: bool
-
-    @classmethod
-    def decode(cls, register: int, channel: int) -> ChannelStatus:
-        """Decode the odd bits, the states; the even bits flag changes since the last read."""
-        bits = (1, 3, 5 + 2 * channel, 13 + 2 * channel, 21 + 2 * channel)
-        return cls(*(bool(register >> bit & 1) for bit in bits))
-
-    @property
-    def fault(self) -> str:
-        """Reason for having no light, or an empty text."""
-        reasons = {
-            "its power supply is out of range": self.is_supply_bad,
-            "it is too hot and has switched all LEDs off; let it cool": self.is_over_temperature,
-            "there is no LED at this channel; plug its head in": self.is_without_led,
-            "the LED at this channel does not conduct; check its cable and head": self.is_open,
-        }
-        return "; ".join(reason for reason, holds in reasons.items() if holds)
+def faults(register: int, channel: int) -> str:
+    """Reasons for having no light, from the odd bits of the status register; the even ones flag changes."""
+    states = {
+        1: "its power supply is out of range",
+        3: "it is too hot and has switched all LEDs off; let it cool",
+        5 + 2 * channel: "there is no LED at this channel; plug its head in",
+        13 + 2 * channel: "the LED at this channel does not conduct; check its cable and head",
+    }
+    return "; ".join(reason for bit, reason in states.items() if register >> bit & 1)
 
 
-class ThorlabsDC4100(LightSource):
+def is_at_limit(register: int, channel: int) -> bool:
+    """True if the channel's current is at its limit."""
+    return bool(register >> 21 + 2 * channel & 1)
+
+
+class ThorlabsDC4100(LedDriver):
     """One channel of a DC4100 or DC4104; the others stay off."""
+
+    _panel = "front panel"
 
     def __init__(
         self, settings: DC4100Settings, *, wire: Wire | None = None, sleep: Callable[[float], None] = time.sleep
     ) -> None:
         super().__init__(limit_a=settings.limit_a, sleep=sleep)
         self._channel = settings.channel
-        self._is_wanted_lit = False
+        self._switching = "o -1 0", f"o {self._channel} 1"
         self._line = SerialLine(settings.port or find_port(settings.serial_number), _DIALECT, wire or Wire())
+        self._where = f"{self._line.where}, LED{self._channel + 1}"
         self._begin()
 
     def _identify(self) -> None:
@@ -81,8 +71,8 @@ class ThorlabsDC4100(LightSource):
         self._error()  # clear old errors
         self._choose("sm", _MULTI_SELECTION)
         self._choose("m", _CONSTANT_CURRENT)
-        if fault := self._status().fault:
-            raise WrongState(f"{self._where}: {fault}")
+        if fault := self._fault():
+            raise WrongState(f"{self._where}{fault}")
         self._wavelength_nm, self._head = self._query_head("wl"), self._query_head("hs")
 
     def properties(self) -> dict[str, Property]:
@@ -97,13 +87,9 @@ class ThorlabsDC4100(LightSource):
                 "head_serial_number": self._head,
                 "head_maximum_a": self._ask_ma("ml") / 1000,
                 "user_limit_a": self._ask_ma("l") / 1000,
-                "is_at_limit": status.is_at_limit,
-                "fault": status.fault,
+                "is_at_limit": is_at_limit(status, self._channel),
+                "fault": faults(status, self._channel),
             }
-
-    @property
-    def _where(self) -> str:
-        return f"{self._line.where}, LED{self._channel + 1}"
 
     def _read_range(self) -> Range:
         return Range(0.0, min(self._ask_ma("ml"), self._ask_ma("l")) / 1000)
@@ -113,54 +99,28 @@ class ThorlabsDC4100(LightSource):
 
     def _set_current(self, current_a: float) -> float:
         asked_ma = int(current_a * 1000 + 1e-6)  # never above the request, except for rounding
-        self._set(f"cc {self._channel} {asked_ma}")
+        self._execute(f"cc {self._channel} {asked_ma}")
         taken_ma = self._ask_ma("cc")
         if taken_ma != asked_ma:
             raise DeviceError(f"{self._where} set {taken_ma} mA instead of {asked_ma} mA")
         self._check_lit()
         return taken_ma / 1000
 
-    def _is_lit(self) -> bool:
-        self._check_lit()
-        return self._is_output_on()
-
-    def _switch(self, *, on: bool) -> None:
-        if on:
-            self._line.command(f"o {self._channel} 1")
-            refusal = self._error()
-            self._is_wanted_lit = True
-            self._check_lit(refusal)
-        else:
-            self._is_wanted_lit = False
-            for _ in range(2):  # a command can be lost
-                self._line.command("o -1 0")
-                self._error()
-                if not self._is_output_on():
-                    return
-            raise DeviceError(f"{self._where} is still on after the command to switch off; unplug its head")
-
     def _close(self) -> None:
         self._line.close()
 
-    def _check_lit(self, refusal: str = "") -> None:
-        """Raise if the light should be on but is off."""
-        if self._is_wanted_lit:
-            if fault := self._status().fault:
-                raise DeviceError(f"{self._where}: {fault}")
-            if not self._is_output_on():
-                raise DeviceError(
-                    f"{self._where} is off: {refusal or 'switched off at its front panel, or on its own'}"
-                )
+    def _fault(self) -> str:
+        return f": {fault}" if (fault := faults(self._status(), self._channel)) else ""
 
     def _is_output_on(self) -> bool:
         return self._line.query(f"o? {self._channel}", "[01]")[0] == "1"
 
-    def _status(self) -> ChannelStatus:
-        return ChannelStatus.decode(int(self._line.query("r?", r"\d{1,10}")[0]), self._channel)
+    def _status(self) -> int:
+        return int(self._line.query("r?", r"\d{1,10}")[0])
 
     def _choose(self, word: str, value: str) -> None:
         if self._line.query(f"{word}?", "[0-9]")[0] != value:
-            self._set(f"{word} {value}")
+            self._execute(f"{word} {value}")
 
     def _ask_ma(self, word: str) -> int:
         return int(self._line.query(f"{word}? {self._channel}", _MILLIAMPERES)[1])
@@ -172,11 +132,9 @@ class ThorlabsDC4100(LightSource):
         except DeviceTimeout:
             return ""
 
-    def _set(self, command: str) -> None:
-        """Execute a command; raise `BadValue` if it was refused."""
+    def _send(self, command: str) -> str:
         self._line.command(command)
-        if refusal := self._error():
-            raise BadValue(f"{self._where} refuses “{command}”: {refusal}")
+        return self._error()
 
     def _error(self) -> str:
         """Return why the last command was refused, or an empty text."""

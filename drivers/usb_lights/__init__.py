@@ -1,1 +1,19 @@
-"""LED light sources on USB."""
+"""LED light sources on USB: their settings."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt, Le
+from typing_extensions import Doc
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DC2200Settings:
+    """Selection and settings of a Thorlabs DC2200."""
+
+    driver: Literal["thorlabs_dc2200"] = "thorlabs_dc2200"
+    serial_number: Annotated[str, Doc("Needed if there is more than one")] = ""
+    terminal: Annotated[int, Ge(1), Le(2), Doc("1 has 12 pins and up to 10 A, 2 has 4 pins and up to 2 A")] = 1
+    gate: Literal["internal", "ttl"] = "internal"
+    current_a: Annotated[float, Ge(0), Doc("Omitted: it keeps its value")] | None = None
+    limit_a: Annotated[float, Gt(0), Le(10), Doc("Owner's limit, below that of the head")] | None = None

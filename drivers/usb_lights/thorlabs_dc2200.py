@@ -12,12 +12,11 @@ from collections.abc import Callable
 
 from usb.backend import IBackend
 
-from drivers.device import DiscoveredDevice, Property, Range
-from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported, WrongState
-from drivers.light_source import LightSource
-from drivers.settings import DC2200Settings
-from drivers.usb_lights import usbtmc
-from drivers.usb_lights.usbtmc import UsbInstrument, Usbtmc
+from drivers.device import DiscoveredDevice, Property, Range, choose
+from drivers.errors import DeviceError, Disconnected, Unsupported, WrongState
+from drivers.light_source import LedDriver
+from drivers.usb_lights import DC2200Settings, usbtmc
+from drivers.usb_lights.usbtmc import Usbtmc
 
 _VENDOR_ID, _PRODUCT_IDS = 0x1313, (0x80C8, 0x80C0)  # the second one if firmware updates are enabled
 _STEP_A = 1e-4  # resolution of the commands
@@ -48,8 +47,10 @@ def discover(backend: IBackend | None = None) -> tuple[DiscoveredDevice, ...]:
     )
 
 
-class ThorlabsDC2200(LightSource):
+class ThorlabsDC2200(LedDriver):
     """One terminal of a DC2200."""
+
+    _panel, _switching = "screen", ("OUTP 0", "OUTP 1")
 
     def __init__(
         self,
@@ -62,28 +63,35 @@ class ThorlabsDC2200(LightSource):
         super().__init__(limit_a=settings.limit_a, sleep=sleep)
         self._terminal, self._gate = settings.terminal, settings.gate
         self._mode = "CC" if settings.gate == "internal" else "TTL"
-        self._is_wanted_lit = False
-        instrument = _choose(usbtmc.instruments(_VENDOR_ID, _PRODUCT_IDS, backend), settings.serial_number)
-        self._what = f"the DC2200 {instrument.serial_number}"
-        self._usb = Usbtmc(instrument, what=self._what, timeout_s=timeout_s, sleep=sleep)
+        instruments = usbtmc.instruments(_VENDOR_ID, _PRODUCT_IDS, backend)
+        if len(instruments) == 1 and instruments[0].problem:
+            raise DeviceError(instruments[0].problem)
+        names = [(each.serial_number or each.problem,) for each in instruments]
+        instrument = instruments[choose(settings.serial_number, names, "DC2200", "serial_number")]
+        self._where = f"the DC2200 {instrument.serial_number}"
+        self._usb = Usbtmc(instrument, what=self._where, timeout_s=timeout_s, sleep=sleep)
         self._begin()
 
     def _identify(self) -> None:
-        maker, model, self._serial_number, self._firmware = self._identity()
+        answer = self._usb.query("*IDN?")
+        parts = [part.strip() for part in answer.split(",")]
+        if len(parts) != 4 or parts[1] != "DC2200":
+            raise DeviceError(f"{self._where} identifies itself as {answer[:60]!r}, which is no DC2200")
+        maker, model, self._serial_number, self._firmware = parts
         self._name = f"{maker} {model} {self._serial_number} terminal {self._terminal}"
         self._usb.write("OUTP 0")
         self._usb.write("*CLS")
         if self._number("OUTP:TERM?") != self._terminal:
-            self._set(f"OUTP:TERM {self._terminal}")
+            self._execute(f"OUTP:TERM {self._terminal}")
         head = self._known(f"SYST:TERM{self._terminal}:HTYP?")
         self._head = self._usb.query(head) if head else "unknown"
         if "no head" in self._head:
-            raise WrongState(f"there is no LED at terminal {self._terminal} of {self._what}; plug its head in")
-        self._set(f"SOUR:MODE {self._mode}")
+            raise WrongState(f"there is no LED at terminal {self._terminal} of {self._where}; plug its head in")
+        self._execute(f"SOUR:MODE {self._mode}")
         self._current, self._limit = self._known(*_CURRENT[self._mode]), self._known(*_LIMIT)
         if not self._current or not self._limit:
             raise Unsupported(
-                f"{self._what} reports no current or no limit of it, as the firmware {self._firmware} should"
+                f"{self._where} reports no current or no limit of it, as the firmware {self._firmware} should"
             )
         self._maximum, self._measured = self._known(*_MAXIMUM), self._known(*_MEASURED)
         self._trips = {question: words for question, words in _TRIPS.items() if self._known(question)}
@@ -104,13 +112,6 @@ class ThorlabsDC2200(LightSource):
             else:
                 return question
         return ""
-
-    def _identity(self) -> tuple[str, str, str, str]:
-        answer = self._usb.query("*IDN?")
-        parts = [part.strip() for part in answer.split(",")]
-        if len(parts) != 4 or parts[1] != "DC2200":
-            raise DeviceError(f"{self._what} identifies itself as {answer[:60]!r}, which is no DC2200")
-        return parts[0], parts[1], parts[2], parts[3]
 
     def properties(self) -> dict[str, Property]:
         """Properties of every light, and of driver and head."""
@@ -140,40 +141,18 @@ class ThorlabsDC2200(LightSource):
 
     def _set_current(self, current_a: float) -> float:
         asked_a = int(current_a / _STEP_A + 1e-6) * _STEP_A  # never above the request, except for rounding
-        self._set(f"{self._current.rstrip('?')} {asked_a:.4f}")
+        self._execute(f"{self._current.rstrip('?')} {asked_a:.4f}")
         taken_a = self._read_current()
         if abs(taken_a - asked_a) > 0.01 * asked_a + 0.001:  # more than its own resolution
-            raise DeviceError(f"{self._what} set {taken_a:g} A instead of {asked_a:g} A")
+            raise DeviceError(f"{self._where} set {taken_a:g} A instead of {asked_a:g} A")
         self._check_lit()
         return taken_a
-
-    def _is_lit(self) -> bool:
-        self._check_lit()
-        return self._is_output_on()
-
-    def _switch(self, *, on: bool) -> None:
-        if on:
-            self._usb.write("OUTP 1")
-            refusal = self._error()
-            self._is_wanted_lit = True
-            self._check_lit(refusal)
-        else:
-            self._is_wanted_lit = False
-            self._usb.write("OUTP 0")
-            self._error()
-            if self._is_output_on():
-                raise DeviceError(f"{self._what} is still on after the command to switch off; unplug its head")
 
     def _close(self) -> None:
         self._usb.close()
 
-    def _check_lit(self, refusal: str = "") -> None:
-        """Raise if the light should be on but is off."""
-        if self._is_wanted_lit:
-            if trip := self._trip():
-                raise DeviceError(f"{self._what} has switched off: {trip}; let it cool")
-            if not self._is_output_on():
-                raise DeviceError(f"{self._what} is off: {refusal or 'switched off at its screen, or on its own'}")
+    def _fault(self) -> str:
+        return f" has switched off: {trip}; let it cool" if (trip := self._trip()) else ""
 
     def _trip(self) -> str:
         """Return why it has switched off on its own, or an empty text."""
@@ -189,15 +168,16 @@ class ThorlabsDC2200(LightSource):
         if answer in words:
             return words[answer]
         if not re.fullmatch(r"[+-]?\d+(\.\d*)?([eE][+-]?\d{1,2})?", answer) or (answer[0] == "-" and not is_signed):
-            raise DeviceError(f"{self._what} answered “{question}” with {answer[:60]!r}")
+            raise DeviceError(f"{self._where} answered “{question}” with {answer[:60]!r}")
         return float(answer)
 
-    def _set(self, command: str) -> None:
-        """Execute a command; raise `BadValue` if it was refused."""
+    def _execute(self, command: str) -> None:
         self._usb.write("*CLS")  # clear old errors
+        super()._execute(command)
+
+    def _send(self, command: str) -> str:
         self._usb.write(command)
-        if refusal := self._error():
-            raise BadValue(f"{self._what} refuses “{command}”: {refusal}")
+        return self._error()
 
     def _error(self) -> str:
         """Empty the error queue; return the oldest error, or an empty text."""
@@ -206,21 +186,8 @@ class ThorlabsDC2200(LightSource):
             answer = self._usb.query("SYST:ERR?")
             match = _ERROR.fullmatch(answer)
             if match is None:
-                raise DeviceError(f"{self._what} answered “SYST:ERR?” with {answer[:60]!r}")
+                raise DeviceError(f"{self._where} answered “SYST:ERR?” with {answer[:60]!r}")
             if int(match[1]) == 0:
                 return oldest
             oldest = oldest or f"{match[2]} (error {match[1]})"
-        raise DeviceError(f"{self._what} reports errors without end, first {oldest}")
-
-
-def _choose(instruments: list[UsbInstrument], serial_number: str) -> UsbInstrument:
-    if len(instruments) == 1 and instruments[0].problem:
-        raise DeviceError(instruments[0].problem)
-    chosen = [one for one in instruments if serial_number in {"", one.serial_number}]
-    numbers = ", ".join(one.serial_number or one.problem for one in instruments)
-    if not chosen:
-        wanted = f" {serial_number}" if serial_number else ""
-        raise Disconnected(f"there is no DC2200{wanted} on USB; found: {numbers or 'none'}")
-    if len(chosen) > 1:
-        raise BadValue(f"there are several DC2200; say which by serial_number: {numbers}")
-    return chosen[0]
+        raise DeviceError(f"{self._where} reports errors without end, first {oldest}")

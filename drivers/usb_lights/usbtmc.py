@@ -21,7 +21,7 @@ _CLASS, _SUBCLASS = 0xFE, 0x03
 _OUT, _REQUEST_IN, _IN = 1, 2, 2  # transfer types: message, request for one, answer
 _END_OF_MESSAGE = 1
 _HEADER = struct.Struct("<BBBxLB3x")
-_ABORT_OUT, _CHECK_ABORT_OUT, _ABORT_IN, _CHECK_ABORT_IN = 1, 2, 3, 4
+_ABORT_OUT, _ABORT_IN, _CHECK_ABORT = 1, 3, 1  # the check of each has the next number
 _CLEAR, _CHECK_CLEAR, _CAPABILITIES = 5, 6, 7
 _REMOTE, _LOCAL = 160, 161  # REN_CONTROL and GO_TO_LOCAL of the subclass USB488, which come together
 _OPENINGS = 3  # some instruments miss the first
@@ -113,7 +113,7 @@ class Usbtmc:
         except Disconnected:
             raise
         except DeviceError:
-            self._recover(self._abort_out)
+            self._recover(_ABORT_OUT)
             raise
 
     def read(self) -> str:
@@ -123,7 +123,7 @@ class Usbtmc:
         except Disconnected:
             raise
         except DeviceError:
-            self._recover(self._abort_in)
+            self._recover(_ABORT_IN)
             raise
         return message.decode("ascii", "backslashreplace").strip()
 
@@ -222,40 +222,33 @@ class Usbtmc:
         with _faults(self._what):
             return bytes(self._device.read(self._in, self._packet_size, timeout_ms))
 
-    def _recover(self, abort: Callable[[], None]) -> None:
+    def _recover(self, abort: int) -> None:
         """Abort the transfer and clear all buffers, so that the next query works; raise only a loss."""
         try:
             with suppress(DeviceTimeout):  # clearing includes what an abort does
-                abort()
+                self._abort(abort)
             self.clear()
         except Disconnected:
             raise
         except DeviceError:
             return  # the original error says more
 
-    def _abort_out(self) -> None:
-        if self._abort(_ABORT_OUT, self._out)[0] == _SUCCESS:
-            self._poll(_CHECK_ABORT_OUT, self._out)
-        with _faults(self._what):
-            self._device.clear_halt(self._out)
-
-    def _abort_in(self) -> None:
-        if self._abort(_ABORT_IN, self._in)[0] == _SUCCESS:
-            self._drain()
-            self._poll(_CHECK_ABORT_IN, self._in)
-
-    def _abort(self, request: int, endpoint: int) -> bytes:
-        return self._control(request, self._tag, 2, endpoint)
-
-    def _poll(self, request: int, endpoint: int) -> None:
-        for _ in range(_POLLS):
-            answer = self._control(request, 0, 8, endpoint)
-            if answer[0] != _PENDING:
-                return
-            if request == _CHECK_ABORT_IN and answer[1] & 1:
+    def _abort(self, request: int) -> None:
+        endpoint, is_in = (self._in, True) if request == _ABORT_IN else (self._out, False)
+        if self._control(request, self._tag, 2, endpoint)[0] == _SUCCESS:
+            if is_in:
                 self._drain()
-            else:
-                self._sleep(_POLL_S)
+            for _ in range(_POLLS):
+                answer = self._control(request + _CHECK_ABORT, 0, 8, endpoint)
+                if answer[0] != _PENDING:
+                    break
+                if is_in and answer[1] & 1:
+                    self._drain()
+                else:
+                    self._sleep(_POLL_S)
+        if not is_in:
+            with _faults(self._what):
+                self._device.clear_halt(endpoint)
 
     def _drain(self) -> None:
         """Read up to a short packet, which ends a transfer."""

@@ -1,47 +1,43 @@
 """Geometry of an image taken through the same sample: section `[imaging]` of a bench."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
+from typing_extensions import Doc
 
+from reconstruction.annotated_settings import Checked
 from reconstruction.arrays import Floats, Mask
-from reconstruction.geometry import Field, Sensor, require
+from reconstruction.geometry import Field, Sensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Imaging:
+class Imaging(Checked):
     """How an image shows the field, through which pupil, and with which noise.
 
     The image's columns are reversed if `is_mirrored`, and then lie along the field's +x axis turned by `rotation_rad`;
     a positive rotation turns the field's +x towards its +y in the image.
     """
 
-    pixel_m: float  # size of a pixel in the field
-    center_x_px: float | None = None  # where the middle of the field lies; omitted: the middle of the image
+    pixel_m: Annotated[float, Ge(1e-10), Le(1e-2), Doc("Size of a pixel in the field")]
+    center_x_px: Annotated[float, Doc("Of the field's middle; omitted: the middle of the image")] | None = None
     center_y_px: float | None = None
-    rotation_rad: float = 0.0
+    rotation_rad: Annotated[float, Ge(-4), Le(4)] = 0.0
     is_mirrored: bool = False
-    pupil_diameter_m: float | None = None  # of a round pupil; omitted: the whole lattice
-    numerical_aperture: float | None = None  # in place of the diameter
-    wavelength_m: float | None = None  # omitted: the sensor's
-    dark_counts: float = 0.0  # of a pixel without light
-    counts_per_electron: float | None = None  # omitted: noise is estimated from the image
-    read_noise_counts: float = 0.0
+    pupil_diameter_m: Annotated[float, Gt(0), Doc("Of a round pupil; omitted: the whole lattice")] | None = None
+    numerical_aperture: Annotated[float, Gt(0), Doc("In place of the diameter")] | None = None
+    wavelength_m: Annotated[float, Gt(0), Doc("Omitted: the sensor's")] | None = None
+    dark_counts: Annotated[float, Doc("Of a pixel without light")] = 0.0
+    counts_per_electron: Annotated[float, Gt(0), Doc("Omitted: noise is estimated from the image")] | None = None
+    read_noise_counts: Annotated[float, Ge(0)] = 0.0
 
-    def __post_init__(self) -> None:
-        given = [self.pupil_diameter_m, self.numerical_aperture, self.wavelength_m, self.counts_per_electron]
-        require(
-            {
-                "pixel_m must be 1e-10 ... 1e-2": 1e-10 <= self.pixel_m <= 1e-2,
-                "rotation_rad must be -4 ... 4": abs(self.rotation_rad) <= 4,
-                "pupil_diameter_m, numerical_aperture, wavelength_m and counts_per_electron must be positive": all(
-                    value is None or 0 < value < math.inf for value in given
-                ),
-                "give pupil_diameter_m or numerical_aperture, not both": None in given[:2],
-                "read_noise_counts must be 0 or positive": 0 <= self.read_noise_counts < math.inf,
-            }
-        )
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield settings that contradict others, and why."""
+        if self.pupil_diameter_m is not None and self.numerical_aperture is not None:
+            yield "numerical_aperture", "must be left out beside pupil_diameter_m"
 
     @property
     def to_field(self) -> Floats:

@@ -2,14 +2,15 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
+from reconstruction.annotated_settings import Checked
 from reconstruction.arrays import Floats, Image
-from reconstruction.geometry import require
 
 _FEWEST_FRAMES = 4  # with fewer, a pixel's variance is too uncertain
 _BINS = 40  # of light, with equally many pixels
@@ -23,21 +24,12 @@ _CHANCE = 4.0  # standard errors of a bend that are not counted
 
 
 @dataclass(frozen=True, slots=True)
-class CameraNoise:
+class CameraNoise(Checked):
     """Shot noise, amplified by the electron-multiplying register if there is one, and read noise."""
 
-    counts_per_electron: float  # per photoelectron, including the register's gain
-    read_noise_counts: float  # standard deviation of a dark pixel
-    excess_noise: float = 1.0  # F^2, factor of the register on the shot-noise variance: 2 at high gain
-
-    def __post_init__(self) -> None:
-        require(
-            {
-                "counts_per_electron must be positive": 0 < self.counts_per_electron < math.inf,
-                "read_noise_counts must be 0 or positive": 0 <= self.read_noise_counts < math.inf,
-                "excess_noise must be 1 ... 2": 1 <= self.excess_noise <= 2,
-            }
-        )
+    counts_per_electron: Annotated[float, Gt(0)]  # per photoelectron, including the register's gain
+    read_noise_counts: Annotated[float, Ge(0)]  # standard deviation of a dark pixel
+    excess_noise: Annotated[float, Ge(1), Le(2)] = 1.0  # F^2, the register's factor on the variance of light
 
     @property
     def counts_per_light(self) -> float:

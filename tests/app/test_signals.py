@@ -22,7 +22,7 @@ from dataclasses import replace
 from app.cli import main
 from app.cli.application import cli
 from drivers.serial_lights import thorlabs_dc4100
-from drivers.settings import DC4100Settings
+from drivers.serial_lights import DC4100Settings
 from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
 
 thorlabs_dc4100._DIALECT = replace(thorlabs_dc4100._DIALECT, timeout_s=60.0)

@@ -9,9 +9,8 @@ from typing import ClassVar, TypeVar
 from hypothesis import strategies as st
 from hypothesis.stateful import initialize, invariant, precondition, rule
 
-from drivers.camera import Camera
+from drivers.camera import Camera, Region
 from drivers.errors import REFUSALS, BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, WrongState
-from drivers.frame import Region
 from support.storm import Storm
 
 T = TypeVar("T")

@@ -13,10 +13,9 @@ from typing import Any
 
 import pytest
 
-from drivers.dcam import session
+from drivers.dcam import DcamSettings, session
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.library import DcamLibrary, load_library
-from drivers.settings import DcamSettings
 from support.wires.dcam.build import NoCompiler, build
 from support.wires.dcam.stand_in import StandIn
 

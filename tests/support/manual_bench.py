@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from drivers.settings import DC4100Settings, GenicamSettings
+from drivers.genicam import GenicamSettings
+from drivers.serial_lights import DC4100Settings
 from support.gui_bench import BENCH, FakeCamera
 
 MANUAL = replace(BENCH, camera=GenicamSettings(), light=DC4100Settings(port="COM1"))

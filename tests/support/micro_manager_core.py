@@ -7,8 +7,8 @@ from typing import Any
 import mm_test_adapters
 import pymmcore
 
+from drivers.micro_manager import MicroManagerSettings
 from drivers.micro_manager.camera import MicroManagerCamera
-from drivers.settings import MicroManagerSettings
 
 FOLDER = mm_test_adapters.device_adapter_path()
 # 16 bits; no rendering, which takes longer than the exposure; stopping waits for the end of the exposure.

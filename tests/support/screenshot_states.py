@@ -14,7 +14,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.presets import PRESETS
 from app.gui.file_dialogs import export_view
 from app.gui.main_window import MainWindow
-from drivers.manual_light import ManualLight, ManualLightSettings
+from drivers.light_source import ManualLight, ManualLightSettings
 from support.gui_bench import FakeCamera, opener
 from support.manual_bench import MANUAL
 

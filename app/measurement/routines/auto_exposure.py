@@ -13,7 +13,7 @@ from app.measurement.routines.device_state import restored
 from app.measurement.routines.exposure_search import MOST_FRAMES, SATURATED, Reach, Shot, next_light
 from app.measurement.routines.frames import FrameProgress, RoutineError, ShouldStop, next_frame
 from drivers.interface import BadValue, Devices, Range
-from drivers.manual_light import ManualLight
+from drivers.light_source import ManualLight
 
 FILL = 0.70  # of full scale
 TOLERANCE = 0.05  # of full scale

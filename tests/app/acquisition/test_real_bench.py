@@ -15,15 +15,16 @@ from support.wires.dc4100 import DC4100Wire
 from support.wires.dcam.stand_in import StandIn
 from support.wires.pseudo_terminal import PtyServer
 
-from app.acquisition.devices import open_devices, open_light
+from app.acquisition.devices import open_camera, open_devices, open_light
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, parse_bench, write_bench
 from app.errors import InputError
 from app.recording.reader import Recording
+from drivers.dcam import DcamSettings
 from drivers.errors import BadValue, DeviceError, Disconnected, WrongState
+from drivers.serial_lights import DC4100Settings
 from drivers.serial_lights.thorlabs_dc4100 import _DIALECT
-from drivers.settings import DC4100Settings
 
 FOREIGN = (FOREIGN_FRAMES / "bench.toml").read_text()
 WITHIN_S = 2.0
@@ -107,11 +108,18 @@ def test_settings_refused_by_device_are_input_error(bench: Bench, lamp: DC4100Wi
 
 def test_light_with_refused_current_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     light = FakeLight()
-    monkeypatch.setattr("app.acquisition.devices._light", lambda _: light)
+    monkeypatch.setattr("app.acquisition.devices._open", lambda *_: light)
     with pytest.raises(BadValue):
         open_light(DC4100Settings(port="COM1", current_a=5.0))
     with pytest.raises(WrongState, match="closed"):
         light.set_on(True)
+
+
+def test_settings_that_come_from_no_bench_are_checked_before_a_device_is_opened() -> None:
+    with pytest.raises(InputError, match=r"^camera\.binning must be 1 \.\.\. 16$"):
+        open_camera(DcamSettings(binning=0))
+    with pytest.raises(InputError, match=r"^light\.port must be given"):
+        open_light(DC4100Settings())
 
 
 def test_missing_light_closes_camera(bench: Bench, port: PtyServer) -> None:

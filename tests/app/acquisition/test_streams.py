@@ -29,8 +29,7 @@ from support.patience import HANG_S, wait_until
 from app.acquisition.streams.guard import BURST_BYTES, CONNECTIONS, TOPIC_BYTES
 from app.acquisition.streams.messages import TOPICS
 from app.acquisition.streams.publisher import Publisher, stream_sinks
-from app.bench.config import Bench, load_bench, parse_bench, write_bench
-from app.bench.settings import StreamSettings
+from app.bench.config import Bench, StreamSettings, load_bench, parse_bench, write_bench
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
 from app.measurement.live_solver import Assumptions, RefinementState
@@ -352,13 +351,13 @@ def test_foreign_address_is_one_sentence(bench: Bench, port: int) -> None:
 @pytest.mark.parametrize(
     ("setting", "sentence"),
     [
-        ("port=0", "streams: port must be 1 ... 65535"),
-        ("port=65536", "streams: port must be"),
-        ("port=5560.5", "streams.port: must be a whole number"),
-        ("port=tcp://127.0.0.1:5560", "streams.port: must be a whole number"),
-        ("address=localhost", "streams: address must be an IPv4 address"),
-        ("address=127.0.0.1:5560", "streams: address must be"),
-        ("publish=5560", "streams: unknown key publish; known are port, address"),
+        ("port=0", "streams.port must be 1 ... 65535"),
+        ("port=65536", "streams.port must be"),
+        ("port=5560.5", "streams.port must be a whole number"),
+        ("port=tcp://127.0.0.1:5560", "streams.port must be a whole number"),
+        ("address=localhost", "streams.address must be an IPv4 address"),
+        ("address=127.0.0.1:5560", "streams.address must be"),
+        ("publish=5560", "streams.publish is an unknown key; known are port, address"),
     ],
 )
 def test_invalid_settings_are_one_line(setting: str, sentence: str, small_toml: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from support.paths import FOREIGN_FRAMES
 
-from app.bench.bench_error import BenchError
+from app.bench.bench_files import BenchError
 from app.bench.config import load_bench, parse_bench
 from app.errors import InputError
 

@@ -32,20 +32,17 @@ from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench, write_bench
-from app.bench.device_settings import CameraSettings, LightSettings
+from app.bench.device_kinds import DeviceSettings
 from app.bench.presets import PRESETS
 from app.cli.application import cli
 from app.errors import Interrupted, RunError
 from app.recording.writer import Record, RecordingWriter
+from drivers.dcam import DcamSettings
+from drivers.genicam import GenicamSettings
 from drivers.interface import Devices, Disconnected, Frame
-from drivers.settings import (
-    CoolLEDSettings,
-    DC2200Settings,
-    DC4100Settings,
-    DcamSettings,
-    GenicamSettings,
-    MicroManagerSettings,
-)
+from drivers.micro_manager import MicroManagerSettings
+from drivers.serial_lights import CoolLEDSettings, DC4100Settings
+from drivers.usb_lights import DC2200Settings
 from reconstruction.wavefront import rms
 from simulated_devices.camera import SimulatedCamera
 
@@ -379,7 +376,7 @@ def test_dark_reference_is_named(
     [
         (("measure", "--bench", "nowhere.toml", "--frames", "3", "--out", "x"), "nowhere.toml: no such file"),
         (("measure", "--bench", "live_demo", "--frames", "0", "--out", "x"), "Invalid value for '--frames'"),
-        (("simulate", "--bench", "live_demo", "--set", "sensor.colour=3", "--out", "x"), "sensor: unknown key colour"),
+        (("simulate", "--bench", "live_demo", "--set", "sensor.colour=3", "--out", "x"), "sensor.colour is an unknown"),
         (("nonsense",), "No such command"),
     ],
 )
@@ -432,7 +429,7 @@ def test_no_example_checks_the_simulated_device_of_a_preset() -> None:
     assert not set(benches) & set(PRESETS)
 
 
-REAL_DEVICES: list[tuple[CameraSettings, LightSettings]] = [
+REAL_DEVICES: list[tuple[DeviceSettings, DeviceSettings]] = [
     (DcamSettings(), DC4100Settings(port="COM1")),
     (GenicamSettings(), DC2200Settings()),
     (GenicamSettings(), CoolLEDSettings(port="COM1")),

@@ -144,7 +144,7 @@ def refusals(tmp_path: Path, result: Path) -> dict[str, tuple[list[str | Path], 
         "single view": ([good, "--with", single, *SCALE, *out], "neither coefficients nor several views"),
         "exists": ([good, *with_result, *SCALE, "--out", taken], "exists already; --overwrite"),
         "input": ([good, *with_result, *SCALE, "--out", good, "--overwrite"], "is used by this command already"),
-        "key": ([good, *with_result, *SCALE, "--set", "imaging.pupil=3", *out], "unknown key pupil"),
+        "key": ([good, *with_result, *SCALE, "--set", "imaging.pupil=3", *out], "imaging.pupil is an unknown key"),
         "pupil": (
             [good, *with_result, *SCALE, "--set", "imaging.pupil_diameter_m=1.0", *out],
             "wider than the lattice",

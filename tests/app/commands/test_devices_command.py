@@ -17,18 +17,18 @@ from support.simulated_scene import CAMERA, STILL, open_bench
 from support.wires.dc4100 import DC4100Wire
 from support.wires.pseudo_terminal import PtyServer
 
-from app.acquisition.device_kinds import KINDS, DeviceKind
 from app.acquisition.devices import open_camera, open_light
 from app.bench.config import load_bench, write_bench
-from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
+from app.bench.device_kinds import DRIVERS, KINDS, DeviceKind
 from app.commands.device_check import Trace, check_and_print, identifying_texts
 from app.commands.devices import print_devices
 from app.errors import InputError, RunError
 from drivers.device import DiscoveredDevice, Property
 from drivers.errors import BadValue, Disconnected, Unsupported
+from drivers.genicam import GenicamSettings
 from drivers.interface import Camera, Frame, LightSource
-from drivers.serial_lights import thorlabs_dc4100
-from drivers.settings import DC4100Settings, GenicamSettings, MicroManagerSettings
+from drivers.micro_manager import MicroManagerSettings
+from drivers.serial_lights import DC4100Settings, thorlabs_dc4100
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.light_and_stage import SimulatedLight
@@ -52,7 +52,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimulatedBench:
     def discover(kind: DeviceKind) -> Any:
         return {"dcam": (A_CAMERA,), "coolled": (A_LIGHT,)}.get(kind.driver, ())
 
-    monkeypatch.setattr("app.acquisition.device_kinds.import_module", lambda module: _Module(module, discover))
+    monkeypatch.setattr("app.bench.device_kinds.import_module", lambda module: _Module(module, discover))
     monkeypatch.setattr("app.commands.device_check.open_camera", lambda settings: SimulatedCamera(bench))
     monkeypatch.setattr(
         "app.commands.device_check.open_light", lambda settings: SimulatedLight(bench, limit_a=settings.limit_a)
@@ -62,7 +62,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimulatedBench:
 
 class _Module:
     def __init__(self, module: str, discover: Callable[[DeviceKind], Any]) -> None:
-        self.discover = lambda: discover(next(kind for kind in KINDS if kind.module == module))
+        self.discover = lambda: discover(next(kind for kind in KINDS if kind.device.startswith(f"{module}.")))
 
 
 def test_devices_lists_bench_sections(bench: SimulatedBench, capsys: pytest.CaptureFixture[str]) -> None:
@@ -80,7 +80,7 @@ def test_failed_search_reports_reason(monkeypatch: pytest.MonkeyPatch, capsys: p
         raise Unsupported("the library is missing: install it")
 
     monkeypatch.setattr(
-        "app.acquisition.device_kinds.import_module", lambda _: type("Module", (), {"discover": staticmethod(fail)})
+        "app.bench.device_kinds.import_module", lambda _: type("Module", (), {"discover": staticmethod(fail)})
     )
     print_devices()
     assert capsys.readouterr().out.count("  not searched: the library is missing: install it\n") == len(KINDS)
@@ -89,7 +89,7 @@ def test_failed_search_reports_reason(monkeypatch: pytest.MonkeyPatch, capsys: p
 def test_every_searched_driver_exists_in_bench() -> None:
     for kind in KINDS:
         assert all(device.driver == kind.driver for device in kind.discover()[0])
-    real = {*drivers_of(CameraSettings), *drivers_of(LightSettings)} - {"simulated", "recording", "manual"}
+    real = {*DRIVERS["camera"], *DRIVERS["light"]} - {"simulated", "recording", "manual"}
     assert real == {kind.driver for kind in KINDS}
     bench = load_bench("live_demo")
     with pytest.raises(InputError, match="has no device of its own"):

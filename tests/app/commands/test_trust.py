@@ -15,8 +15,10 @@ from app.acquisition.devices import open_camera
 from app.bench.config import Bench, load_bench, write_bench
 from app.commands.terminal import confirm_libraries
 from app.errors import InputError
+from drivers.dcam import DcamSettings
 from drivers.errors import Unsupported
-from drivers.settings import CoolLEDSettings, DcamSettings, MicroManagerSettings
+from drivers.micro_manager import MicroManagerSettings
+from drivers.serial_lights import CoolLEDSettings
 
 LIGHT = CoolLEDSettings(port="/dev/nowhere")
 

@@ -26,7 +26,7 @@ import app.commands.benchmark
 from app import cli
 from app.acquisition.devices import open_devices
 from app.bench.config import Bench, load_bench
-from app.bench.settings import RecordingSettings
+from app.bench.device_kinds import RecordingSettings
 from app.commands.benchmark import benchmark_acquisition
 from app.errors import InputError, Interrupted, RunError
 from app.evaluation.benchmark.live_path import course

@@ -96,7 +96,7 @@ def test_faulty_file_shows_its_line_until_it_is_corrected(
     assert dialog.isVisible()
     assert dialog.windowTitle() == f"Faulty bench, line {index + 1}"
     text = dialog.text.text()
-    assert "sensor: wavelength_m must lie between 100e-9 and 20e-6" in text
+    assert "sensor.wavelength_m must be 1e-7 ... 2e-5" in text
     assert "bad &lt;bench&gt;.toml" in text
     marked = [part for part in text.split("<br>") if "&#9654;" in part]
     assert len(marked) == 1

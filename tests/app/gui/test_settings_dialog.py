@@ -12,14 +12,14 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow
 
-from app.acquisition.device_kinds import DeviceKind
 from app.bench.config import Bench, load_bench
+from app.bench.device_kinds import DeviceKind
 from app.gui.bench_files import BenchFiles
 from app.gui.main_window import MainWindow
 from app.gui.settings_dialog import SettingsDialog
 from drivers.device import DiscoveredDevice
-from drivers.manual_light import ManualLightSettings
-from drivers.settings import GenicamSettings
+from drivers.genicam import GenicamSettings
+from drivers.light_source import ManualLightSettings
 
 CAMERA = DiscoveredDevice(kind="camera", driver="genicam", description="a camera", settings={"device": "Mako 7"})
 
@@ -76,7 +76,7 @@ def test_changed_settings_are_opened(benches: BenchFiles, opened: list[Bench]) -
 def test_wrong_setting_is_red_and_not_opened(benches: BenchFiles, opened: list[Bench]) -> None:
     benches.edit()
     dialog = dialog_of(benches)
-    for text, sentence in (("462 mm", "Wavelength must lie between 100 and 20000 nm"), ("blue", "type a number in nm")):
+    for text, sentence in (("462 mm", "Wavelength must be 100 ... 20000 nm"), ("blue", "type a number in nm")):
         wavelength = write(dialog, "sensor.wavelength_m", text)
         assert sentence in dialog.problem.text()
         assert "color" in wavelength.styleSheet()

@@ -16,7 +16,7 @@ from support.window_tools import MakeWindow, press
 from app.acquisition.worker import Acquisition
 from app.gui.main_window import MainWindow
 from drivers.interface import Devices, Disconnected
-from drivers.manual_light import ManualLight, ManualLightSettings
+from drivers.light_source import ManualLight, ManualLightSettings
 
 BENCH = replace(MANUAL, light=ManualLightSettings())
 

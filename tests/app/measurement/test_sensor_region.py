@@ -32,9 +32,11 @@ from app.measurement.sensor_region import (
     set_area,
 )
 from app.recording.reader import Recording
+from drivers.dcam import DcamSettings
 from drivers.interface import BadValue, CameraCapabilities, Disconnected, Region, WrongState
-from drivers.settings import CoolLEDSettings, DcamSettings
+from drivers.serial_lights import CoolLEDSettings
 from reconstruction.geometry import Lattice
+from simulated_devices.settings import SimulatedCameraSettings
 
 SENSOR = Region(0, 0, 500, 700)
 LATTICE = Lattice(center_x_px=121.3, center_y_px=84.6, pitch_px=31.25, rotation_rad=0.003)
@@ -114,7 +116,8 @@ def test_saved_bench_restores_area() -> None:
     bench = replace(load_bench("live_demo"), lattice=LATTICE, sensor=LENSLETS)
     before, after = SensorArea(SENSOR, 1), SensorArea(Region(16, 32, 160, 192), 1)
     small = moved_bench(bench, before, after, SENSOR)
-    assert (small.camera.rows, small.camera.columns) == (160, 192)  # type: ignore[union-attr] # simulated
+    assert isinstance(small.camera, SimulatedCameraSettings)
+    assert (small.camera.rows, small.camera.columns) == (160, 192)
     assert small.lattice == replace(LATTICE, center_x_px=121.3 - 32, center_y_px=84.6 - 16)
     assert parse_bench(write_bench(small), "saved") == small
     real = replace(small, camera=DcamSettings(), light=CoolLEDSettings(port="COM1"))
@@ -332,7 +335,8 @@ def test_area_change_is_refused_during_recording(
     assert acquisition.kept.problem == ""
     kept = Recording(tmp_path / "kept")
     assert kept.frame(0).pixels.shape == (160, 160)
-    assert kept.bench.camera.rows == 160  # type: ignore[union-attr] # simulated
+    assert isinstance(kept.bench.camera, SimulatedCameraSettings)
+    assert kept.bench.camera.rows == 160
 
 
 def test_fixed_camera_refuses_area(make_fixed: Instrument) -> None:

@@ -18,7 +18,7 @@ from support.recordings import edit_line, record
 
 from app.acquisition.devices import open_camera, open_devices
 from app.bench.config import load_bench, parse_bench, write_bench
-from app.bench.settings import Pace, RecordingSettings
+from app.bench.device_kinds import Pace, RecordingSettings
 from app.commands.measure import measure_bench
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
@@ -403,9 +403,9 @@ def test_bench_with_a_recording_opens_its_devices(small_toml: Path, steady: Reco
     ("override", "sentence"),
     [
         ('light.driver="thorlabs_dc2200"', "cannot be used: a recording sees no real light"),
-        ('camera.pace="slow"', 'camera.pace: must be one of "own", "fastest"'),
-        ("camera.repeat=1", "camera.repeat: must be true or false"),
-        ("camera.exposure_s=0.1", "camera: unknown key exposure_s"),
+        ('camera.pace="slow"', 'camera.pace must be one of "own", "fastest"'),
+        ("camera.repeat=1", "camera.repeat must be true or false"),
+        ("camera.exposure_s=0.1", "camera.exposure_s is an unknown key"),
     ],
 )
 def test_unusable_setting_is_one_line(small_toml: Path, steady: Recording, override: str, sentence: str) -> None:
@@ -419,7 +419,7 @@ def test_unusable_setting_is_one_line(small_toml: Path, steady: Recording, overr
 
 def test_recording_camera_needs_a_folder(small_toml: Path) -> None:
     text = bench_text(small_toml, Path("run")).replace('folder = "run"\n', "")
-    with pytest.raises(InputError, match=r"camera\.folder: is missing"):
+    with pytest.raises(InputError, match=r"camera\.folder is missing"):
         parse_bench(text, "bench")
 
 

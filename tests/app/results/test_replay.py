@@ -379,7 +379,10 @@ MISTAKES: dict[str, tuple[tuple[str, ...], str]] = {
     "no frame": (("--frames", "8:"), '--frames "8:" selects no frame; .* has 8'),
     "one number": (("--frames", "5"), "write FIRST:END"),
     "no number": (("--frames", "a:b"), "write FIRST:END"),
-    "an unknown setting": (("--set", "registration.wrap=affine"), "the recorded bench: .*unknown key wrap"),
+    "an unknown setting": (
+        ("--set", "registration.wrap=affine"),
+        r"the recorded bench: registration\.wrap is an unknown",
+    ),
     "no such bench": (("--bench", "nowhere.toml"), "nowhere.toml: no such file"),
     "another sensor": (("--bench", "paper_simulation"), "does not fit this bench"),
 }

@@ -19,7 +19,7 @@ from support.command_line import run
 
 from app.acquisition.devices import open_devices
 from app.bench.config import Bench, load_bench, parse_bench, write_bench
-from app.bench.settings import RecordingSettings
+from app.bench.device_kinds import RecordingSettings
 from app.errors import InputError
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess

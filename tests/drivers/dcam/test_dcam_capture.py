@@ -12,10 +12,10 @@ from support.dcam_tools import dcam_stand_in, library, open_camera
 from support.patience import HANG_S, own_time
 from support.wires.dcam.stand_in import Plug, StandIn, pattern
 
+from drivers.dcam import DcamSettings
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.property_ids import Id
 from drivers.interface import DeviceError, DeviceTimeout, Disconnected, Frame, FrameLost, Region, WrongState
-from drivers.settings import DcamSettings
 
 RING = 16
 REGION = Region(32, 64, 48, 80)

@@ -10,31 +10,30 @@ import pytest
 from support.dcam_tools import compiling
 from support.wires.dcam.build import SOURCES, build_program
 
-from drivers.dcam import structures
-from drivers.dcam.errors import ERRORS, Denied, NotThere, error_of
-from drivers.dcam.library import PROTOTYPES, DcamLibrary
+from drivers.dcam import library
+from drivers.dcam.library import ERRORS, PROTOTYPES, DcamLibrary, Denied, NotThere, error_of
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
 
 # Name in C, size and some offsets, as gcc gave them for Hamamatsu's own header with 64-bit pointers.
 LAYOUTS: dict[type[ctypes.Structure], tuple[str, int, dict[str, int]]] = {
-    structures.Init: ("DCAMAPI_INIT", 32, {"iDeviceCount": 4, "initoption": 16, "guid": 24}),
-    structures.DeviceOpen: ("DCAMDEV_OPEN", 16, {"index": 4, "hdcam": 8}),
-    structures.DeviceString: ("DCAMDEV_STRING", 24, {"iString": 4, "text": 8, "textbytes": 16}),
-    structures.PropertyAttribute: (
+    library.Init: ("DCAMAPI_INIT", 32, {"iDeviceCount": 4, "initoption": 16, "guid": 24}),
+    library.DeviceOpen: ("DCAMDEV_OPEN", 16, {"index": 4, "hdcam": 8}),
+    library.DeviceString: ("DCAMDEV_STRING", 24, {"iString": 4, "text": 8, "textbytes": 16}),
+    library.PropertyAttribute: (
         "DCAMPROP_ATTR",
         88,
         {"iProp": 4, "attribute": 16, "valuemin": 32, "valuedefault": 56, "nMaxChannel": 64, "iPropStep_Element": 84},
     ),
-    structures.PropertyValueText: ("DCAMPROP_VALUETEXT", 32, {"value": 8, "text": 16, "textbytes": 24}),
-    structures.TimeStamp: ("DCAM_TIMESTAMP", 8, {"sec": 0, "microsec": 4}),
-    structures.TransferInfo: ("DCAMCAP_TRANSFERINFO", 16, {"nNewestFrameIndex": 8, "nFrameCount": 12}),
-    structures.BufferFrame: (
+    library.PropertyValueText: ("DCAMPROP_VALUETEXT", 32, {"value": 8, "text": 16, "textbytes": 24}),
+    library.TimeStamp: ("DCAM_TIMESTAMP", 8, {"sec": 0, "microsec": 4}),
+    library.TransferInfo: ("DCAMCAP_TRANSFERINFO", 16, {"nNewestFrameIndex": 8, "nFrameCount": 12}),
+    library.BufferFrame: (
         "DCAMBUF_FRAME",
         64,
         {"iFrame": 12, "buf": 16, "rowbytes": 24, "timestamp": 48, "framestamp": 56, "camerastamp": 60},
     ),
-    structures.WaitOpen: ("DCAMWAIT_OPEN", 24, {"supportevent": 4, "hwait": 8, "hdcam": 16}),
-    structures.WaitStart: ("DCAMWAIT_START", 16, {"eventhappened": 4, "eventmask": 8, "timeout": 12}),
+    library.WaitOpen: ("DCAMWAIT_OPEN", 24, {"supportevent": 4, "hwait": 8, "hdcam": 16}),
+    library.WaitStart: ("DCAMWAIT_START", 16, {"eventhappened": 4, "eventmask": 8, "timeout": 12}),
 }
 
 

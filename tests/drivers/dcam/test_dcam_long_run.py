@@ -16,9 +16,9 @@ import pytest
 from support.dcam_tools import dcam_stand_in, library, open_camera
 from support.wires.dcam.stand_in import StandIn, pattern
 
+from drivers.dcam import DcamSettings
 from drivers.dcam.camera import DcamCamera
 from drivers.interface import DeviceTimeout, Frame, FrameLost, Region
-from drivers.settings import DcamSettings
 
 PERIOD_S = 0.01429  # 70 frames/s
 RING = 128

@@ -13,8 +13,7 @@ from support.storm import storm_settings
 from support.wires.dcam.stand_in import Plug, StandIn
 
 from drivers.dcam.camera import DcamCamera
-from drivers.dcam.errors import ERRORS, NotThere
-from drivers.dcam.library import PROTOTYPES
+from drivers.dcam.library import ERRORS, PROTOTYPES, NotThere
 from drivers.interface import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, Region, Unsupported
 
 

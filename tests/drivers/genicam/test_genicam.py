@@ -21,13 +21,11 @@ from support.genicam_wire import FAKE_CAMERA, HERE, SERIAL, GigeWire, Peer
 from support.patience import HANG_S, own_time
 from support.storm import storm_settings
 
-from drivers.camera import Camera
+from drivers.camera import Camera, Frame, Region
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
-from drivers.frame import Frame, Region
-from drivers.genicam.camera import GenicamCamera
-from drivers.genicam.discovery import discover
+from drivers.genicam import GenicamSettings
+from drivers.genicam.camera import GenicamCamera, discover
 from drivers.genicam.library import load_aravis
-from drivers.settings import GenicamSettings
 
 NOTICED_S = 2.0  # until a loss must be noticed
 # The fake camera scales its pattern by 1 + log10(exposure / 10 ms): at 10 ms its pixels encode the frame number.
@@ -471,7 +469,7 @@ def test_switched_off_camera_is_not_discovered(peer: Peer) -> None:
 
 HOLDER = """
 from drivers.genicam.camera import GenicamCamera
-from drivers.settings import GenicamSettings
+from drivers.genicam import GenicamSettings
 camera = GenicamCamera(GenicamSettings(device={serial!r}, pixel_pitch_m=5e-6))
 print("open", flush=True)
 input()

@@ -13,6 +13,7 @@ from support.genicam_descriptions import PFNC, Description
 from support.gige_camera import ADDRESS, GigeCamera, Image
 from support.public_descriptions import PUBLIC, leave_switched_on
 
+from drivers.camera import Region
 from drivers.contract.camera import (
     check_exposures,
     check_frames,
@@ -22,11 +23,10 @@ from drivers.contract.camera import (
     check_settings_are_allowed,
 )
 from drivers.errors import DeviceError, Unsupported
-from drivers.frame import Region
+from drivers.genicam import GenicamSettings
 from drivers.genicam.camera import GenicamCamera
 from drivers.genicam.frames import PIXEL_FORMATS
 from drivers.genicam.library import load_aravis
-from drivers.settings import GenicamSettings
 
 try:
     load_aravis()

@@ -15,11 +15,12 @@ from hypothesis import strategies as st
 from support.patience import HANG_S, wait_until
 
 from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
+from drivers.genicam import GenicamSettings
+from drivers.genicam.camera import discover
 from drivers.genicam.connection import PatientCalls
-from drivers.genicam.discovery import discover
 from drivers.genicam.frames import ExposureLog, FrameCount
 from drivers.genicam.library import Aravis, kinds_of_errors, load_aravis, load_library
-from drivers.settings import GenicamSettings
+from reconstruction.annotated_settings import check
 
 
 @given(first=st.integers(1, 65535), steps=st.lists(st.integers(1, 1023), max_size=200))
@@ -194,4 +195,4 @@ def test_error_numbers_follow_the_version(version: tuple[int, int]) -> None:
 )
 def test_bad_setting_is_named(make: Callable[[], object], key: str) -> None:
     with pytest.raises(ValueError, match=f"^{key} "):
-        make()
+        check(make())

@@ -32,9 +32,10 @@ from drivers.interface import (
     Unsupported,
     WrongState,
 )
-from drivers.micro_manager.camera import MicroManagerCamera
-from drivers.micro_manager.core import LoadedCamera, discover
-from drivers.settings import MicroManagerSettings
+from drivers.micro_manager import MicroManagerSettings
+from drivers.micro_manager.camera import MicroManagerCamera, discover
+from drivers.micro_manager.core import LoadedCamera
+from reconstruction.annotated_settings import check
 
 
 @pytest.fixture
@@ -343,7 +344,8 @@ def test_refused_setting_says_what_to_do(
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"adapter": ""}, "adapter and device must be named"),
+        ({"adapter": ""}, "adapter must not be empty"),
+        ({"device": ""}, "device must not be empty"),
         ({"adapter": "x/evil"}, "adapter must be a name of letters, digits"),
         ({"adapter": "..\\evil"}, "adapter must be a name of letters, digits"),
         ({"adapter": "DemoCamera\n"}, "adapter must be a name of letters, digits"),
@@ -355,7 +357,7 @@ def test_refused_setting_says_what_to_do(
 )
 def test_impossible_setting_names_its_key(settings: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
-        MicroManagerSettings(**({"adapter": "DemoCamera", "device": "DCam"} | settings))
+        check(MicroManagerSettings(**({"adapter": "DemoCamera", "device": "DCam"} | settings)))
 
 
 @pytest.mark.parametrize(

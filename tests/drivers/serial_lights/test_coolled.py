@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 from hypothesis.stateful import rule
@@ -15,9 +15,10 @@ from support.wires.coolled import CoolLEDWire
 from support.wires.serial import FaultKind, LineFault
 
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, Unsupported
+from drivers.serial_lights import CoolLEDSettings
 from drivers.serial_lights.coolled import CoolLED
 from drivers.serial_lights.line import Wire
-from drivers.settings import CoolLEDSettings
+from reconstruction.annotated_settings import check
 from simulated_devices.clock import ManualClock
 
 
@@ -137,9 +138,9 @@ def test_configured_wavelength_is_loaded_into_channel(device: CoolLEDWire, clock
 
 
 @pytest.mark.parametrize("channel", "EFGH")
-def test_no_wavelength_is_loaded_into_expansion_box(channel: str) -> None:
+def test_no_wavelength_is_loaded_into_expansion_box(channel: Literal["E", "F", "G", "H"]) -> None:
     with pytest.raises(ValueError, match="into channels A to D only: leave it out for the expansion box"):
-        CoolLEDSettings(port="COM7", channel=channel, wavelength_nm=460)
+        check(CoolLEDSettings(port="COM7", channel=channel, wavelength_nm=460))
 
 
 @pytest.mark.parametrize("channel", ["D", "E", "H"])
@@ -256,7 +257,7 @@ def test_unplugged_during_command_raises(device: CoolLEDWire, light: CoolLED, cl
 )
 def test_invalid_settings_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        CoolLEDSettings(**{"port": "COM7", **wrong})
+        check(CoolLEDSettings(**{"port": "COM7", **wrong}))
 
 
 class Storm(SerialStorm):

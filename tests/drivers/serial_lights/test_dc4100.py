@@ -14,9 +14,10 @@ from support.wires.dc4100 import DC4100Wire
 from support.wires.serial import FaultKind, LineFault
 
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, WrongState
+from drivers.serial_lights import DC4100Settings
 from drivers.serial_lights.line import Wire
-from drivers.serial_lights.thorlabs_dc4100 import ChannelStatus, ThorlabsDC4100
-from drivers.settings import DC4100Settings
+from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100, faults, is_at_limit
+from reconstruction.annotated_settings import check
 from simulated_devices.clock import ManualClock
 
 # Traffic of opening channel 1, written by hand from the protocol.
@@ -149,15 +150,15 @@ def test_errors_are_queried_after_each_command(device: DC4100Wire, light: Thorla
     ],
 )
 def test_status_register_is_decoded(register: int, words: str) -> None:
-    fault = ChannelStatus.decode(register, 2).fault
+    fault = faults(register, 2)
     assert words in fault
     assert bool(words) == bool(fault)
 
 
 def test_current_limit_is_no_fault() -> None:
-    status = ChannelStatus.decode(1 << 25, 2)
-    assert status.is_at_limit
-    assert not status.fault
+    assert is_at_limit(1 << 25, 2)
+    assert not is_at_limit(1 << 23, 2)
+    assert not faults(1 << 25, 2)
 
 
 def test_properties_describe_channel_and_head(device: DC4100Wire, light: ThorlabsDC4100) -> None:
@@ -334,7 +335,7 @@ def test_unplugged_during_command_raises(device: DC4100Wire, light: ThorlabsDC41
 )
 def test_invalid_settings_are_refused(wrong: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        DC4100Settings(**wrong)
+        check(DC4100Settings(**wrong))
 
 
 class Storm(SerialStorm, HeatStorm):

@@ -20,9 +20,9 @@ from support.wires.pseudo_terminal import PtyServer
 from support.wires.serial import LineFault
 
 from drivers.errors import Busy, DeviceError, Disconnected
+from drivers.serial_lights import DC4100Settings
 from drivers.serial_lights.line import Wire
 from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
-from drivers.settings import DC4100Settings
 
 
 class TestContractOnAPort(LightFaultContract):
@@ -105,7 +105,7 @@ LEAVING = """
 import signal, sys
 from dataclasses import replace
 from drivers.serial_lights import thorlabs_dc4100
-from drivers.settings import DC4100Settings
+from drivers.serial_lights import DC4100Settings
 from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
 thorlabs_dc4100._DIALECT = replace(thorlabs_dc4100._DIALECT, timeout_s=60.0)
 signal.signal(signal.SIGINT, signal.default_int_handler)  # even if the tests ignore it

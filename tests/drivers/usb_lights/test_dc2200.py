@@ -15,8 +15,9 @@ from support.wires.dc2200 import DC2200Wire, header
 from support.wires.usbtmc import UsbFault, UsbFaultKind
 
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported, WrongState
-from drivers.settings import DC2200Settings
+from drivers.usb_lights import DC2200Settings
 from drivers.usb_lights.thorlabs_dc2200 import ThorlabsDC2200, discover
+from reconstruction.annotated_settings import check
 from simulated_devices.clock import ManualClock
 
 
@@ -340,11 +341,11 @@ def test_one_of_several_must_be_named(device: DC2200Wire, clock: ManualClock) ->
     with ThorlabsDC2200(DC2200Settings(serial_number="M00990000"), backend=bus, sleep=clock.sleep) as light:
         assert "M00990000" in light.name
     assert not device.received
-    with pytest.raises(BadValue, match="several DC2200; say which by serial_number: M00331234, M00990000"):
+    with pytest.raises(BadValue, match="2 DC2200s; say which by serial_number: M00331234, M00990000"):
         ThorlabsDC2200(DC2200Settings(), backend=bus)
-    with pytest.raises(Disconnected, match="no DC2200 M1 on USB; found: M00331234, M00990000"):
+    with pytest.raises(Disconnected, match="no DC2200 M1; there are M00331234, M00990000"):
         ThorlabsDC2200(DC2200Settings(serial_number="M1"), backend=bus)
-    with pytest.raises(Disconnected, match="no DC2200 on USB; found: none"):
+    with pytest.raises(Disconnected, match="no DC2200: none answers"):
         ThorlabsDC2200(DC2200Settings(), backend=Bus(clock=clock))
 
 
@@ -364,7 +365,7 @@ def test_device_without_permission_is_reported(device: DC2200Wire, clock: Manual
 @pytest.mark.parametrize("wrong", [{"terminal": 3}, {"gate": "external"}, {"limit_a": -1.0}, {"limit_a": float("inf")}])
 def test_invalid_settings_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        DC2200Settings(**wrong)
+        check(DC2200Settings(**wrong))
 
 
 @pytest.mark.parametrize(

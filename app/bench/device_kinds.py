@@ -1,0 +1,111 @@
+"""The supported cameras and lights: one entry for each driver, with its settings, its device and the search for it."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Annotated, Any, ClassVar, Literal, Protocol
+
+from typing_extensions import Doc
+
+from drivers.dcam import DcamSettings
+from drivers.device import DiscoveredDevice
+from drivers.errors import DeviceError
+from drivers.genicam import GenicamSettings
+from drivers.light_source import ManualLightSettings
+from drivers.micro_manager import MicroManagerSettings
+from drivers.serial_lights import CoolLEDSettings, DC4100Settings
+from drivers.usb_lights import DC2200Settings
+from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings
+
+Pace = Literal["own", "fastest"]
+
+
+class DeviceSettings(Protocol):
+    """Settings of a camera or a light: a frozen dataclass of its driver."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def driver(self) -> str:
+        """Name of the driver in a bench."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingSettings:
+    """A recording in place of the devices."""
+
+    driver: Literal["recording"] = "recording"
+    folder: str
+    pace: Annotated[Pace, Doc('As recorded; "fastest": each frame when it is read, so that none is skipped')] = "own"
+    repeat: Annotated[bool, Doc("Start again after the last frame; otherwise no more frames come")] = False
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceKind:
+    """A driver. Its module is imported when it is needed; it has the device's class and a function `discover`."""
+
+    settings: Any  # their class
+    device: str = ""  # module and class; empty: not opened on its own
+    name: str = ""  # in the list of connected devices; empty: not searched for
+    package: str = ""  # of Python, through which the device is called; others report their library as a property
+
+    @property
+    def driver(self) -> str:
+        """Name of the driver in a bench."""
+        return str(self.settings.__dataclass_fields__["driver"].default)
+
+    def open(self, settings: DeviceSettings) -> Any:
+        """Open the device."""
+        module, _, name = self.device.rpartition(".")
+        return getattr(import_module(module), name)(settings)
+
+    def discover(self) -> tuple[tuple[DiscoveredDevice, ...], str]:
+        """Return the connected devices, and what is missing to search for them, if anything."""
+        try:
+            return import_module(self.device.rpartition(".")[0]).discover(), ""
+        except DeviceError as error:
+            return (), str(error)
+
+
+def _by_driver(kinds: Iterable[DeviceKind]) -> Mapping[str, DeviceKind]:
+    return {kind.driver: kind for kind in kinds}
+
+
+_CAMERAS = (
+    DeviceKind(SimulatedCameraSettings),
+    DeviceKind(DcamSettings, "drivers.dcam.camera.DcamCamera", "Hamamatsu cameras, over the DCAM-API"),
+    DeviceKind(
+        GenicamSettings, "drivers.genicam.camera.GenicamCamera", "GigE Vision and USB3 Vision cameras, over Aravis"
+    ),
+    DeviceKind(
+        MicroManagerSettings,
+        "drivers.micro_manager.camera.MicroManagerCamera",
+        "Cameras of other makers, over Micro-Manager",
+        "pymmcore",
+    ),
+    DeviceKind(RecordingSettings),
+)
+_LIGHTS = (
+    DeviceKind(SimulatedLightSettings),
+    DeviceKind(
+        DC4100Settings,
+        "drivers.serial_lights.thorlabs_dc4100.ThorlabsDC4100",
+        "Thorlabs DC4100 and DC4104 LED drivers, on serial ports",
+        "pyserial",
+    ),
+    DeviceKind(
+        DC2200Settings,
+        "drivers.usb_lights.thorlabs_dc2200.ThorlabsDC2200",
+        "Thorlabs DC2200 LED drivers, on USB",
+        "pyusb",
+    ),
+    DeviceKind(
+        CoolLEDSettings,
+        "drivers.serial_lights.coolled.CoolLED",
+        "CoolLED pE-300, pE-340fura and pE-4000, on serial ports",
+        "pyserial",
+    ),
+    DeviceKind(ManualLightSettings, "drivers.light_source.ManualLight"),
+)
+DRIVERS = {"camera": _by_driver(_CAMERAS), "light": _by_driver(_LIGHTS)}  # by section of a bench and name
+KINDS = tuple(kind for kinds in DRIVERS.values() for kind in kinds.values() if kind.name)
