@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from app.bench.config import Bench
     from app.errors import InputError, Interrupted, RunError
     from app.evaluation.simulated_frames import SimulatedFrames
-    from app.measurement.bench_reconstructor import BenchReconstructor
+    from app.measurement.estimator import BenchReconstructor
     from app.measurement.measurement import Measurement
     from app.results.opened_recording import OpenedRecording
     from drivers.errors import (
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 _TYPES = {
     "BadValue": "drivers.errors",
     "Bench": "app.bench.config",
-    "BenchReconstructor": "app.measurement.bench_reconstructor",
+    "BenchReconstructor": "app.measurement.estimator",
     "Busy": "drivers.errors",
     "DeviceError": "drivers.errors",
     "DeviceTimeout": "drivers.errors",
@@ -208,7 +208,7 @@ def find_lattice(reference: Counts, bench: Bench, *, dark: Counts | None = None)
     >>> round(svwfs.find_lattice(images.reference, bench).pitch_px, 2)
     31.25
     """
-    from app.measurement.bench_reconstructor import as_image
+    from app.measurement.estimator import as_image
     from reconstruction.lattice.search import survey
 
     background = None if dark is None else as_image(dark, "dark")
@@ -273,7 +273,7 @@ def reconstructor(
     >>> bool(abs(wavefront.views - images.truth).mean() < 0.1)  # rad
     True
     """
-    from app.measurement.bench_reconstructor import BenchReconstructor
+    from app.measurement.estimator import BenchReconstructor
     from reconstruction.own_methods import OwnMethods
 
     own = OwnMethods(registration, basis)
@@ -567,7 +567,7 @@ def deconvolve(
     import xarray as xr
 
     from app.commands.deconvolve import correct
-    from app.measurement.bench_reconstructor import as_image
+    from app.measurement.estimator import as_image
 
     phase_at, bench = _phase_at(source, bench), _bench(bench)
     made = correct(as_image(image, "image"), phase_at, bench, method, iterations, lambda *_: None, name="image")

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from app.acquisition.instrument import Instrument
 from app.errors import InputError
-from app.measurement.routines.frames import Cancelled, RoutineError
+from app.measurement.routines import Cancelled, RoutineError
 from drivers.interface import BadValue, Unsupported, WrongState
 from reconstruction.errors import ReconstructionError
 

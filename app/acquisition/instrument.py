@@ -5,20 +5,19 @@ It runs in the thread that owns the devices; other threads see its frozen `Statu
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from app.acquisition.kept_averages import KeptAverages
 from app.acquisition.validity import Validity
 from app.bench.config import Bench, with_known
 from app.bench.settings_words import changes_in_words
-from app.measurement.assumptions import mask_sentence
+from app.measurement.auto_exposure import AutoExposure, auto_expose
+from app.measurement.averages import Average, BackgroundCheck, check_background, take_dark, take_reference
 from app.measurement.calibration import Calibration, surveyed
-from app.measurement.live_solver import Assumptions, LiveSolver
-from app.measurement.measurement import SKIPPED, Reconstruction
-from app.measurement.routines.auto_exposure import AutoExposure, auto_expose
-from app.measurement.routines.averages import Average, take_dark, take_reference
-from app.measurement.routines.background import BackgroundCheck, check_background
-from app.measurement.routines.device_state import Circumstances
-from app.measurement.routines.frames import FrameProgress, RoutineError, ShouldStop
+from app.measurement.estimator import Estimator, mask_sentence
+from app.measurement.live_solver import LiveSolver
+from app.measurement.measurement import SKIPPED, Assumptions, Measurement
+from app.measurement.routines import Circumstances, FrameProgress, RoutineError, ShouldStop
 from app.measurement.sensor_region import SensorArea, moved_bench, moved_lattice, set_area
 from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
@@ -26,9 +25,6 @@ from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError, TooManyModes
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
-from reconstruction.pipeline import Reconstructor
-from reconstruction.quality.frame_quality import FrameJudge
-from reconstruction.quality.sequence import sequence_quality
 from reconstruction.quality.verdict import Fault, Quality
 
 
@@ -93,11 +89,9 @@ class Instrument:
         self._timings = timings or Timings()
         self.bench = bench  # with the current settings
         self.darks, self.references = KeptAverages("dark", is_lit=False), KeptAverages("reference", is_lit=True)
-        self.calibration: Calibration | None = None  # None if frames cannot be reconstructed
         self._lattice = bench.lattice
-        self._reconstructor: Reconstructor | None = None
+        self._estimator: Estimator | None = None  # None if frames cannot be reconstructed
         self._solver: LiveSolver | None = None
-        self._judge: FrameJudge | None = None
         self._before: Displacement | None = None  # displacement of the previous frame
         self._previous: Frame | None = None
         self._is_of_modes = False  # whether the problem is their number, and neither dark nor reference
@@ -112,9 +106,9 @@ class Instrument:
         """Query the devices."""
         camera, light, stage = self.devices.camera, self.devices.light, self.devices.stage
         now = self._now()
-        problem = self._problem if self._reconstructor is None else ""
+        problem = self._problem if self._estimator is None else ""
         of_dark, of_reference = self.darks.doubt(now), self.references.doubt(now)
-        judged = Quality() if self._judge is None else self._judge.of_reference
+        judged = Quality() if self._estimator is None else self._estimator.judge.of_reference
         of_reference = of_reference or judged.reasons.get(Fault.CLIPPED, "")  # its other faults are warnings
         blamed = "" if self._is_of_modes else problem
         return Status(
@@ -140,7 +134,7 @@ class Instrument:
             reference_note=self.references.note(blamed or of_reference),
             lattice=self._lattice,
             warning=problem or of_dark or of_reference or judged.sentence,
-            mask_note="" if self._reconstructor is None else mask_sentence(self._reconstructor),
+            mask_note="" if self._estimator is None else mask_sentence(self._estimator.reconstructor),
             temperature_c=camera.temperature_c,
         )
 
@@ -188,7 +182,7 @@ class Instrument:
     def survey(self, reference: Average) -> Survey:
         """Find the lenslets in a reference of the current region; `ReconstructionError` if it shows none."""
         dark = self.darks.fitting(self._now())
-        return surveyed(self.bench, dark, reference, self.devices.camera.capabilities.full_scale)
+        return surveyed(self.bench.sensor, dark, reference, self.devices.camera.capabilities.full_scale)
 
     def set_area(self, area: SensorArea) -> SensorArea:
         """Read out another area of the sensor, the camera paused; return the area that the camera accepted.
@@ -229,28 +223,26 @@ class Instrument:
         """True if the first frames show what is assumed of later ones: layers, or a correction."""
         return self._solver is not None and self._solver.prepares
 
-    def measure(self, frame: Frame) -> Reconstruction:
-        """Reconstruct a frame, or say why that is impossible."""
-        calibration, start = self.calibration, self._before
-        previous, self._previous = self._previous, frame
-        if self._reconstructor is None or self._solver is None or self._judge is None:
-            return Reconstruction(None, self._problem)
-        try:
-            with self._timings.of("register"):
-                registered = self._reconstructor.register(frame.pixels, start=start)
-            with self._timings.of("reconstruct"):
-                wavefront, assumed = self._solver.solve(registered, frame.camera_time_s)
-                quality = self._judge(frame.pixels, wavefront.displacement) | _beside(previous, frame)
-        except ReconstructionError as error:
-            return Reconstruction(None, str(error), calibration, start)
-        self._before = registered
-        return Reconstruction(wavefront, "", calibration, start, registered, assumed, quality)
+    @property
+    def calibration(self) -> Calibration | None:
+        """The calibration in force; None if frames cannot be reconstructed."""
+        return None if self._estimator is None else self._estimator.calibration
 
-    def skip(self, frame: Frame) -> Reconstruction:
+    def measure(self, frame: Frame) -> Measurement:
+        """Reconstruct a frame, or say why that is impossible."""
+        previous, self._previous = self._previous, frame
+        if self._estimator is None or self._solver is None:
+            return Measurement(frame, None, self._problem)
+        solve = partial(self._solver.solve, time_s=frame.camera_time_s)
+        made = self._estimator.measure(frame, solve, self._timings, start=self._before, previous=previous)
+        self._before = made.registered or self._before
+        return made
+
+    def skip(self, frame: Frame) -> Measurement:
         """Skip a frame, keeping what a later reconstruction needs: calibration and the previous frame's assumptions."""
         self._previous = frame
         assumed = Assumptions() if self._solver is None else self._solver.as_before(frame.camera_time_s)
-        return Reconstruction(None, SKIPPED, self.calibration, assumed=assumed)
+        return Measurement(frame, None, SKIPPED, calibration=self.calibration, assumed=assumed)
 
     def close(self) -> None:
         """Stop the thread of the solver; the caller closes the devices."""
@@ -268,7 +260,7 @@ class Instrument:
 
     def _prepare(self, cause: str) -> None:
         """Rebuild the reconstructor, the camera paused; a failure becomes the warning in the status."""
-        self.calibration = self._reconstructor = self._judge = self._before = None
+        self._estimator = self._before = None
         self.close()
         reference = self.references.average
         if reference is None:
@@ -281,18 +273,10 @@ class Instrument:
         self._show_preparation(f"preparing the reconstruction {cause}")
         try:
             with camera.paused():
-                calibration = Calibration.of(bench, dark, reference, camera.capabilities.full_scale)
-                self._lattice = calibration.lattice
-                self._reconstructor = calibration.reconstructor()
-                self._judge = calibration.judge(self._reconstructor)
-                self._solver = LiveSolver(bench, self._reconstructor)
-                self.calibration = calibration
+                estimator = Estimator(Calibration.of(bench, dark, reference, camera.capabilities.full_scale))
+                self._lattice = estimator.calibration.lattice
+                _ = estimator.judge  # prepared before the first frame
+                self._solver = LiveSolver(estimator)
+                self._estimator = estimator
         except ReconstructionError as error:
             self._problem, self._is_of_modes = str(error), isinstance(error, TooManyModes)
-
-
-def _beside(previous: Frame | None, frame: Frame) -> Quality:
-    """Quality of a frame beside the one before; the camera counts from 0 after a restart."""
-    if previous is None or frame.index <= previous.index:
-        return Quality()
-    return sequence_quality(previous.pixels, frame.pixels, frame.camera_time_s - previous.camera_time_s)

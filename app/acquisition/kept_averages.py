@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from app.acquisition.validity import Validity, about, as_averaged, doubt, fits, note, validity
-from app.measurement.routines.averages import Average
-from app.measurement.routines.device_state import Circumstances
+from app.measurement.averages import Average
+from app.measurement.routines import Circumstances
 from drivers.interface import Region
 
 _MOST = 8  # each as large as two frames of floats

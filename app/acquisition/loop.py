@@ -20,7 +20,7 @@ from app.acquisition.light_switch import LightSwitch
 from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.measurement.measurement import FrameTotals, LightState, Measurement
-from app.measurement.routines.frames import WAIT_SLICE_S, Cancelled
+from app.measurement.routines import WAIT_SLICE_S, Cancelled
 from app.recording.recorder import Recorder
 from app.timing import Timings, short_turns
 from drivers.interface import DeviceError, Devices

@@ -15,7 +15,7 @@ from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
-from app.measurement.bench_reconstructor import whole_number
+from app.measurement.estimator import whole_number
 from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.recorder import Limit
 from drivers.interface import Devices, WrongState

@@ -5,8 +5,8 @@ from dataclasses import replace
 from datetime import datetime
 from typing import Literal
 
-from app.measurement.routines.averages import Average
-from app.measurement.routines.device_state import Circumstances
+from app.measurement.averages import Average
+from app.measurement.routines import Circumstances
 from app.progress import counted
 
 Validity = Literal["missing", "doubtful", "good"]

@@ -1,10 +1,9 @@
 """Routines of the guided calibration that take the sample out of the beam and move it back."""
 
 from app.acquisition.instrument import Instrument
-from app.measurement.routines.auto_exposure import AutoExposure
-from app.measurement.routines.averages import take_reference
-from app.measurement.routines.device_state import restored
-from app.measurement.routines.frames import FrameProgress, ShouldStop
+from app.measurement.auto_exposure import AutoExposure
+from app.measurement.averages import take_reference
+from app.measurement.routines import FrameProgress, ShouldStop, restored
 from reconstruction.lattice.search import Survey
 
 _FRAMES = 4  # averaged to find the lattice

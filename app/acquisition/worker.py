@@ -10,9 +10,9 @@ from app.acquisition.instrument import Instrument
 from app.acquisition.loop import AcquisitionLoop, Activity
 from app.acquisition.without_sample import expose, find_lattice
 from app.bench.config import write_bench
+from app.measurement.auto_exposure import AutoExposure
+from app.measurement.averages import BackgroundCheck
 from app.measurement.measurement import FrameTotals, Measurement
-from app.measurement.routines.auto_exposure import AutoExposure
-from app.measurement.routines.background import BackgroundCheck
 from app.measurement.sensor_region import SensorArea
 from app.progress import counted
 from app.recording.recorder import Limit, RecordingState

@@ -10,7 +10,7 @@ from app.acquisition.start_up import FRAMES
 from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.noise_free import NoiseFreeFrames
-from app.measurement.bench_reconstructor import whole_number
+from app.measurement.estimator import whole_number
 from reconstruction.arrays import Counts, Floats, Image
 from simulated_devices.detector import Detector, Exposure
 

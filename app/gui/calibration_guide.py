@@ -13,8 +13,8 @@ from app.acquisition.worker import Acquisition
 from app.gui import theme
 from app.gui.widgets import button, column, label, row
 from app.gui.wording import exposure_found, lattice_found
-from app.measurement.routines.auto_exposure import AutoExposure
-from app.measurement.routines.frames import Cancelled
+from app.measurement.auto_exposure import AutoExposure
+from app.measurement.routines import Cancelled
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 

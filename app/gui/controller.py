@@ -29,7 +29,7 @@ from app.gui.recording_panel import RecordingPanel
 from app.gui.sensor_region_dialog import SensorRegionDialog
 from app.gui.settings_control import SettingsControl
 from app.gui.wording import area_taken, exposure_found, lattice_found, recording_ended
-from app.measurement.routines.background import BackgroundCheck
+from app.measurement.averages import BackgroundCheck
 from app.measurement.sensor_region import SensorArea, in_steps, region_around
 from app.memory import release_memory
 from app.recording.recorder import Limit

@@ -17,7 +17,7 @@ from app.gui.number_field import NumberField
 from app.gui.presentation import percent
 from app.gui.step_button import StepButton
 from app.gui.widgets import Button, Choice, Item, Slot, button, column, label, mark_wanted, row, toggle
-from app.measurement.routines.averages import AVERAGED_FRAMES
+from app.measurement.averages import AVERAGED_FRAMES
 from app.results.pictures import FrameStatistics
 from drivers.interface import Range
 from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis, RegistrationSettings

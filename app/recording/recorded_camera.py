@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from app.bench.settings import Pace
 from app.errors import InputError
+from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
-from app.measurement.routines.averages import Average
 from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from drivers.interface import Camera, CameraCapabilities, DeviceTimeout, Disconnected, Frame, FrameLost, Range

@@ -12,7 +12,7 @@ from app.evaluation.cases import CaseResult
 from app.evaluation.noise_free import NoiseFreeFrames, seeded
 from app.evaluation.simulated_frames import simulated_frames
 from app.evaluation.study_kinds import PhotographStudy
-from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.estimator import BenchReconstructor
 from app.progress import Progress
 from reconstruction.arrays import Floats
 from reconstruction.deconvolution.corrected_image import PhaseAt, corrected_image

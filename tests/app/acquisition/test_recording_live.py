@@ -17,7 +17,7 @@ from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
-from app.measurement.measurement import SKIPPED, Measurement, Reconstruction
+from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState
 from app.recording.recover import recover
@@ -72,8 +72,8 @@ def make_live(small_toml: Path) -> Iterator[Callable[..., Live]]:
 def assert_made_again(recording: Recording) -> None:
     """Check that every frame is reproduced bit by bit."""
     for made in reprocess(recording):
-        index = made.line.index
-        if made.line.problem:
+        index = made.index
+        if recording.line(index).problem:
             continue
         assert made.registered is not None
         assert made.wavefront is not None
@@ -122,7 +122,7 @@ def measure_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the reconstruction slower than the camera."""
     measure = Instrument.measure
 
-    def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
+    def slowly(instrument: Instrument, frame: Frame) -> Measurement:
         time.sleep(0.2)
         return measure(instrument, frame)
 
@@ -167,7 +167,7 @@ def test_skipped_frames_keep_previous_refinement(
     before = lines[0]
     for line, made in zip(lines[1:], list(reprocess(recording))[1:], strict=True):
         if line.problem == SKIPPED:
-            assert (line.bias, made.is_refined) == (before.bias, before.bias is not None)
+            assert (line.bias, made.assumed.refinement.bias is not None) == (before.bias, before.bias is not None)
             if line.bias_age_s is not None and before.bias_age_s is not None:
                 later_s = line.camera_time_s - before.camera_time_s
                 assert line.bias_age_s == pytest.approx(before.bias_age_s + later_s)

@@ -18,10 +18,9 @@ from app.acquisition.kept_averages import KeptAverages
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
-from app.measurement.routines.auto_exposure import AutoExposure, auto_expose
-from app.measurement.routines.averages import Average
-from app.measurement.routines.device_state import Circumstances
-from app.measurement.routines.frames import Cancelled, RoutineError
+from app.measurement.auto_exposure import AutoExposure, auto_expose
+from app.measurement.averages import Average
+from app.measurement.routines import Cancelled, Circumstances, RoutineError
 from app.measurement.sensor_region import SensorArea
 from drivers.interface import Devices, DeviceTimeout, Region
 from reconstruction.frame.noise import CameraNoise
@@ -111,7 +110,7 @@ def test_auto_exposure_can_be_cancelled(small_toml: Path) -> None:
 
 
 def test_camera_stalled_in_auto_exposure_ends_loop_dark(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.measurement.routines.frames._MARGIN_S", 0.2)
+    monkeypatch.setattr("app.measurement.routines._MARGIN_S", 0.2)
     started(live)
     assert live.devices is not None
     camera, light = live.devices.camera, live.devices.light

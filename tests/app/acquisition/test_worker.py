@@ -20,8 +20,8 @@ from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import SKIPPED, Reconstruction
-from app.measurement.routines.frames import Cancelled
+from app.measurement.measurement import SKIPPED
+from app.measurement.routines import Cancelled
 from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.verdict import Fault
@@ -293,7 +293,7 @@ def test_unplugged_camera_ends_loop_with_light_off(running: Running) -> None:
 @pytest.mark.slow
 def test_stalled_camera_ends_loop(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     running.begin()
-    monkeypatch.setattr("app.measurement.routines.frames._MARGIN_S", 0.3)
+    monkeypatch.setattr("app.measurement.routines._MARGIN_S", 0.3)
     running.camera.stall()
     wait_until(lambda: not running.acquisition.is_alive)
     assert "no frame" in running.acquisition.failure
@@ -332,7 +332,7 @@ def test_close_works_before_start_and_twice(small_toml: Path) -> None:
 def test_slow_reconstruction_skips_to_newest_frame(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measure = Instrument.measure
 
-    def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
+    def slowly(instrument: Instrument, frame: Frame) -> Measurement:
         time.sleep(0.2)
         return measure(instrument, frame)
 
@@ -365,11 +365,11 @@ def test_slow_reconstruction_skips_to_newest_frame(small_toml: Path, monkeypatch
 def test_slow_skipping_still_measures_and_stops(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measure, skip = Instrument.measure, Instrument.skip
 
-    def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
+    def slowly(instrument: Instrument, frame: Frame) -> Measurement:
         time.sleep(0.2)
         return measure(instrument, frame)
 
-    def more_slowly_than_they_come(instrument: Instrument, frame: Frame) -> Reconstruction:
+    def more_slowly_than_they_come(instrument: Instrument, frame: Frame) -> Measurement:
         time.sleep(0.03)
         return skip(instrument, frame)
 
@@ -408,7 +408,7 @@ def test_light_timeout_while_skipping_is_not_the_cameras(small_toml: Path, monke
     skip, status = Instrument.skip, Instrument.status
     has_skipped = threading.Event()
 
-    def skip_before(instrument: Instrument, frame: Frame) -> Reconstruction:
+    def skip_before(instrument: Instrument, frame: Frame) -> Measurement:
         has_skipped.set()
         return skip(instrument, frame)
 
@@ -418,9 +418,9 @@ def test_light_timeout_while_skipping_is_not_the_cameras(small_toml: Path, monke
             raise DeviceTimeout("the light did not answer")
         return status(instrument)
 
-    def measure_slowly(*_: object) -> Reconstruction:
+    def measure_slowly(_: Instrument, frame: Frame) -> Measurement:
         time.sleep(0.4)
-        return Reconstruction(None, "slow")
+        return Measurement(frame, None, "slow")
 
     running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
     try:
@@ -456,7 +456,7 @@ def test_camera_that_repeats_a_frame_is_reported(small_toml: Path) -> None:
         frame = running.newest.frame
         assert not running.newest.quality.reasons
 
-        def repeat(_: Instrument) -> list[Reconstruction]:
+        def repeat(_: Instrument) -> list[Measurement]:
             later = [
                 replace(frame, index=frame.index + step, camera_time_s=frame.camera_time_s + step) for step in (1, 2)
             ]

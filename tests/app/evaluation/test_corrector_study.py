@@ -10,7 +10,7 @@ import pytest
 from app.bench.config import load_bench
 from app.evaluation.simulated_frames import simulated_frames
 from app.evaluation.study.corrector import predicted_and_simulated
-from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.estimator import BenchReconstructor
 from reconstruction.arrays import Floats
 from reconstruction.geometry import centered_steps
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m

@@ -18,7 +18,7 @@ from app.acquisition.validity import Validity
 from app.gui import theme
 from app.gui.main_window import MainWindow
 from app.gui.names import NAMES
-from app.measurement.routines.averages import AVERAGED_FRAMES
+from app.measurement.averages import AVERAGED_FRAMES
 from reconstruction.settings import Method, PupilBasis
 
 

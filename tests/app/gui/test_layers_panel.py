@@ -18,9 +18,9 @@ from support.window_tools import MakeWindow, click, press, tab
 from app.bench.config import load_bench
 from app.evaluation.simulated_frames import simulated_frames
 from app.gui.main_window import MainWindow
+from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement
-from app.measurement.routines.averages import Average
 from app.results.shown_layers import FoundLayers, LayersRequest, find_shown_layers
 from simulated_devices.sample import make_sample
 

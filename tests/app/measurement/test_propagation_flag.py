@@ -6,7 +6,7 @@ import pytest
 
 from app.bench.config import load_bench
 from app.evaluation.simulated_frames import simulated_frames
-from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.estimator import BenchReconstructor
 from reconstruction.quality.verdict import Fault, Quality
 
 

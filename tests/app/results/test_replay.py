@@ -20,7 +20,7 @@ from support.recordings import edit_line, record, remove_coefficients, replace_p
 from app.bench.config import write_bench
 from app.bench.imaging_model import lenslet_model
 from app.errors import InputError, Interrupted, RunError
-from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
+from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.frame_lines import assumed_sample
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
@@ -285,7 +285,7 @@ def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Reco
             if index == DARK:
                 frame = replace(frame, pixels=np.full_like(frame.pixels, 500))
             start = None if index == CHANGED else before
-            made = Measurement(frame, None, "", FrameTotals(), 0, 0, calibration=calibration)
+            made = Measurement(frame, None, "", calibration=calibration)
             if index == UNCALIBRATED:
                 made = replace(made, calibration=None, problem="no reference yet")
             elif index == PASSED:
@@ -299,7 +299,7 @@ def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Reco
                     before = registered
                 except ReconstructionError as error:
                     made = replace(made, problem=str(error), start=start)
-            writer.write(Record.of(made, 0))
+            writer.write(Record.of(made))
     writer.finish("", acquired=8, facts={})
     writer.close()
     return Recording(folder)
