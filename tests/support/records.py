@@ -33,7 +33,7 @@ def make_frame(index: int, shape: tuple[int, int] = SHAPE) -> Frame:
 def make_record(index: int, calibration: Calibration | None = None, **changes: Any) -> Record:
     """Return a record of noise, with results if it has a calibration."""
     has = calibration is not None
-    refinement = RefinementState(age_s=changes.pop("bias_age_s", np.nan), bias=changes.pop("bias", None))
+    refinement = RefinementState(age_s=changes.pop("bias_age_s", 0.0), bias=changes.pop("bias", None))
     of_arrays = {field.name for field in fields(Record)}
     measurement = Measurement(
         frame=make_frame(index),

@@ -26,3 +26,14 @@ def test_exposure_end_follows_a_drifting_clock(drift: float) -> None:
     measured = path._completed(Measurement(frame, None, ""), None)
     # The fastest transfer, 10 ms, counts as none.
     assert measured.exposure_end_s == pytest.approx(100.0 + 7200 + 0.01, abs=0.011)
+
+
+def test_lost_frames_are_counted_and_noted_with_the_next() -> None:
+    path, made = FramePath((), Timings(), lambda _: False), list[Measurement]()
+    for index in (0, 1, 4, 5, 2):  # the camera was restarted before the last
+        frame = Frame(EXPOSED, index, float(index), 100.0 + index, 0.1, 1.0)
+        path._count(frame)
+        made.append(path._completed(Measurement(frame, None, ""), None))
+    assert [each.lost for each in made] == [0, 0, 2, 0, 2]
+    assert [each.counts.lost for each in made] == [0, 0, 2, 2, 4]
+    assert [each.counts.acquired for each in made] == [1, 2, 3, 4, 5]
