@@ -1,15 +1,20 @@
-"""Path of a frame from the camera through the instrument to the sinks and the mailbox."""
+"""Path of a frame from the camera, or a file, through the instrument to the sinks and the mailbox."""
 
 import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
 
 from app.acquisition.instrument import Instrument
+from app.errors import InputError
+from app.images import read_image
 from app.measurement.measurement import FrameTotals, Gap, LightState, Measurement
 from app.measurement.routines import next_frame
 from app.timing import Timings
-from drivers.interface import DeviceTimeout, Frame, FrameLost
+from drivers.interface import Camera, DeviceTimeout, Frame, FrameLost
 
 _SKIPPING_S = 0.5  # time limit for skipping frames that arrive faster than they can be skipped
 _CLOCK_DRIFT = 5e-4  # rate of the camera's clock beside this computer's, at most
@@ -26,7 +31,7 @@ class FramePath:
         must_stop_waiting: Callable[[Instrument], bool],
     ) -> None:
         """`must_stop_waiting` is polled at 10 Hz while waiting for a frame."""
-        self._sinks, self._timings, self._must_stop_waiting = sinks, timings, must_stop_waiting
+        self.sinks, self._timings, self._must_stop_waiting = sinks, timings, must_stop_waiting
         self.newest: Measurement | None = None  # the mailbox: written by one thread, read by all
         self.counts = FrameTotals()  # immutable: other threads read it
         self._next_index = 0
@@ -84,7 +89,7 @@ class FramePath:
         return frame
 
     def _publish(self, measurement: Measurement) -> None:
-        for sink in self._sinks:
+        for sink in self.sinks:
             sink(measurement)
 
     def _completed(self, made: Measurement, light: LightState | None, file: str = "") -> Measurement:
@@ -125,3 +130,21 @@ class FramePath:
     def _exposure_end_s(self, frame: Frame) -> float:
         """End of the exposure on this computer's clock, `time.perf_counter()`."""
         return frame.camera_time_s + self._clock_lag_s
+
+
+def read_frame(path: Path, camera: Camera) -> Frame:
+    """Read an image file as a frame with the exposure and gain of a camera.
+
+    Raises
+    ------
+    InputError
+        It is no image of counts from 0 to 65535, or of another size than the camera's frames.
+    """
+    image, allowed = read_image(path), camera.capabilities
+    if image.shape != (allowed.rows, allowed.columns):
+        sizes = f"{image.shape[0]} x {image.shape[1]} pixels, the camera's frames {allowed.rows} x {allowed.columns}"
+        raise InputError(f"{path}: has {sizes}")
+    if not (np.isfinite(image).all() and image.min() >= 0 and image.max() <= np.iinfo(np.uint16).max):
+        raise InputError(f"{path}: holds values that are no counts from 0 to 65535")
+    now_s = time.perf_counter()
+    return Frame(np.rint(image).astype(np.uint16), 0, now_s, now_s, camera.exposure_s, camera.em_gain)

@@ -7,9 +7,9 @@ from typing import Any, get_args
 from PyQt6.QtCore import QSize, pyqtBoundSignal, pyqtSignal
 from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QFrame, QHBoxLayout, QSizePolicy, QWidget
 
-from app.acquisition.calibration_steps import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.acquisition.instrument import Status
-from app.acquisition.validity import Validity, taken_at
+from app.acquisition.kept_averages import Validity, taken_at
+from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.bench.config import AUTOMATIC, Bench
 from app.gui import theme
 from app.gui.automatic_tips import MODES_TIP, WARP_TIP

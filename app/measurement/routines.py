@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 
@@ -28,6 +29,16 @@ from drivers.interface import (
 
 FrameProgress = Callable[[Frame, float], None]  # newest frame, fraction done 0 ... 1
 ShouldStop = Callable[[], bool]
+
+
+class Watch(TypedDict):
+    """Callbacks of a routine."""
+
+    progress: FrameProgress
+    should_stop: ShouldStop
+
+
+UNWATCHED: Watch = {"progress": lambda *_: None, "should_stop": lambda: False}
 
 WAIT_SLICE_S = 0.1  # longest wait, so that a stop takes effect at once even in a long exposure
 _MARGIN_S = 3.0  # timeout beyond the exposure

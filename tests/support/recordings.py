@@ -42,8 +42,8 @@ def record(
         closing(RecordingWriter(folder, _facts(bench, instrument))) as writer,
     ):
         devices.light.set_on(True)
-        instrument.take_dark(4, progress=lambda *_: None, should_stop=lambda: False)
-        instrument.take_reference(4, progress=lambda *_: None, should_stop=lambda: False)
+        instrument.take_dark(4)
+        instrument.take_reference(4)
         devices.stage.set_sample_in(True)
         devices.camera.start()
         for _ in range(before):

@@ -137,8 +137,8 @@ def test_refused_setting_keeps_loop_running(running: Running) -> None:
 @pytest.mark.slow
 def test_routines_restore_devices(running: Running) -> None:
     running.begin()
-    running.acquisition.take_dark(3).result(HANG_S)
-    running.acquisition.take_reference(3).result(HANG_S)
+    running.acquisition.submit(Instrument.take_dark, 3).result(HANG_S)
+    running.acquisition.submit(Instrument.take_reference, 3).result(HANG_S)
     status = running.acquisition.status
     assert status is not None
     assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, True)
@@ -147,7 +147,7 @@ def test_routines_restore_devices(running: Running) -> None:
 
 def test_cancelled_routine_restores_devices(running: Running) -> None:
     running.begin()
-    long = running.acquisition.take_dark(10_000)
+    long = running.acquisition.submit(Instrument.take_dark, 10_000)
     wait_until(lambda: running.newest.problem == "taking the dark, 10000 frames")
     newest = running.newest
     assert newest.wavefront is None  # shown, not measured
@@ -171,14 +171,14 @@ def test_dark_ends_with_the_status_of_the_light(running: Running, monkeypatch: p
         seen.add((acquisition.activity.text, acquisition.status.is_light_on))
 
     monkeypatch.setattr(Acquisition, "__setattr__", note)
-    running.acquisition.take_dark(3).result(HANG_S)
+    running.acquisition.submit(Instrument.take_dark, 3).result(HANG_S)
     assert ("taking the dark, 3 frames", False) in seen
     assert ("", False) not in seen  # the window would ask for the light
 
 
 def test_cancel_affects_only_running_routine(running: Running) -> None:
     running.begin()
-    first, second = running.acquisition.take_dark(10_000), running.acquisition.take_dark(2)
+    first, second = (running.acquisition.submit(Instrument.take_dark, frames) for frames in (10_000, 2))
     wait_until(lambda: "dark" in running.acquisition.activity.text)
     running.acquisition.cancel()
     with pytest.raises(Cancelled):
@@ -245,7 +245,7 @@ def test_reference_clipped_by_the_full_well_is_doubtful(small_toml: Path) -> Non
 def test_reference_without_light_is_a_warning(running: Running) -> None:
     running.begin()
     running.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.0)).result(HANG_S)
-    running.acquisition.take_reference(2).result(HANG_S)
+    running.acquisition.submit(Instrument.take_reference, 2).result(HANG_S)
     assert running.acquisition.status is not None
     assert "no light" in running.acquisition.status.warning
     assert running.acquisition.status.reference == "doubtful"
@@ -308,13 +308,8 @@ def test_impossible_bench_is_input_error(small_toml: Path) -> None:
 
 
 def test_settings_change_while_running(running: Running) -> None:
-
     running.begin()
-    running.acquisition.submit(
-        lambda instrument: instrument.change_settings(
-            lambda bench: replace(bench, registration=replace(bench.registration, warp="affine"))
-        )
-    ).result(HANG_S)
+    running.acquisition.submit(Instrument.change_settings, [("registration.warp", "affine")]).result(HANG_S)
     wait_until(
         lambda: (
             (wavefront := running.measurements[-1].wavefront) is not None
@@ -398,7 +393,7 @@ def test_slow_devices_are_polled_less_often(running: Running, monkeypatch: pytes
         return status(instrument)
 
     running.begin()
-    monkeypatch.setattr("app.acquisition.loop._STATUS_INTERVAL_S", 0.01)
+    monkeypatch.setattr("app.acquisition.worker._STATUS_INTERVAL_S", 0.01)
     monkeypatch.setattr(Instrument, "status", slowly)
     wait_until(lambda: len(asked_s) > 2)
     assert min(asked - answered for asked, answered in zip(asked_s[1:], answered_s, strict=False)) >= 1.8
@@ -425,8 +420,8 @@ def test_light_timeout_while_skipping_is_not_the_cameras(small_toml: Path, monke
     running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
     try:
         running.begin()
-        monkeypatch.setattr("app.acquisition.loop._STATUS_INTERVAL_S", 0.0)
-        monkeypatch.setattr("app.acquisition.loop._STATUS_SHARE", math.inf)
+        monkeypatch.setattr("app.acquisition.worker._STATUS_INTERVAL_S", 0.0)
+        monkeypatch.setattr("app.acquisition.worker._STATUS_SHARE", math.inf)
         running.acquisition.submit(_is_dark).result(HANG_S)  # from here on the status is always due
         monkeypatch.setattr(Instrument, "status", silent_once)
         monkeypatch.setattr(Instrument, "skip", skip_before)
@@ -483,8 +478,8 @@ def test_worker_that_was_given_up_ends_silently(running: Running, monkeypatch: p
         raise RuntimeError("cannot schedule new futures after shutdown")
 
     monkeypatch.setattr(Calibration, "reconstructor", prepare_too_late)
-    change = running.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench))
-    waiting = running.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench))
+    change = running.acquisition.submit(lambda instrument: instrument.change_settings(()))
+    waiting = running.acquisition.submit(lambda instrument: instrument.change_settings(()))
     assert entered.wait(HANG_S)
     running.acquisition.begin_close()
     release.set()
@@ -505,7 +500,7 @@ def test_preparation_is_not_begun_after_the_request_to_end(running: Running, mon
         release.wait(HANG_S)
 
     running.acquisition.submit(hold)
-    change = running.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench))
+    change = running.acquisition.submit(lambda instrument: instrument.change_settings(()))
     assert entered.wait(HANG_S)
     running.acquisition.begin_close()
     release.set()

@@ -14,7 +14,7 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import press
 
-from app.acquisition.validity import Validity
+from app.acquisition.kept_averages import Validity
 from app.gui import theme
 from app.gui.main_window import MainWindow
 from app.gui.names import NAMES

@@ -136,7 +136,7 @@ def test_replay_that_can_show_no_wavefront_ends_at_once(
     arguments = ("--replay", folder, "--frames", "0:1", "--seconds", "0.5", "--out", tmp_path / "out")
     assert run(monkeypatch, "live", *arguments) == 1
     errors = capsys.readouterr().err
-    assert errors.startswith("svwfs: no wavefront: ")
+    assert errors.startswith("svwfs: no wavefront in the first 20 frames: ")
     assert "saturated" in errors
 
 
