@@ -12,7 +12,7 @@ import pytest
 
 import svwfs
 from app.evaluation.simulated_frames import SimulatedFrames
-from app.measurement.estimator import BenchReconstructor
+from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.wavefront import Wavefront
 
 METHODS = ["sample=automatic", "sample=free", "method=zonal", "pupil_modes=21"]

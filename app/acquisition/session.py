@@ -1,5 +1,7 @@
 """A live bench for commands, scripts and notebooks: it is opened, calibrated, iterated over or recorded, and closed."""
 
+from __future__ import annotations
+
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,10 +14,10 @@ from typing import Any, Self, TypeVar
 from app.acquisition.instrument import Instrument, Setting, Status
 from app.acquisition.start_up import FRAMES, calibrate, knows_sample, start_up
 from app.acquisition.worker import Acquisition
-from app.bench.config import Bench
+from app.bench.config import Bench, as_bench
 from app.bench.settings import RecordingSettings
 from app.errors import RunError
-from app.measurement.estimator import whole_number
+from app.measurement.bench_reconstructor import whole_number
 from app.measurement.measurement import SKIPPED, Measurement
 from app.progress import Progress, counted
 from app.recording.recorder import Limit, RecordingState
@@ -27,24 +29,50 @@ _WAIT_S = 0.05  # between two checks whether the acquisition still runs, and how
 _HOPELESS_FRAMES = 20  # without a wavefront, when the bench is calibrated
 
 
-class LiveBench:
-    """The devices of one bench, opened and closed by a `with` block; iterate over it for measurements.
+def live(bench: Bench, *, average: int = FRAMES) -> LiveBench:
+    """Open the devices of a bench for a `with` block; iterate over it for measurements.
 
-    Entering opens the devices, turns the light on, takes a dark and a reference, moves the sample in and starts the
-    camera. On a bench without motors, take the reference yourself. Leaving stops the
-    camera, turns the light off and closes the devices, also after an error or Ctrl-C.
+    Entering turns the light on, takes a dark and a reference, moves the sample in and starts the camera. Leaving stops
+    the camera, turns the light off and closes the devices, also after an error. On a bench without motors, take the
+    sample out, call `take_reference()`, put it in again, and call `note_sample_in()`.
 
     Parameters
     ----------
     bench
-        The bench.
+        The bench, simulated or real.
     average
-        Number of frames averaged in the first dark and the first reference; 0: entering only opens the devices.
-    progress
-        Receives what the bench is doing while a method waits for it.
+        Number of frames averaged in the first dark and the first reference.
+
+    Returns
+    -------
+    LiveBench
+        Iterating yields the newest `Measurement`: `.wavefront`, or None with the reason in `.problem`; `.frame`;
+        `.counts` of all frames. Methods: `take_dark`, `take_reference`, `auto_expose`, `set_exposure`, `set_em_gain`,
+        `set_light`, `set_light_current`, `record(folder, frames)`.
+
+    Raises
+    ------
+    DeviceError
+        If a device is missing or fails.
+    InputError
+        If the bench cannot be used.
+
+    Examples
+    --------
+    >>> with svwfs.live(bench) as instrument:
+    ...     for measurement in instrument:
+    ...         break
+    >>> measurement.wavefront.views.shape
+    (3, 3, 7, 7)
     """
+    return LiveBench(as_bench(bench), average=average)
+
+
+class LiveBench:
+    """The devices of one bench, opened and closed by a `with` block; iterate over it for measurements."""
 
     def __init__(self, bench: Bench, *, average: int = FRAMES, progress: Progress = lambda *_: None) -> None:
+        """Take no dark and reference on entering if `average` is 0; `progress` is told what a method waits for."""
         self._bench, self._average, self._progress = bench, average, progress
         self._arrived = threading.Condition()
         self._newest: Measurement | None = None

@@ -160,6 +160,15 @@ def load_bench(source: str | Path, overrides: tuple[str, ...] = (), *, is_record
     return parse_bench(text, str(source), overrides, is_recorded=is_recorded)
 
 
+def as_bench(bench: object) -> Bench:
+    """Return a bench, or the one of a file or preset; refuse anything else."""
+    if isinstance(bench, str):
+        return load_bench(bench)
+    if not isinstance(bench, Bench):
+        raise InputError(f"a bench is needed, as load_bench returns it, not {type(bench).__name__}")
+    return bench
+
+
 def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_recorded: bool = False) -> Bench:
     """Parse a bench from TOML text.
 

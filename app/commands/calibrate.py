@@ -82,7 +82,7 @@ def find_lattice(
 ) -> CalibratedBench:
     """Find the lattice in a reference image file; `InputError` if the files are unusable."""
     from app.images import read_image
-    from app.measurement.estimator import full_scale_of
+    from app.measurement.bench_reconstructor import full_scale_of
     from reconstruction.errors import ReconstructionError
     from reconstruction.lattice.search import survey
 

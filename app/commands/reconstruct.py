@@ -41,7 +41,7 @@ def reconstruct(
 
     Example: svwfs reconstruct frame.tif --reference reference.tif --dark dark.tif --bench bench.toml --out result.nc
     """
-    from app.measurement.estimator import BenchReconstructor
+    from app.measurement.bench_reconstructor import BenchReconstructor
     from app.results.dataset import result_dataset
     from app.results.figures import save_figure, views_figure
     from app.results.frame_tallies import QualityTally
@@ -108,7 +108,7 @@ def _check_scale(image: NDArray[Any], path: Path, other: NDArray[Any], other_pat
     """Raise `InputError` if another image has larger counts than this one's type, or the camera, allows it."""
     import numpy as np
 
-    from app.measurement.estimator import full_scale_of
+    from app.measurement.bench_reconstructor import full_scale_of
 
     most = full_scale_of(image, 64 if image.dtype.kind in "ui" else bits)
     if np.percentile(other, _PEAK_PERCENT, method="lower") > most:

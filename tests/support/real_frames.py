@@ -17,7 +17,7 @@ from scipy import ndimage, spatial
 
 from app.bench.config import Bench, load_bench
 from app.images import read_image
-from app.measurement.estimator import BenchReconstructor
+from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Arrangement, Lattice
 from reconstruction.lattice.search import Survey, survey

@@ -18,7 +18,7 @@ import numpy as np
 from app.bench.config import load_bench
 from app.errors import InputError
 from app.evaluation.noise_free import NoiseFreeFrames
-from app.measurement.estimator import BenchReconstructor
+from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.quality.verdict import Fault, Quality

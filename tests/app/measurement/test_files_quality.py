@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from app.bench.config import load_bench
 from app.evaluation.noise_free import NoiseFreeFrames
-from app.measurement.estimator import BenchReconstructor
+from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.quality.verdict import Fault, Quality
