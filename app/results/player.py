@@ -11,8 +11,7 @@ from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
 from app.recording.reader import Recording
-from app.recording.recorded_camera import RecordedCamera
-from app.recording.recorded_devices import recorded_devices
+from app.recording.recorded_devices import RecordedCamera, recorded_devices
 from app.results.replay import change_of
 from app.results.sources import version_notice
 from drivers.interface import Devices, Frame, FrameLost, WrongState

@@ -25,8 +25,7 @@ from app.measurement.averages import Average, average, take_dark, take_reference
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
 from app.recording.reader import Recording
-from app.recording.recorded_camera import AveragedFrames, RecordedCamera
-from app.recording.recorded_devices import recorded_devices
+from app.recording.recorded_devices import AveragedFrames, RecordedCamera, recorded_devices
 from app.recording.writer import Record, RecordingWriter
 from drivers.interface import BadValue, Camera, DeviceTimeout, Disconnected, Frame, FrameLost, Range, WrongState
 from reconstruction.wavefront import rms

@@ -18,7 +18,7 @@ from support.storm import storm_settings
 
 from app.errors import InputError
 from app.recording.reader import Recording
-from app.recording.recorded_camera import RecordedCamera
+from app.recording.recorded_devices import RecordedCamera
 from drivers.interface import Camera, Disconnected
 from simulated_devices.clock import ManualClock
 
