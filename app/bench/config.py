@@ -6,10 +6,8 @@ An invalid file raises one sentence that names the key and what is allowed.
 from __future__ import annotations
 
 import dataclasses
-import math
 import tomllib
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
@@ -25,7 +23,6 @@ from app.bench.settings import RecordingSettings, StreamSettings
 from app.errors import InputError
 from app.files import in_words
 from drivers.manual_light import ManualLightSettings
-from reconstruction.arrays import Counts
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.geometry import Field, Lattice, Sensor, nominal_lattice
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
@@ -34,9 +31,6 @@ from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSe
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from reconstruction.frame.noise import CameraNoise
-    from reconstruction.own_methods import OwnMethods
-    from reconstruction.pipeline import Reconstructor
 
 Settings = TypeVar("Settings", bound="DataclassInstance")
 
@@ -116,37 +110,6 @@ class Bench:
     def design_lattice(self, rows: int, columns: int) -> Lattice:
         """The configured lattice, or else the designed one in the middle of a frame of rows x columns pixels."""
         return self.lattice or nominal_lattice(self.sensor, rows, columns)
-
-    def reconstructor(
-        self,
-        reference: Counts,
-        *,
-        lattice: Lattice,
-        dark: Counts | None = None,
-        full_scale: float = math.inf,
-        noise: CameraNoise | None = None,
-        reference_frames: float = math.inf,
-        own: OwnMethods | None = None,
-    ) -> Reconstructor:
-        """Prepare the reconstruction of frames against a reference; see `Reconstructor` for the arguments."""
-        from app.bench.imaging_model import lenslet_model  # noqa: PLC0415 - reading a bench must not load Numba
-        from reconstruction.own_methods import NO_OWN  # noqa: PLC0415 - the same
-        from reconstruction.pipeline import Reconstructor  # noqa: PLC0415 - reading a bench must not load Numba
-
-        return Reconstructor(
-            reference,
-            sensor=self.sensor,
-            lattice=lattice,
-            field=self.field,
-            registration=self.registration,
-            reconstruction=self.reconstruction,
-            dark=dark,
-            full_scale=full_scale,
-            noise=noise,
-            reference_frames=reference_frames,
-            own=own or NO_OWN,
-            lenslet_model=partial(lenslet_model, self),
-        )
 
     @property
     def light_model(self) -> SimulatedLightSettings:

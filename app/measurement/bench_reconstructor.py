@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from app.bench.config import Bench, as_bench
 from app.errors import InputError
-from app.measurement.averages import Average
 from app.measurement.calibration import Calibration, KnownNoise
 from app.measurement.estimator import Estimator, mask_sentence
 from reconstruction.arrays import Counts, Mask
@@ -177,10 +176,9 @@ class BenchReconstructor:
         most = full_scale_of(reference, bench.camera_model.bits) if full_scale is None else full_scale
         if not (isinstance(most, float | int | np.number) and most > 0):
             raise InputError(f"full_scale = {full_scale!r}: give the count at which a pixel saturates, as 4095")
-        averages = None if dark is None else Average.of_image(dark), Average.of_image(reference)
         registration, reconstruction = own.named(bench.registration, bench.reconstruction)
         named = replace(bench, registration=registration, reconstruction=reconstruction)
-        self._calibration = replace(Calibration.of(named, *averages, most), own=own)
+        self._calibration = Calibration.of_images(named, reference, dark=dark, full_scale=most, own=own)
         self._is_scale_given = full_scale is not None
         self._estimator: Estimator | None = None
         self.bench = replace(named, lattice=self._calibration.lattice)

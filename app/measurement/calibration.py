@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 from app.bench.config import Bench
+from app.bench.imaging_model import lenslet_model
 from app.measurement.averages import Average
 from reconstruction.arrays import Counts
 from reconstruction.frame.noise import CameraNoise, TransferCurve, photon_transfer
@@ -46,6 +48,23 @@ class Calibration:
         lattice = bench.lattice or surveyed(bench.sensor, dark, reference, full_scale).lattice
         return cls(bench, dark, reference, lattice, full_scale)
 
+    @classmethod
+    def of_images(
+        cls,
+        bench: Bench,
+        reference: Counts,
+        *,
+        dark: Counts | None = None,
+        lattice: Lattice | None = None,
+        full_scale: float = math.inf,
+        known: KnownNoise = KnownNoise(None),
+        own: OwnMethods = NO_OWN,
+    ) -> Calibration:
+        """Take a reference and a dark, (row, column), that do not tell their noise, and a `lattice` if it is known."""
+        averages = None if dark is None else Average.of_image(dark), Average.of_image(reference)
+        lattice = lattice or bench.lattice or surveyed(bench.sensor, *averages, full_scale).lattice
+        return cls(bench, *averages, lattice, full_scale, known, own)
+
     @property
     def dark_image(self) -> Counts | None:
         """Mean of the dark, (row, column), counts; None without one."""
@@ -78,14 +97,20 @@ class Calibration:
 
     def reconstructor(self) -> Reconstructor:
         """Build the reconstructor; `ReconstructionError` if dark, reference and settings do not fit."""
-        return self.bench.reconstructor(
+        bench = self.bench
+        return Reconstructor(
             self.reference.mean,
+            sensor=bench.sensor,
             lattice=self.lattice,
+            field=bench.field,
+            registration=bench.registration,
+            reconstruction=bench.reconstruction,
             dark=self.dark_image,
             full_scale=self.full_scale,
             noise=self.noise,
             reference_frames=self.reference_frames,
             own=self.own,
+            lenslet_model=partial(lenslet_model, bench),
         )
 
 

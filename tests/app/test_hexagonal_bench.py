@@ -16,6 +16,7 @@ from app.cli import main
 from app.errors import InputError
 from app.evaluation.run_studies import run_studies
 from app.evaluation.simulated_frames import simulate
+from app.measurement.calibration import Calibration
 from reconstruction.geometry import nominal_lattice
 from reconstruction.wavefront import rms
 
@@ -72,7 +73,8 @@ def relative_error(bench: Bench, method: str) -> float:
     settings = replace(bench.reconstruction, method=method)  # type: ignore[arg-type] # one of two words
     made = simulate(bench)
     lattice = nominal_lattice(bench.sensor, *made.reference.shape)
-    prepared = replace(bench, reconstruction=settings).reconstructor(made.reference, lattice=lattice, dark=made.dark)
+    bench = replace(bench, reconstruction=settings)
+    prepared = Calibration.of_images(bench, made.reference, dark=made.dark, lattice=lattice).reconstructor()
     views = prepared(made.frames[0]).views
     assert np.isfinite(views).all()
     return float(np.mean(rms(views - made.truth)) / np.mean(rms(made.truth)))
@@ -98,7 +100,7 @@ def test_layer_is_found_where_the_screen_is() -> None:
     bench = load_bench("small_demo", HEXAGONAL)
     made = simulate(bench)
     lattice = nominal_lattice(bench.sensor, *made.reference.shape)
-    prepared = bench.reconstructor(made.reference, lattice=lattice, dark=made.dark)
+    prepared = Calibration.of_images(bench, made.reference, dark=made.dark, lattice=lattice).reconstructor()
     wavefront = prepared(made.frames[0])
     equations = prepared.layers(wavefront.displacement)
     fit, away = equations.fit(-0.195 / 0.2), equations.fit(0.195 / 0.2)
