@@ -40,19 +40,14 @@ class Reprocessing:
     """Reconstructs frames of one recording, each with its own calibration, starting point and bias.
 
     The newest calibration is prepared once for all calls.
-
-    Parameters
-    ----------
-    recording
-        The recording.
-    change
-        Changes each calibration. If the registration differs, each frame starts from the one before in its block, and
-        no bias is subtracted, because it belongs to the recorded registration.
-    rounds
-        Rounds of refinement at most, each frame with its own bias instead of the recorded one.
     """
 
     def __init__(self, recording: Recording, change: Change | None = None, *, rounds: int = 0) -> None:
+        """Change each calibration, and refine in at most `rounds`, each frame with its own bias, not the recorded one.
+
+        If the registration differs, each frame starts from the one before in its block, and no bias is subtracted,
+        because it belongs to the recorded registration.
+        """
         self._recording, self._change, self._rounds = recording, change, rounds
         self._in_force: _InForce | None = None
         self._timings = Timings(1)
@@ -151,26 +146,10 @@ class Reprocessing:
 def reprocess(
     recording: Recording, frames: Sequence[int] | None = None, change: Change | None = None
 ) -> Iterator[Measurement]:
-    """Reconstruct recorded frames; see `Reprocessing`.
+    """Reconstruct recorded frames, by their indices in increasing order, or all; see `Reprocessing`.
 
     Frames that were skipped live are reconstructed, too; frames without a calibration have a problem instead.
-
-    Parameters
-    ----------
-    recording, change
-        As for `Reprocessing`.
-    frames
-        Indices in increasing order; all without.
-
-    Yields
-    ------
-    Measurement
-        Of one frame; its `index` leads to its line in the recording.
-
-    Raises
-    ------
-    InputError
-        If a frame or its calibration cannot be read, or does not fit the changed bench.
+    `InputError` if a frame or its calibration cannot be read, or does not fit the changed bench.
     """
     return Reprocessing(recording, change)(frames)
 
