@@ -116,6 +116,8 @@ class Reprocessing:
             raise InputError(text) from error
         registers = _of_registration(calibration) == _of_registration(recorded)
         solves = registers and calibration.bench.reconstruction == recorded.bench.reconstruction
+        if registers and not solves and calibration.bench.registration.warp is None:  # chosen for the reconstruction
+            registers = recorded.reconstructor().registration == estimator.reconstructor.registration
         return _InForce(number, estimator, registers, solves)
 
     def _solve(

@@ -270,6 +270,15 @@ def test_other_views_or_lenslets_are_not_compared(
 DARK, PASSED, UNCALIBRATED, CHANGED = 3, 2, 0, 6  # special frames of the recording below
 
 
+@pytest.mark.slow
+def test_bias_of_another_chosen_warp_is_not_subtracted(small_toml: Path, tmp_path: Path) -> None:
+    settings = ("registration.warp=automatic", "reconstruction.refine=true")
+    recording = record(small_toml, tmp_path / "run", *settings, frames=2)
+    assert recording.line(0).bias is not None
+    made = replayed(recording.folder, "reconstruction.method=zonal")  # with an affine warp
+    assert (made.reconstructed, made.unrefined) == (2, 2)
+
+
 @pytest.fixture(scope="module")
 def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """Eight frames: one without calibration, one skipped, one too dark, and new settings from the seventh on."""
