@@ -380,7 +380,7 @@ def test_second_interrupt_still_removes_the_recording(tmp_path: Path, monkeypatc
 @pytest.fixture
 def camera(monkeypatch: pytest.MonkeyPatch, qapp: QApplication) -> FakeCamera:
     made = FakeCamera()
-    monkeypatch.setattr(course, "open_devices", opener(made))
+    monkeypatch.setattr("app.acquisition.devices.open_devices", opener(made))
     monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
     assert qapp is QApplication.instance()
     return made
