@@ -30,7 +30,6 @@ from app.bench.config import Bench, load_bench
 from app.bench.settings import RecordingSettings
 from app.commands.benchmark import benchmark_acquisition
 from app.errors import InputError, Interrupted, RunError
-from app.evaluation.benchmark.live_path import course
 from app.evaluation.benchmark.live_path.course import Course, Span
 from app.evaluation.benchmark.live_path.figures import LiveFigures, print_figures
 from app.evaluation.benchmark.live_path.plan import LivePlan, recording_folder
@@ -119,7 +118,7 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("QT_QPA_PLATFORM", "offscreen")
         patch.setattr(CoefficientsPanel, "show_coefficients", show_bars)
-        patch.setattr(course, "open_devices", open_watched)
+        patch.setattr("app.acquisition.devices.open_devices", open_watched)
         patch.setattr(shutil, "rmtree", inspect_and_remove)
         patch.setattr(Tally, "take", take_and_time)
         figures = benchmark_acquisition(
