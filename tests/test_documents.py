@@ -18,7 +18,6 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 import pytest
 import typer.main
-from conftest import SMALL_TOML
 from packaging.version import Version
 from support.batches import Counting, batch
 from support.command_line import run
@@ -32,6 +31,7 @@ from app.bench.config import Bench
 from app.bench.device_kinds import DRIVERS
 from app.bench.presets import PRESETS
 from app.cli.application import cli
+from conftest import SMALL_TOML
 
 DOCUMENTS = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 # These have tests of their own, on a bench like theirs and with a program that sends.

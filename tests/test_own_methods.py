@@ -105,7 +105,9 @@ def test_unknown_names_are_refused(images: SimulatedFrames) -> None:
         pupil_modes(FIXED.sensor, unknown, 10)
     reconstruct = svwfs.reconstructor(FIXED, images.reference, dark=images.dark)
     with pytest.raises(ReconstructionError, match="there is no registration method monomial: it must be one of"):
-        prepare_registration(reconstruct._reconstructor().subimages, RegistrationSettings(method=unknown), FIXED.field)
+        prepare_registration(
+            reconstruct._prepared().reconstructor.subimages, RegistrationSettings(method=unknown), FIXED.field
+        )
 
 
 def test_every_list_of_bases_is_the_same(qtbot: QtBot) -> None:

@@ -1,15 +1,20 @@
-"""Path of a frame from the camera through the instrument to the sinks and the mailbox."""
+"""Path of a frame from the camera, or a file, through the instrument to the sinks and the mailbox."""
 
 import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
 
 from app.acquisition.instrument import Instrument
-from app.measurement.measurement import FrameTotals, Gap, LightState, Measurement, Reconstruction
-from app.measurement.routines.frames import next_frame
+from app.errors import InputError
+from app.images import read_image
+from app.measurement.measurement import FrameTotals, Gap, LightState, Measurement
+from app.measurement.routines import next_frame
 from app.timing import Timings
-from drivers.interface import DeviceTimeout, Frame, FrameLost
+from drivers.interface import Camera, DeviceTimeout, Frame, FrameLost
 
 _SKIPPING_S = 0.5  # time limit for skipping frames that arrive faster than they can be skipped
 _CLOCK_DRIFT = 5e-4  # rate of the camera's clock beside this computer's, at most
@@ -26,12 +31,13 @@ class FramePath:
         must_stop_waiting: Callable[[Instrument], bool],
     ) -> None:
         """`must_stop_waiting` is polled at 10 Hz while waiting for a frame."""
-        self._sinks, self._timings, self._must_stop_waiting = sinks, timings, must_stop_waiting
+        self.sinks, self._timings, self._must_stop_waiting = sinks, timings, must_stop_waiting
         self.newest: Measurement | None = None  # the mailbox: written by one thread, read by all
         self.counts = FrameTotals()  # immutable: other threads read it
         self._next_index = 0
         self._counted_s: float | None = None  # arrival of the last counted frame
         self._gap: Gap | None = None  # before that frame
+        self._lost = 0  # before that frame
         self.gap_cause = ""  # last work that kept the worker from taking frames
         self._clock_lag_s = math.inf  # this computer's clock minus the camera's
         self._updated_s = -math.inf
@@ -42,7 +48,7 @@ class FramePath:
 
     def process_single(self, frame: Frame, instrument: Instrument, light: LightState | None, file: str) -> None:
         """Reconstruct a frame from a `file` or elsewhere, as if its exposure ended when it was read, and pass it on."""
-        self._gap = None
+        self._gap, self._lost = None, 0
         lag_s = self._clock_lag_s if math.isfinite(self._clock_lag_s) else 0.0
         self.counts = replace(self.counts, acquired=self.counts.acquired + 1)
         self.process(replace(frame, camera_time_s=frame.host_time_s - lag_s), instrument, light, file)
@@ -52,7 +58,7 @@ class FramePath:
         made = instrument.measure(frame)
         if made.wavefront is not None:
             self.counts = replace(self.counts, reconstructed=self.counts.reconstructed + 1)
-        measurement = self._measurement(frame, made, light, file)
+        measurement = self._completed(made, light, file)
         self._timings.note("to_result", measurement.latency_s)
         with self._timings.of("publish"):
             self._publish(measurement)
@@ -61,7 +67,7 @@ class FramePath:
     def show(self, frame: Frame, text: str, light: LightState | None) -> None:
         """Put a frame into the mailbox with a text in place of a wavefront, neither measured nor counted."""
         self._update_clock(frame)
-        self.newest = self._measurement(frame, Reconstruction(None, text), light)
+        self.newest = self._completed(Measurement(frame, None, text), light)
 
     def _newest_frame(self, instrument: Instrument, light: LightState | None) -> Frame:
         """Wait for a frame; if it is old already, skip to the newest in the camera."""
@@ -77,40 +83,35 @@ class FramePath:
                     newer = camera.read(0.0)
                 except (DeviceTimeout, FrameLost):  # only of the camera: a light may time out in `_must_stop_waiting`
                     break
-                self._publish(self._measurement(frame, instrument.skip(frame), light))
+                self._publish(self._completed(instrument.skip(frame), light))
                 frame = newer
                 self._count(frame)
         return frame
 
     def _publish(self, measurement: Measurement) -> None:
-        for sink in self._sinks:
+        for sink in self.sinks:
             sink(measurement)
 
-    def _measurement(self, frame: Frame, made: Reconstruction, light: LightState | None, file: str = "") -> Measurement:
-        exposure_end_s = self._exposure_end_s(frame)
-        return Measurement(
-            frame,
-            made.wavefront,
-            made.problem,
-            self.counts,
-            exposure_end_s,
-            latency_s=time.perf_counter() - exposure_end_s,
-            assumed=made.assumed,
-            calibration=made.calibration,
-            start=made.start,
-            registered=made.registered,
+    def _completed(self, made: Measurement, light: LightState | None, file: str = "") -> Measurement:
+        """Add counts and times."""
+        exposure_end_s = self._exposure_end_s(made.frame)
+        return replace(
+            made,
+            lost=self._lost,
             light=light,
-            quality=made.quality,
             gap=self._gap,
+            counts=self.counts,
+            exposure_end_s=exposure_end_s,
+            latency_s=time.perf_counter() - exposure_end_s,
             file=file,
         )
 
     def _count(self, frame: Frame) -> None:
         """Count a frame and those lost before it; note a gap if the camera was restarted."""
         was_restarted = frame.index < self._next_index
-        lost = frame.index if was_restarted else frame.index - self._next_index
+        self._lost = frame.index if was_restarted else frame.index - self._next_index
         self._next_index = frame.index + 1
-        self.counts = replace(self.counts, acquired=self.counts.acquired + 1, lost=self.counts.lost + lost)
+        self.counts = replace(self.counts, acquired=self.counts.acquired + 1, lost=self.counts.lost + self._lost)
         self._gap = None
         if was_restarted and self._counted_s is not None:
             seconds = max(frame.host_time_s - self._counted_s - frame.exposure_s, 0.0)
@@ -129,3 +130,21 @@ class FramePath:
     def _exposure_end_s(self, frame: Frame) -> float:
         """End of the exposure on this computer's clock, `time.perf_counter()`."""
         return frame.camera_time_s + self._clock_lag_s
+
+
+def read_frame(path: Path, camera: Camera) -> Frame:
+    """Read an image file as a frame with the exposure and gain of a camera.
+
+    Raises
+    ------
+    InputError
+        It is no image of counts from 0 to 65535, or of another size than the camera's frames.
+    """
+    image, allowed = read_image(path), camera.capabilities
+    if image.shape != (allowed.rows, allowed.columns):
+        sizes = f"{image.shape[0]} x {image.shape[1]} pixels, the camera's frames {allowed.rows} x {allowed.columns}"
+        raise InputError(f"{path}: has {sizes}")
+    if not (np.isfinite(image).all() and image.min() >= 0 and image.max() <= np.iinfo(np.uint16).max):
+        raise InputError(f"{path}: holds values that are no counts from 0 to 65535")
+    now_s = time.perf_counter()
+    return Frame(np.rint(image).astype(np.uint16), 0, now_s, now_s, camera.exposure_s, camera.em_gain)

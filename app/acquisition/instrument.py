@@ -1,33 +1,41 @@
-"""The instrument: devices, dark, reference and the reconstructor made of them.
+"""The instrument: devices, dark, reference and the estimator made of them.
 
-It runs in the thread that owns the devices; other threads see its frozen `Status`.
+It lives in the thread that owns the devices. Its public methods are the requests of window, commands and scripts, and
+take and return plain data; other threads see its frozen `Status`.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from __future__ import annotations
 
-from app.acquisition.kept_averages import KeptAverages
-from app.acquisition.validity import Validity
+from collections.abc import Callable, Iterable
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Literal
+
+from app.acquisition.kept_averages import KeptAverages, Validity
 from app.bench.config import Bench, changes_in_words, with_known
-from app.measurement.assumptions import mask_sentence
+from app.measurement.auto_exposure import AutoExposure, auto_expose
+from app.measurement.averages import Average, BackgroundCheck, check_background, take_dark, take_reference
 from app.measurement.calibration import Calibration, surveyed
-from app.measurement.live_solver import Assumptions, LiveSolver
-from app.measurement.measurement import SKIPPED, Reconstruction
-from app.measurement.routines.auto_exposure import AutoExposure, auto_expose
-from app.measurement.routines.averages import Average, take_dark, take_reference
-from app.measurement.routines.background import BackgroundCheck, check_background
-from app.measurement.routines.device_state import Circumstances
-from app.measurement.routines.frames import FrameProgress, RoutineError, ShouldStop
+from app.measurement.estimator import Estimator, mask_sentence
+from app.measurement.live_solver import LiveSolver
+from app.measurement.measurement import SKIPPED, Assumptions, Measurement
+from app.measurement.routines import UNWATCHED, Circumstances, RoutineError, Watch, restored
 from app.measurement.sensor_region import SensorArea, moved_bench, moved_lattice, set_area
+from app.progress import counted
 from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError, TooManyModes
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
-from reconstruction.pipeline import Reconstructor
-from reconstruction.quality.frame_quality import FrameJudge
-from reconstruction.quality.verdict import Fault, Quality, sequence_quality
+from reconstruction.quality.verdict import Fault, Quality
+
+_LATTICE_FRAMES = 4  # averaged to find the lattice
+
+Setting = Literal[
+    "is_running", "exposure_s", "em_gain", "amplifier", "readout_speed", "current_a", "is_light_on", "is_sample_in"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +65,8 @@ class Status:
     lattice: Lattice | None
     warning: str  # why wavefronts are missing or doubtful; empty if they are good
     mask_note: str = ""  # which displacements the mask hides; empty if it shows all
+    is_calibrated: bool = False  # frames can be reconstructed
+    prepares: bool = False  # the first frames show what is assumed of later ones: layers, or a correction
     temperature_c: float | None = field(default=None, compare=False)  # of the camera's sensor; None if unknown
 
     @property
@@ -77,7 +87,7 @@ class Status:
 
 
 class Instrument:
-    """Devices with their dark, reference and reconstructor."""
+    """Devices with their dark, reference and estimator."""
 
     def __init__(
         self,
@@ -85,17 +95,17 @@ class Instrument:
         bench: Bench,
         timings: Timings | None = None,
         show_preparation: Callable[[str], object] = lambda _: None,
+        watch: Callable[[Instrument, str], Watch] = lambda _, __: UNWATCHED,
     ) -> None:
-        """`show_preparation` receives what is prepared, and why, before that takes seconds."""
-        self.devices, self._show_preparation = devices, show_preparation
+        """`show_preparation` receives what is prepared, and why, before that takes seconds; `watch` each routine."""
+        self.devices, self._show_preparation, self._watch = devices, show_preparation, watch
         self._timings = timings or Timings()
         self.bench = bench  # with the current settings
         self.darks, self.references = KeptAverages("dark", is_lit=False), KeptAverages("reference", is_lit=True)
-        self.calibration: Calibration | None = None  # None if frames cannot be reconstructed
+        self._modes: dict[tuple[str, int], tuple[float, float]] = {}  # exposure and gain by amplifier and speed
         self._lattice = bench.lattice
-        self._reconstructor: Reconstructor | None = None
+        self._estimator: Estimator | None = None  # None if frames cannot be reconstructed
         self._solver: LiveSolver | None = None
-        self._judge: FrameJudge | None = None
         self._before: Displacement | None = None  # displacement of the previous frame
         self._previous: Frame | None = None
         self._is_of_modes = False  # whether the problem is their number, and neither dark nor reference
@@ -109,10 +119,10 @@ class Instrument:
     def status(self) -> Status:
         """Query the devices."""
         camera, light, stage = self.devices.camera, self.devices.light, self.devices.stage
-        now = self._now()
-        problem = self._problem if self._reconstructor is None else ""
+        now, estimator = self._now(), self._estimator
+        problem = self._problem if estimator is None else ""
         of_dark, of_reference = self.darks.doubt(now), self.references.doubt(now)
-        judged = Quality() if self._judge is None else self._judge.of_reference
+        judged = Quality() if estimator is None else estimator.judge.of_reference
         of_reference = of_reference or judged.reasons.get(Fault.CLIPPED, "")  # its other faults are warnings
         blamed = "" if self._is_of_modes else problem
         return Status(
@@ -138,19 +148,41 @@ class Instrument:
             reference_note=self.references.note(blamed or of_reference),
             lattice=self._lattice,
             warning=problem or of_dark or of_reference or judged.sentence,
-            mask_note="" if self._reconstructor is None else mask_sentence(self._reconstructor),
+            mask_note="" if estimator is None else mask_sentence(estimator.reconstructor),
+            is_calibrated=estimator is not None,
+            prepares=self._solver is not None and self._solver.prepares,
             temperature_c=camera.temperature_c,
         )
 
-    def take_dark(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> None:
+    def set(self, name: Setting, value: Any, *, paused: bool = False) -> Any:
+        """Change a setting of the devices; return the value in force, or for modes of the camera what else changed.
+
+        Of a light or stage without control, it is noted. With `paused`, all later frames are exposed after the change.
+        """
+        camera, light, stage = self.devices.camera, self.devices.light, self.devices.stage
+        changes: dict[Setting, Callable[[Any], Any]] = {
+            "is_running": self._set_running,
+            "exposure_s": camera.set_exposure,
+            "em_gain": camera.set_em_gain,
+            "amplifier": partial(self._set_mode, camera.set_amplifier),
+            "readout_speed": partial(self._set_mode, camera.set_readout_speed),
+            "current_a": light.set_current,
+            "is_light_on": light.note_light,
+            "is_sample_in": stage.note_sample,
+        }
+        with camera.paused() if paused else nullcontext():
+            return changes[name](value)
+
+    def take_dark(self, frames: int) -> None:
         """Average frames with the light off, and use them as dark from now on."""
-        self.darks.keep(take_dark(self.devices, frames, progress=progress, should_stop=should_stop), self._now())
+        watch = self._watch(self, f"taking the dark, {counted(frames)}")
+        self.darks.keep(take_dark(self.devices, frames, **watch), self._now())
         self._prepare("with the new dark")
 
-    def take_reference(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> None:
+    def take_reference(self, frames: int) -> None:
         """Average frames without the sample, use them as reference from now on, and find the lattice if unknown."""
-        reference = take_reference(self.devices, frames, progress=progress, should_stop=should_stop)
-        self.references.keep(reference, self._now())
+        watch = self._watch(self, f"taking the reference, {counted(frames)}")
+        self.references.keep(take_reference(self.devices, frames, **watch), self._now())
         self._prepare("with the new reference; after an installation, its compilation takes half a minute")
 
     def use(self, calibration: Calibration) -> None:
@@ -160,19 +192,31 @@ class Instrument:
         self.references.use_recorded(calibration.reference, now)
         self._prepare("with the recorded calibration")
 
-    def auto_expose(self, *, progress: FrameProgress, should_stop: ShouldStop) -> AutoExposure:
-        """Find and set exposure and current for what is in the beam."""
-        sensor, lattice = self.bench.sensor, self._lattice
-        pitch_px = sensor.lenslet_pitch_px if lattice is None else lattice.pitch_px
-        return auto_expose(self.devices, pitch_px, progress=progress, should_stop=should_stop)
+    def auto_expose(self) -> AutoExposure:
+        """Find and set exposure and current for what is in the beam; a `RoutineError` says why there are none."""
+        return self._auto_expose(self._watch(self, "finding the exposure"))
 
-    def check_background(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> BackgroundCheck:
+    def expose_without_sample(self) -> AutoExposure:
+        """Find and set exposure and current for frames without the sample, of which the reference is made."""
+        watch = self._watch(self, "finding the exposure without the sample")
+        with restored(self.devices) as state:
+            self.devices.stage.set_sample_in(False)
+            found = self._auto_expose(watch)
+            state.exposure_s, state.current_a = found.exposure_s, found.current_a
+            return found
+
+    def check_background(self, frames: int = 8) -> BackgroundCheck:
         """Compare the current background with the dark; `RoutineError` if there is no dark that fits."""
-        doubt = self.darks.doubt(self._now())
-        dark = self.darks.average
+        watch = self._watch(self, f"checking the background, {counted(frames)}")
+        doubt, dark = self.darks.doubt(self._now()), self.darks.average
         if dark is None or doubt:
             raise RoutineError(doubt)
-        return check_background(self.devices, dark, frames, progress=progress, should_stop=should_stop)
+        return check_background(self.devices, dark, frames, **watch)
+
+    def find_lattice(self) -> Survey:
+        """Find the lenslets in a few frames without the sample, without changing anything."""
+        watch = self._watch(self, "finding the lattice")
+        return self._survey(take_reference(self.devices, _LATTICE_FRAMES, **watch))
 
     def survey_lattice(self) -> Survey:
         """Find the lenslets in the reference without changing anything."""
@@ -181,12 +225,7 @@ class Instrument:
             raise WrongState("the lattice is found in the reference: take one first")
         if self.references.fitting(self._now()) is None:
             raise WrongState(self.references.doubt(self._now()))
-        return self.survey(reference)
-
-    def survey(self, reference: Average) -> Survey:
-        """Find the lenslets in a reference of the current region; `ReconstructionError` if it shows none."""
-        dark = self.darks.fitting(self._now())
-        return surveyed(self.bench, dark, reference, self.devices.camera.capabilities.full_scale)
+        return self._survey(reference)
 
     def set_area(self, area: SensorArea) -> SensorArea:
         """Read out another area of the sensor, the camera paused; return the area that the camera accepted.
@@ -208,11 +247,15 @@ class Instrument:
             self._choose_averages("for the new region")
         return taken
 
-    def change_settings(self, change: Callable[[Bench], Bench], mask: str | None = None) -> None:
-        """Change registration, reconstruction or lattice, and the mask, whose own reference is used again."""
+    def change_settings(self, changes: Iterable[tuple[str, Any]], mask: str | None = None) -> None:
+        """Change registration, reconstruction or lattice, and the mask, whose own reference is used again.
+
+        Each change is "section" or "section.key" with its value, or "lenslet" with (row, column) of one to exclude or
+        to use again.
+        """
         before = self.bench
         try:
-            self.bench = change(before)
+            self.bench = _changed(before, changes)
         except ValueError as error:  # inconsistent settings
             raise BadValue(str(error)) from error
         words = changes_in_words(before, self.bench)
@@ -223,32 +266,25 @@ class Instrument:
             self._choose_averages(f"for the mask {mask}, with {words}")
 
     @property
-    def prepares(self) -> bool:
-        """True if the first frames show what is assumed of later ones: layers, or a correction."""
-        return self._solver is not None and self._solver.prepares
+    def calibration(self) -> Calibration | None:
+        """The calibration in force; None if frames cannot be reconstructed."""
+        return None if self._estimator is None else self._estimator.calibration
 
-    def measure(self, frame: Frame) -> Reconstruction:
+    def measure(self, frame: Frame) -> Measurement:
         """Reconstruct a frame, or say why that is impossible."""
-        calibration, start = self.calibration, self._before
         previous, self._previous = self._previous, frame
-        if self._reconstructor is None or self._solver is None or self._judge is None:
-            return Reconstruction(None, self._problem)
-        try:
-            with self._timings.of("register"):
-                registered = self._reconstructor.register(frame.pixels, start=start)
-            with self._timings.of("reconstruct"):
-                wavefront, assumed = self._solver.solve(registered, frame.camera_time_s)
-                quality = self._judge(frame.pixels, wavefront.displacement) | _beside(previous, frame)
-        except ReconstructionError as error:
-            return Reconstruction(None, str(error), calibration, start)
-        self._before = registered
-        return Reconstruction(wavefront, "", calibration, start, registered, assumed, quality)
+        if self._estimator is None or self._solver is None:
+            return Measurement(frame, None, self._problem)
+        solve = partial(self._solver.solve, time_s=frame.camera_time_s)
+        made = self._estimator.measure(frame, solve, self._timings, start=self._before, previous=previous)
+        self._before = made.registered or self._before
+        return made
 
-    def skip(self, frame: Frame) -> Reconstruction:
+    def skip(self, frame: Frame) -> Measurement:
         """Skip a frame, keeping what a later reconstruction needs: calibration and the previous frame's assumptions."""
         self._previous = frame
         assumed = Assumptions() if self._solver is None else self._solver.as_before(frame.camera_time_s)
-        return Reconstruction(None, SKIPPED, self.calibration, assumed=assumed)
+        return Measurement(frame, None, SKIPPED, calibration=self.calibration, assumed=assumed)
 
     def close(self) -> None:
         """Stop the thread of the solver; the caller closes the devices."""
@@ -259,14 +295,50 @@ class Instrument:
     def _now(self) -> Circumstances:
         return Circumstances.of(self.devices)
 
+    def _set_running(self, on: bool) -> None:
+        """Start or stop the camera."""
+        if not on:
+            self.devices.camera.stop()
+        elif not self.devices.camera.is_running:
+            self.devices.camera.start()
+
+    def _set_mode(self, change: Callable[[Any], object], mode: object) -> str:
+        """Change a mode of the camera, which gets back exposure and gain of its last time in it; say what changed."""
+        camera = self.devices.camera
+        exposure_s, em_gain = self._modes[camera.amplifier, camera.readout_speed] = camera.exposure_s, camera.em_gain
+        with camera.paused():
+            change(mode)
+            if known := self._modes.get((camera.amplifier, camera.readout_speed)):
+                with suppress(BadValue):  # the region may have changed the limits
+                    camera.set_exposure(known[0])
+                    camera.set_em_gain(known[1])
+        changes = (
+            ("exposure", exposure_s * 1e3, camera.exposure_s * 1e3, " ms"),
+            ("gain", em_gain, camera.em_gain, ""),
+        )
+        return ", ".join(
+            f"{what} changed from {before:.4g} to {after:.4g}{unit}"
+            for what, before, after, unit in changes
+            if f"{before:.4g}" != f"{after:.4g}"
+        )
+
+    def _auto_expose(self, watch: Watch) -> AutoExposure:
+        pitch_px = self.bench.sensor.lenslet_pitch_px if self._lattice is None else self._lattice.pitch_px
+        return auto_expose(self.devices, pitch_px, **watch)
+
+    def _survey(self, reference: Average) -> Survey:
+        """Find the lenslets in a reference of the current region; `ReconstructionError` if it shows none."""
+        dark = self.darks.fitting(self._now())
+        return surveyed(self.bench.sensor, dark, reference, self.devices.camera.capabilities.full_scale)
+
     def _choose_averages(self, cause: str) -> None:
         for averages in (self.darks, self.references):
             averages.choose(self._now())
         self._prepare(cause)
 
     def _prepare(self, cause: str) -> None:
-        """Rebuild the reconstructor, the camera paused; a failure becomes the warning in the status."""
-        self.calibration = self._reconstructor = self._judge = self._before = None
+        """Prepare the estimator again, the camera paused; a failure becomes the warning in the status."""
+        self._estimator = self._before = None
         self.close()
         reference = self.references.average
         if reference is None:
@@ -279,18 +351,22 @@ class Instrument:
         self._show_preparation(f"preparing the reconstruction {cause}")
         try:
             with camera.paused():
-                calibration = Calibration.of(bench, dark, reference, camera.capabilities.full_scale)
-                self._lattice = calibration.lattice
-                self._reconstructor = calibration.reconstructor()
-                self._judge = calibration.judge(self._reconstructor)
-                self._solver = LiveSolver(bench, self._reconstructor)
-                self.calibration = calibration
+                estimator = Estimator(Calibration.of(bench, dark, reference, camera.capabilities.full_scale))
+                self._lattice = estimator.calibration.lattice
+                _ = estimator.judge  # prepared before the first frame
+                self._solver = LiveSolver(estimator)
+                self._estimator = estimator
         except ReconstructionError as error:
             self._problem, self._is_of_modes = str(error), isinstance(error, TooManyModes)
 
 
-def _beside(previous: Frame | None, frame: Frame) -> Quality:
-    """Quality of a frame beside the one before; the camera counts from 0 after a restart."""
-    if previous is None or frame.index <= previous.index:
-        return Quality()
-    return sequence_quality(previous.pixels, frame.pixels, frame.camera_time_s - previous.camera_time_s)
+def _changed(bench: Bench, changes: Iterable[tuple[str, Any]]) -> Bench:
+    """Change settings of a bench; see `Instrument.change_settings`."""
+    for name, value in changes:
+        section, _, key = name.partition(".")
+        if name == "lenslet":
+            bench = bench.with_toggled(value)
+        else:
+            new = replace(getattr(bench, section), **{key: value}) if key else value
+            bench = replace(bench, **{section: new})
+    return bench

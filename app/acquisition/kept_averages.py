@@ -1,12 +1,17 @@
-"""Darks or references that the instrument keeps: one for each sensor region, and for references each mask."""
+"""Darks or references that the instrument keeps, one for each sensor region and mask, and their validity."""
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Literal
 
-from app.acquisition.validity import Validity, about, as_averaged, doubt, fits, note, validity
-from app.measurement.routines.averages import Average
-from app.measurement.routines.device_state import Circumstances
+from app.measurement.averages import Average
+from app.measurement.routines import Circumstances
+from app.progress import counted
 from drivers.interface import Region
 
+Validity = Literal["missing", "doubtful", "good"]
+_TIME = re.compile(r"^\d+ frames? at (\d\d:\d\d):\d\d: ")
 _MOST = 8  # each as large as two frames of floats
 
 
@@ -33,7 +38,12 @@ class KeptAverages:
 
     def keep(self, average: Average, now: Circumstances) -> None:
         """Use a new average, and keep it in place of an older one of the same region and mask."""
-        self._used = _Taken(average, now, about(average, now))
+        how = (
+            f"{counted(average.frames)} at {datetime.now().astimezone():%H:%M:%S}:"
+            f" exposure {now.exposure_s * 1e3:.4g} ms, amplifier {now.amplifier},"
+            f" gain {now.em_gain:.4g}, mask {now.mask}"
+        )
+        self._used = _Taken(average, now, how)
         key = self._key(now)
         self._kept.pop(key, None)
         self._kept[key] = self._used
@@ -41,8 +51,12 @@ class KeptAverages:
             del self._kept[next(iter(self._kept))]
 
     def use_recorded(self, average: Average | None, now: Circumstances) -> None:
-        """Use an average of a recording, or none."""
-        self._used = None if average is None else _Taken(average, as_averaged(now, average), "as recorded")
+        """Use an average of a recording, or none; what it does not tell of its circumstances is assumed unchanged."""
+        self._used = None
+        if average is not None:
+            exposure_s, em_gain, amplifier = average.exposure_s, average.em_gain, average.amplifier
+            then = replace(now, exposure_s=exposure_s, em_gain=em_gain, amplifier=amplifier)
+            self._used = _Taken(average, then, "as recorded")
 
     def choose(self, now: Circumstances) -> None:
         """Use the average that was taken of the current region and with the current mask, if there is one."""
@@ -50,20 +64,34 @@ class KeptAverages:
 
     def fitting(self, now: Circumstances) -> Average | None:
         """Return the average in use if it shows the same pixels as the current frames."""
-        return self._used.average if self._used is not None and fits(self._used.circumstances, now) else None
+        fits = self._used is not None and self._used.circumstances.shows_same_pixels(now)
+        return self.average if fits else None
 
     def doubt(self, now: Circumstances) -> str:
         """Return why the average does not fit the current frames; empty if it does."""
-        taken = None if self._used is None else self._used.circumstances
-        return doubt(self._what, taken, now, is_lit=self._is_lit)
+        if self._used is None:
+            return (
+                "no dark yet: the background is a guess" if self._what == "dark" else f"no {self._what} yet: take one"
+            )
+        changed = self._used.circumstances.differs(now, is_lit=self._is_lit)
+        return f"the {self._what} was taken {changed}: take it again" if changed else ""
 
     def validity(self, why: str) -> Validity:
         """Return the validity, doubtful for this reason."""
-        return validity(self.average, why)
+        if self._used is None:
+            return "missing"
+        return "doubtful" if why else "good"
 
     def note(self, why: str) -> str:
         """Return how the average was taken and, on a second line, why it is doubtful."""
-        return note("none yet" if self._used is None else self._used.how, why)
+        how = "none yet" if self._used is None else self._used.how
+        return f"{how}\n{why}" if why else how
 
     def _key(self, circumstances: Circumstances) -> tuple[Region, int, str]:
         return circumstances.region, circumstances.binning, circumstances.mask if self._is_lit else ""
+
+
+def taken_at(note: str) -> str:
+    """Return hours and minutes from a note of an average; empty if there is no average or it was recorded."""
+    found = _TIME.search(note)
+    return found[1] if found else ""

@@ -1,60 +1,90 @@
-"""A live bench for scripts and notebooks: an acquisition that is started, iterated over, and closed."""
+"""A live bench for commands, scripts and notebooks: it is opened, calibrated, iterated over or recorded, and closed."""
+
+from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
-from contextlib import ExitStack
+from concurrent.futures import Future, wait
+from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 
-from app.acquisition.devices import open_devices
-from app.acquisition.instrument import Instrument
-from app.acquisition.start_up import FRAMES, knows_sample, start_up
-from app.acquisition.streams.publisher import stream_sinks
+from app.acquisition.instrument import Instrument, Setting, Status
+from app.acquisition.start_up import FRAMES, calibrate, knows_sample, start_up
 from app.acquisition.worker import Acquisition
-from app.bench.config import Bench
+from app.bench.config import Bench, as_bench
+from app.bench.device_kinds import RecordingSettings
 from app.errors import RunError
 from app.measurement.bench_reconstructor import whole_number
 from app.measurement.measurement import SKIPPED, Measurement
-from app.recording.recorder import Limit
-from drivers.interface import Devices, WrongState
+from app.progress import Progress, counted
+from app.recording.recorder import Limit, RecordingState
+from drivers.interface import WrongState
 
 T = TypeVar("T")
 
-_WAIT_S = 0.1  # between two checks whether the acquisition still runs
+_WAIT_S = 0.05  # between two checks whether the acquisition still runs, and how far it is
+_HOPELESS_FRAMES = 20  # without a wavefront, when the bench is calibrated
 
 
-class LiveBench:
-    """The devices of one bench, opened and closed by a `with` block; iterate over it for measurements.
+def live(bench: Bench, *, average: int = FRAMES) -> LiveBench:
+    """Open the devices of a bench for a `with` block; iterate over it for measurements.
 
-    Entering opens the devices, turns the light on, takes a dark and a reference, moves the sample in and starts the
-    camera. On a bench without motors, take the reference yourself. Leaving stops the
-    camera, turns the light off and closes the devices, also after an error or Ctrl-C.
+    Entering turns the light on, takes a dark and a reference, moves the sample in and starts the camera. Leaving stops
+    the camera, turns the light off and closes the devices, also after an error. On a bench without motors, take the
+    sample out, call `take_reference()`, put it in again, and call `note_sample_in()`.
 
     Parameters
     ----------
     bench
-        The bench.
+        The bench, simulated or real.
     average
         Number of frames averaged in the first dark and the first reference.
-    """
 
-    def __init__(self, bench: Bench, *, average: int = FRAMES) -> None:
-        self._bench, self._average = bench, average
+    Returns
+    -------
+    LiveBench
+        Iterating yields the newest `Measurement`: `.wavefront`, or None with the reason in `.problem`; `.frame`;
+        `.counts` of all frames. Methods: `take_dark`, `take_reference`, `auto_expose`, `set_exposure`, `set_em_gain`,
+        `set_light`, `set_light_current`, `record(folder, frames)`.
+
+    Raises
+    ------
+    DeviceError
+        If a device is missing or fails.
+    InputError
+        If the bench cannot be used.
+
+    Examples
+    --------
+    >>> with svwfs.live(bench) as instrument:
+    ...     for measurement in instrument:
+    ...         break
+    >>> measurement.wavefront.views.shape
+    (3, 3, 7, 7)
+    """
+    return LiveBench(as_bench(bench), average=average)
+
+
+class LiveBench:
+    """The devices of one bench, opened and closed by a `with` block; iterate over it for measurements."""
+
+    def __init__(self, bench: Bench, *, average: int = FRAMES, progress: Progress = lambda *_: None) -> None:
+        """Take no dark and reference on entering if `average` is 0; `progress` is told what a method waits for."""
+        self._bench, self._average, self._progress = bench, average, progress
         self._arrived = threading.Condition()
         self._newest: Measurement | None = None
         self._entered: Acquisition | None = None
-        self._streams = ExitStack()
 
     def __enter__(self) -> Self:
         if self._entered is not None:
             raise WrongState("this live bench was entered before: call svwfs.live again")
-        sinks = self._streams.enter_context(stream_sinks(self._bench))
-        self._entered = acquisition = Acquisition(self._bench, open_devices, (self._take, *sinks))
+        self._entered = acquisition = Acquisition(self._bench, sinks=(self._take,))
         acquisition.start()
         try:
-            for step in start_up(acquisition, self._average):
+            for step in start_up(acquisition, self._average) if self._average else ():
                 self._result(step)
         except BaseException:
             self._close()
@@ -105,50 +135,87 @@ class LiveBench:
         status = self._acquisition.status
         return "" if status is None else status.warning
 
+    @property
+    def failure(self) -> str:
+        """Why the devices were closed without being asked to; empty if they were not."""
+        return self._acquisition.failure
+
+    @property
+    def recording(self) -> RecordingState | None:
+        """State of the present or last recording; None before the first."""
+        return self._acquisition.recording
+
+    def calibrate(self, ask: Callable[[str], object], frames: int = FRAMES, *, auto_expose: bool = False) -> None:
+        """Take a dark and a reference of `frames` frames each, then move the sample in.
+
+        A person whom `ask` asks does what has no motor. With `auto_expose` the exposure is found first. If the
+        reference is unusable, it is a `RunError`, but a person is asked to try again, before the sample is moved.
+        """
+        bench = self._bench
+        if bench.has_manual_stage:
+            ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
+        if bench.has_manual_light:
+            dark, reference = partial(self.take_dark, frames), partial(self.take_reference, frames)
+            steps: list[tuple[bool, Callable[[], object]]] = [(False, dark), (True, reference)]
+            for is_on, step in [(True, self.auto_expose), *steps] if auto_expose else steps:
+                ask(f"switch the light {'on' if is_on else 'off'}")
+                self._set("is_light_on", is_on)
+                step()
+        else:
+            for future in calibrate(self._acquisition, frames, auto_expose=auto_expose):
+                self._result(future)
+        while not self._status().is_calibrated:
+            sentence = f"the reference is unusable: {self.warning}"
+            if not bench.has_manual_stage:
+                raise RunError(sentence)
+            ask(f"{sentence}; check light, mask and focus, the sample out of the beam")
+            self.take_reference(frames)
+        if bench.has_manual_stage:
+            ask("put the sample into the beam")
+        self.note_sample_in()
+
     def take_dark(self, frames: int = FRAMES) -> None:
         """Average `frames` frames with the light off and use the mean as dark from now on."""
-        self._result(self._acquisition.take_dark(frames))
+        self._result(self._acquisition.submit(Instrument.take_dark, frames))
 
     def take_reference(self, frames: int = FRAMES) -> None:
         """Average `frames` frames without the sample and use the mean as reference from now on."""
-        self._result(self._acquisition.take_reference(frames))
+        self._result(self._acquisition.submit(Instrument.take_reference, frames))
 
     def note_sample_in(self) -> None:
         """Note in recordings that the sample is in the beam; only needed on a bench without motors."""
-        self._set(lambda devices: devices.stage.note_sample(True))
+        self._set("is_sample_in", True)
 
     def set_exposure(self, exposure_s: float) -> float:
         """Change the exposure time, s; return the one in force. Dark and reference are stale until taken again."""
-        wanted_s = float(exposure_s)
-        return self._set(lambda devices: devices.camera.set_exposure(wanted_s))
+        return float(self._set("exposure_s", float(exposure_s)))
 
     def set_em_gain(self, em_gain: float) -> float:
         """Change the electron multiplication; return the one in force. Dark and reference are stale until retaken."""
-        wanted = float(em_gain)
-        return self._set(lambda devices: devices.camera.set_em_gain(wanted))
+        return float(self._set("em_gain", float(em_gain)))
 
     def set_light_current(self, current_a: float) -> float:
         """Change the current of the light, A; return the one in force. The reference is stale until taken again."""
-        wanted_a = float(current_a)
-        return self._set(lambda devices: devices.light.set_current(wanted_a))
+        return float(self._set("current_a", float(current_a)))
 
     def set_light(self, on: bool) -> None:
         """Switch the light, or note that you switched it by hand. Off works at once, and ends a routine."""
         if not on and not self._bench.has_manual_light:
             self._result(self._acquisition.switch_light_off())
-        self._set(lambda devices: devices.light.note_light(bool(on)))
+        self._set("is_light_on", bool(on))
 
     def auto_expose(self) -> float:
         """Set exposure and light current so that the brightest lenslets fill 70 % of full scale; return the exposure.
 
         The dark and the reference are stale afterwards: take them again.
         """
-        return self._result(self._acquisition.auto_expose()).exposure_s
+        return self._result(self._acquisition.submit(Instrument.auto_expose)).exposure_s
 
-    def record(self, folder: Path | str, frames: int) -> Path:
+    def record(self, folder: Path | str, frames: int, *, command: str = "python") -> Path:
         """Record the next `frames` frames into a new folder, wait for the last one, and return the folder.
 
-        It begins when layers of the sample have been searched for, if they may be assumed.
+        It begins when layers of the sample have been searched for, if they may be assumed; if the camera has not been
+        started yet and there is nothing to search for, with its first frame. `command` is stored in `run.json`.
 
         Raises
         ------
@@ -157,17 +224,20 @@ class LiveBench:
         RunError
             If the recording ended early; the frames so far are kept.
         """
-        folder, acquisition = Path(folder), self._acquisition
-        while acquisition.is_alive and not knows_sample(acquisition):
-            with self._arrived:
-                self._arrived.wait(_WAIT_S)
-        self._result(
-            acquisition.start_recording(folder, command="python", limit=Limit(frames=whole_number(frames, "frames")))
-        )
+        acquisition, status, limit = self._acquisition, self._status(), Limit(frames=whole_number(frames, "frames"))
+        begin = partial(acquisition.start_recording, Path(folder), command=command, limit=limit)
+        is_played = isinstance(self._bench.camera, RecordingSettings)  # each of its frames counts
+        if not status.is_running and (is_played or not status.prepares):
+            self._result(begin())
+            self._start_camera()
+        else:
+            self._start_camera()
+            while acquisition.is_alive and not knows_sample(acquisition):
+                self._wait("finding layers and correction with the first frames", 0.0)
+            self._result(begin())
         try:
             while (state := acquisition.recording) is not None and state.stage in {"recording", "finishing"}:
-                with self._arrived:
-                    self._arrived.wait(_WAIT_S)
+                self._wait(f"recording {counted(frames)}", state.frames / frames)
                 if not acquisition.is_alive:
                     self._raise_failure()
         except BaseException:  # Ctrl-C, too: the frames so far are a recording
@@ -176,7 +246,24 @@ class LiveBench:
         if state is not None and state.problem:
             self._raise_failure()
             raise RunError(state.problem)
-        return folder
+        return Path(folder)
+
+    def _start_camera(self) -> None:
+        self._result(self._acquisition.submit(Instrument.set, "is_running", True))
+
+    def _wait(self, text: str, fraction: float) -> None:
+        """Wait for the next measurement, but not long."""
+        self._progress(text, fraction)
+        with self._arrived:
+            self._arrived.wait(_WAIT_S)
+
+    def _status(self) -> Status:
+        """The status, after a command at least."""
+        status = self._acquisition.status
+        if status is None:
+            self._raise_failure()
+            raise WrongState("the devices are not open yet")
+        return status
 
     @property
     def _acquisition(self) -> Acquisition:
@@ -185,8 +272,7 @@ class LiveBench:
         return self._entered
 
     def _close(self) -> None:
-        with self._streams:
-            self._acquisition.close()
+        self._acquisition.close()
         self._newest = None
 
     def _take(self, measurement: Measurement) -> None:
@@ -196,18 +282,16 @@ class LiveBench:
             self._newest = measurement
             self._arrived.notify_all()
 
-    def _set(self, change: Callable[[Devices], T]) -> T:
-        """Change the devices, the camera paused: all later measurements are of frames exposed after the change."""
-
-        def command(instrument: Instrument) -> T:
-            with instrument.devices.camera.paused():
-                return change(instrument.devices)
-
-        return self._result(self._acquisition.submit(command))
+    def _set(self, name: Setting, value: object) -> Any:
+        """Change a setting, the camera paused: all later measurements are of frames exposed after the change."""
+        return self._result(self._acquisition.submit(Instrument.set, name, value, paused=True))
 
     def _result(self, step: Future[T]) -> T:
         """Wait for a command and return its result; an error that ended the acquisition goes before the command's."""
         try:
+            while not wait([step], _WAIT_S).done:
+                activity = self._acquisition.activity
+                self._progress(activity.text, activity.progress)
             found = step.result()
         except Exception:
             self._raise_failure()
@@ -219,3 +303,27 @@ class LiveBench:
     def _raise_failure(self) -> None:
         if self._acquisition.error is not None:
             raise self._acquisition.error
+
+
+class FirstWavefront:
+    """Waits for the first wavefront of an acquisition, which a loop or the timer of a window polls."""
+
+    def __init__(self, within_s: float) -> None:
+        """Give up after this time, or some frames without a wavefront."""
+        self._within_s, self._began_s = within_s, time.perf_counter()
+        self.came_s: float | None = None  # by time.perf_counter()
+        self._failed, self._problem = 0, ""
+
+    def take(self, measurement: Measurement) -> None:
+        """Take note of a frame of the calibrated bench."""
+        if measurement.wavefront is not None:
+            self.came_s = time.perf_counter() if self.came_s is None else self.came_s
+        elif measurement.problem != SKIPPED:
+            self._failed, self._problem = self._failed + 1, measurement.problem
+
+    def check(self) -> None:
+        """Raise `RunError` if it has not come, and there is no hope of it."""
+        if self.came_s is None and self._failed >= _HOPELESS_FRAMES:
+            raise RunError(f"no wavefront in the first {self._failed} frames: {self._problem}")
+        if self.came_s is None and time.perf_counter() > self._began_s + self._within_s:
+            raise RunError(f"no wavefront within {self._within_s:g} s: {self._problem or 'no frame came'}")

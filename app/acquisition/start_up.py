@@ -1,19 +1,18 @@
-"""Start-up sequence from opened devices to live wavefronts."""
+"""Sequences of commands that calibrate a bench: at its start, and step by step with a person."""
 
+from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import dataclass
 from typing import Any
 
-from app.acquisition.devices import open_devices
-from app.acquisition.instrument import Instrument
+import numpy as np
+
+from app.acquisition.instrument import Instrument, Setting, Status
 from app.acquisition.worker import Acquisition
-from app.bench.config import Bench
+from reconstruction.geometry import Lattice
 
 FRAMES = 20  # default number averaged into the dark, and into the reference
-
-
-def acquisition_of(bench: Bench) -> Acquisition:
-    """Make the acquisition of a bench; its results are not published."""
-    return Acquisition(bench, open_devices)
+_SAME_LATTICE = 0.05  # of the pitch; frames are doubted beyond
 
 
 def start_up(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bool = False) -> tuple[Future[Any], ...]:
@@ -25,15 +24,15 @@ def start_up(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: boo
     """
     if acquisition.bench.has_manual_stage:
         return (
-            acquisition.submit(_turn_light_on),
-            *([acquisition.auto_expose()] if auto_expose else []),
-            acquisition.take_dark(frames),
-            start_camera(acquisition),
+            acquisition.submit(Instrument.set, "is_light_on", True),
+            *([acquisition.submit(Instrument.auto_expose)] if auto_expose else []),
+            acquisition.submit(Instrument.take_dark, frames),
+            acquisition.submit(Instrument.set, "is_running", True),
         )
     return (
         *calibrate(acquisition, frames, auto_expose=auto_expose),
-        move_sample_in(acquisition),
-        start_camera(acquisition),
+        acquisition.submit(Instrument.set, "is_sample_in", True),
+        acquisition.submit(Instrument.set, "is_running", True),
     )
 
 
@@ -42,20 +41,13 @@ def calibrate(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bo
 
     With `auto_expose` the exposure is found first, without the sample, so that the reference is not saturated.
     """
-    steps: list[Future[Any]] = [acquisition.submit(_turn_light_on)]
+    steps: list[Future[Any]] = [acquisition.submit(Instrument.set, "is_light_on", True)]
     if auto_expose:
-        steps += [acquisition.submit(_take_sample_out), acquisition.auto_expose()]
-    return (*steps, acquisition.take_dark(frames), acquisition.take_reference(frames))
-
-
-def move_sample_in(acquisition: Acquisition) -> Future[None]:
-    """Move the sample in; with a manual stage, note that the user has done so."""
-    return acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(True))
-
-
-def start_camera(acquisition: Acquisition) -> Future[None]:
-    """Start the camera: frames are measured from now on."""
-    return acquisition.submit(lambda instrument: instrument.devices.camera.start())
+        steps.append(acquisition.submit(Instrument.set, "is_sample_in", False))
+        steps.append(acquisition.submit(Instrument.auto_expose))
+    steps.append(acquisition.submit(Instrument.take_dark, frames))
+    steps.append(acquisition.submit(Instrument.take_reference, frames))
+    return tuple(steps)
 
 
 def knows_sample(acquisition: Acquisition) -> bool:
@@ -69,9 +61,57 @@ def knows_sample(acquisition: Acquisition) -> bool:
     return newest.assumed.sample is not None and newest.assumed.refinement.stage != "preparing"
 
 
-def _turn_light_on(instrument: Instrument) -> None:
-    instrument.devices.light.set_on(True)
+@dataclass(frozen=True, slots=True)
+class CalibrationStep:
+    """One routine of the guided calibration; it restores the devices, also when it is cancelled."""
+
+    title: str
+    explanation: str
+    is_lit: bool  # whether its frames need the light
+    request: Callable[..., Any]  # of the instrument
+    averages: bool = False  # whether the request takes the number of averaged frames
+
+    def begin(self, acquisition: Acquisition, frames: int) -> Future[Any]:
+        """Send the request."""
+        return acquisition.submit(self.request, *([frames] if self.averages else []))
 
 
-def _take_sample_out(instrument: Instrument) -> None:
-    instrument.devices.stage.set_sample_in(False)
+LATTICE = CalibrationStep(
+    "Lattice", "Finds the lenslets in a few frames without the sample.", True, Instrument.find_lattice
+)
+EXPOSURE = CalibrationStep(
+    "Exposure",
+    "Sets the exposure, and if needed the light's current, so that the brightest lenslets fill 70 % of the range.",
+    True,
+    Instrument.expose_without_sample,
+)
+DARK = CalibrationStep(
+    "Dark", "Averages frames with the light off: the background of all frames.", False, Instrument.take_dark, True
+)
+REFERENCE = CalibrationStep(
+    "Reference",
+    "Averages frames with the light on and without the sample: the zero point of the displacements.",
+    True,
+    Instrument.take_reference,
+    True,
+)
+STEPS = (LATTICE, EXPOSURE, DARK, REFERENCE)
+
+
+def by_hand(step: CalibrationStep, status: Status) -> tuple[str, Setting, bool] | None:
+    """Return what a person must do before a step, and the setting that notes it with its value; None if nothing."""
+    if status.bench.has_manual_light and status.is_light_on != step.is_lit:
+        return f"switch the light {'on' if step.is_lit else 'off'} by hand", "is_light_on", step.is_lit
+    if status.bench.has_manual_stage and step.is_lit and status.is_sample_in:
+        return "take the sample out of the beam", "is_sample_in", False
+    return None
+
+
+def differs(found: Lattice, status: Status) -> bool:
+    """Return whether a lattice lies beside that of the bench by more than a twentieth of the pitch at any lenslet."""
+    sensor, before = status.bench.sensor, status.bench.lattice
+    if before is None:
+        return False  # the reference will show it
+    shape = sensor.lenslet_rows, sensor.lenslet_columns
+    moved_px = found.lenslet_centers_px(*shape) - before.lenslet_centers_px(*shape)
+    return bool(np.linalg.norm(moved_px, axis=-1).max() > _SAME_LATTICE * before.pitch_px)

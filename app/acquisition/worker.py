@@ -1,59 +1,114 @@
-"""The acquisition: requests to the worker thread, and what it measured and recorded."""
+"""The acquisition: one worker thread that owns the devices, executes commands between frames, records and publishes.
+
+Every `Measurement` goes to the sinks in order; the newest also lies in a one-slot mailbox. No wait exceeds 0.1 s, so a
+stop takes effect at once. If a device fails, all devices are closed, the light first, and `error` says why.
+"""
 
 import math
+import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from app.acquisition.instrument import Instrument
-from app.acquisition.loop import AcquisitionLoop, Activity
-from app.acquisition.without_sample import expose, find_lattice
-from app.bench.config import write_bench
-from app.measurement.measurement import FrameTotals, Measurement
-from app.measurement.routines.auto_exposure import AutoExposure
-from app.measurement.routines.background import BackgroundCheck
+from app.acquisition import devices as bench_devices
+from app.acquisition.command_queue import CommandQueue, LightSwitch
+from app.acquisition.frame_path import FramePath, read_frame
+from app.acquisition.instrument import Instrument, Status
+from app.acquisition.streams.publisher import stream_sinks
+from app.bench.config import Bench, write_bench
+from app.errors import InputError, RunError
+from app.measurement.measurement import FrameTotals, LightState, Measurement
+from app.measurement.routines import WAIT_SLICE_S, Cancelled, Watch
 from app.measurement.sensor_region import SensorArea
-from app.progress import counted
-from app.recording.recorder import Limit, RecordingState
-from drivers.interface import Frame, WrongState
-from reconstruction.lattice.search import Survey
-
-T = TypeVar("T")
+from app.recording.recorder import Limit, Recorder, RecordingState
+from app.timing import Timings, short_turns
+from drivers.interface import DeviceError, Devices, Frame, WrongState
+from reconstruction.runtime.threads import one_blas_thread
 
 __all__ = ["Acquisition", "Activity", "FrameTotals", "Measurement"]
 
+T = TypeVar("T")
+P = ParamSpec("P")
 
-class Acquisition(AcquisitionLoop):
-    """The acquisition loop with its routines and its recorder.
+_STATUS_INTERVAL_S = 1.0  # polling also detects an unplugged light or a turned knob
+_LIGHT_OFF_S = 3.0  # for a light that does not answer
+_STATUS_SHARE = 0.1  # maximum share of the time spent polling: a slow light must not cost frames
 
-    Requests may come from any thread and return a future at once. A routine shows its progress as `activity`.
+
+@dataclass(frozen=True, slots=True)
+class Activity:
+    """Work besides taking frames, with its progress; empty text if there is none."""
+
+    text: str = ""
+    progress: float = 0.0
+    may_cancel: bool = True
+
+
+class Acquisition:
+    """The worker thread, with a recorder; it calls `open_devices(bench, progress)` and all that touches a device.
+
+    Requests may come from any thread and return at once, most of them with a future. Results are published as the bench
+    says.
     """
 
-    def take_dark(self, frames: int) -> Future[None]:
-        """Average `frames` frames into the dark."""
-        return self._routine(f"taking the dark, {counted(frames)}", Instrument.take_dark, frames)
+    def __init__(
+        self,
+        bench: Bench,
+        open_devices: Callable[[Bench, Callable[[float], None]], Devices] | None = None,
+        sinks: tuple[Callable[[Measurement], None], ...] = (),
+    ) -> None:
+        self.bench = bench  # as given; the instrument has the changed settings
+        self._open_devices = open_devices or bench_devices.open_devices
+        self._commands = CommandQueue(self._finish_command)
+        self._stopping = threading.Event()
+        self._cancelling = threading.Event()
+        self._light_switch = LightSwitch()
+        self._writing_status = threading.Lock()
+        self._thread = threading.Thread(target=self._work, name="acquisition", daemon=True)
+        self.timings = Timings()
+        self._recorder = Recorder(self.timings)
+        self._path = FramePath((self._recorder.take, *sinks), self.timings, self._must_stop_waiting)
+        self.status: Status | None = None  # None until the devices are open
+        self._status_due_s = -math.inf  # time of the next poll
+        self.activity = Activity("opening the devices")
+        self.error: Exception | None = None  # why the worker ended without being asked to
 
-    def take_reference(self, frames: int) -> Future[None]:
-        """Average `frames` frames into the reference."""
-        text = f"taking the reference, {counted(frames)}"
-        return self._routine(text, Instrument.take_reference, frames)
+    def start(self) -> None:
+        """Open the devices and begin to execute commands."""
+        self._thread.start()
 
-    def auto_expose(self) -> Future[AutoExposure]:
-        """Find and set exposure and current; a `RoutineError` says why there are none."""
-        return self._routine("finding the exposure", Instrument.auto_expose)
+    def submit(
+        self, request: Callable[Concatenate[Instrument, P], T], *arguments: P.args, **named: P.kwargs
+    ) -> Future[T]:
+        """Execute a request between two frames, as `submit(Instrument.take_dark, 20)`.
 
-    def find_lattice(self) -> Future[Survey]:
-        """Find the lenslets in a few frames without the sample, without changing anything."""
-        return self._routine("finding the lattice", find_lattice)
+        The future resolves after `status` is updated. A routine shows its progress as `activity`.
+        """
+        known = self._light_switch.requests
 
-    def expose_without_sample(self) -> Future[AutoExposure]:
-        """Find and set exposure and current for frames without the sample."""
-        return self._routine("finding the exposure without the sample", expose)
+        def execute(instrument: Instrument) -> T:
+            self._light_switch.begin_command(known)
+            return request(instrument, *arguments, **named)
 
-    def check_background(self, frames: int = 8) -> Future[BackgroundCheck]:
-        """Compare the background with the dark."""
-        return self._routine(f"checking the background, {counted(frames)}", Instrument.check_background, frames)
+        return self._commands.submit(execute)
+
+    def cancel(self) -> None:
+        """End the current routine, if any; it restores the devices."""
+        self._cancelling.set()
+
+    def switch_light_off(self) -> Future[None]:
+        """Switch the light off at once, beside the worker, and cancel the current routine.
+
+        Commands that were sent before cannot switch it on again; the future resolves when it is off.
+        """
+        future = self._light_switch.switch_off()
+        self.cancel()
+        future.add_done_callback(self._note_light_off)
+        return future
 
     def set_area(self, area: SensorArea) -> Future[SensorArea]:
         """Read out another area of the sensor; see `Instrument.set_area`.
@@ -70,6 +125,10 @@ class Acquisition(AcquisitionLoop):
             return taken
 
         return self.submit(command)
+
+    def show_file(self, path: Path) -> Future[None]:
+        """Stop the camera, and reconstruct and publish the frame of an image file, as if it came from there."""
+        return self.show_single(lambda instrument: read_frame(path, instrument.devices.camera), path.name)
 
     def show_single(self, choose: Callable[[Instrument], Frame], file: str = "") -> Future[None]:
         """Stop the camera, and reconstruct and publish the frame that `choose` returns, as if it came from there.
@@ -132,23 +191,141 @@ class Acquisition(AcquisitionLoop):
         """State of the recording that `keep_recent` writes or wrote last."""
         return self._recorder.kept_state
 
-    def _routine(self, text: str, routine: Callable[..., T], *arguments: int) -> Future[T]:
+    @property
+    def failure(self) -> str:
+        """`error` in words; empty while the worker runs or after it was asked to end."""
+        if isinstance(self.error, DeviceError | InputError | RunError | None):
+            return str(self.error or "")
+        return f"{type(self.error).__name__}: {self.error}"
+
+    @property
+    def counts(self) -> FrameTotals:
+        """Numbers of frames acquired, reconstructed and lost so far."""
+        return self._path.counts
+
+    @property
+    def newest(self) -> Measurement | None:
+        """The mailbox: the newest measurement."""
+        return self._path.newest
+
+    @property
+    def is_alive(self) -> bool:
+        """True if the worker still runs."""
+        return self._thread.is_alive()
+
+    def begin_close(self) -> None:
+        """Turn the light off at once and ask the worker to end."""
+        if not self._stopping.is_set() and self._thread.is_alive():
+            self.switch_light_off()
+        self._stopping.set()
+
+    def close(self, timeout_s: float | None = None) -> None:
+        """Turn the light off, stop, finish the recording, close the devices; wait at most `timeout_s` for all that."""
+        self.begin_close()
+        if self._thread.is_alive():
+            self._thread.join(timeout_s)
+        self._light_switch.close(_LIGHT_OFF_S if timeout_s is None else timeout_s)
+
+    def _work(self) -> None:
+        try:
+            with (
+                one_blas_thread(),
+                short_turns(),
+                stream_sinks(self.bench) as published,
+                self._open_devices(self.bench, self._show_opening) as devices,
+                closing(
+                    Instrument(devices, self.bench, self.timings, self._show_preparation, self._watch)
+                ) as instrument,
+            ):
+                self._path.sinks += published
+                self._light_switch.attach(devices.light)
+                self.activity = Activity()
+                self._update_status(instrument)
+                while not self._stopping.is_set():
+                    self._execute_commands(instrument, wait=not devices.camera.is_running)
+                    if not devices.camera.is_running:
+                        self._poll_status(instrument)
+                    else:
+                        with suppress(Cancelled):  # to execute a command, or to stop
+                            self._path.acquire(instrument, self._light())
+        except Cancelled:
+            pass
+        except (DeviceError, InputError, RunError) as error:
+            self.error = error
+        except Exception as error:
+            self.error = error
+            # At interpreter exit the worker pool ends before a worker that was given up: not a fault.
+            if not (isinstance(error, RuntimeError) and self._stopping.is_set()):
+                raise
+        finally:
+            self._commands.close(self.failure or "the acquisition has ended")
+            self._recorder.close(self.failure)
+            self.activity = Activity()
+
+    def _show_opening(self, fraction: float) -> None:
+        if self._stopping.is_set():
+            raise Cancelled
+        self.activity = Activity("preparing the devices", fraction)
+
+    def _show_preparation(self, what: str) -> None:
+        """Show that the instrument prepares the reconstruction; this cannot be cancelled, and at the end not begun."""
+        if self._stopping.is_set():
+            raise Cancelled
+        self.activity = Activity(what, may_cancel=False)
+        self._path.gap_cause = what
+
+    def _watch(self, instrument: Instrument, text: str) -> Watch:
+        """Show a routine that begins."""
+
         def show_progress(frame: Frame, fraction: float) -> None:
             self.activity = Activity(text, fraction)
             self._path.show(frame, text, self._light())
 
-        def command(instrument: Instrument) -> T:
-            def should_stop() -> bool:
-                self._poll_status(instrument)  # the light and the sample differ from before
-                return self._stopping.is_set() or self._cancelling.is_set()
+        def should_stop() -> bool:
+            self._poll_status(instrument)  # the light and the sample differ from before
+            return self._stopping.is_set() or self._cancelling.is_set()
 
-            self._cancelling.clear()
-            self._status_due_s = -math.inf
-            self.activity = Activity(text)
-            self._path.gap_cause = text
-            return routine(instrument, *arguments, progress=show_progress, should_stop=should_stop)
+        self._cancelling.clear()
+        self._status_due_s = -math.inf
+        self.activity = Activity(text)
+        self._path.gap_cause = text
+        return {"progress": show_progress, "should_stop": should_stop}
 
-        return self.submit(command)
+    def _execute_commands(self, instrument: Instrument, *, wait: bool) -> None:
+        execute = self._commands.next(WAIT_SLICE_S if wait else 0.0)
+        while execute is not None:
+            execute(instrument)
+            execute = self._commands.next()
+
+    def _finish_command(self, instrument: Instrument) -> None:
+        self._update_status(instrument)
+        self.activity = Activity()  # not before: the status is still that of the routine, for example the light off
+
+    def _must_stop_waiting(self, instrument: Instrument) -> bool:
+        """Return whether the worker should stop waiting for a frame; also polls the status in long exposures."""
+        self._poll_status(instrument)
+        return self._stopping.is_set() or not self._commands.is_empty
+
+    def _poll_status(self, instrument: Instrument) -> None:
+        if time.monotonic() > self._status_due_s:
+            self._update_status(instrument)
+
+    def _update_status(self, instrument: Instrument) -> None:
+        asked_s, served = time.monotonic(), self._light_switch.served
+        status, answered_s = instrument.status(), time.monotonic()
+        with self._writing_status:
+            if served != self._light_switch.served:  # switched off while the status was queried
+                status = replace(status, is_light_on=False)
+            self.status = status
+        self._status_due_s = answered_s + max(_STATUS_INTERVAL_S, (answered_s - asked_s) / _STATUS_SHARE)
+
+    def _note_light_off(self, future: Future[None]) -> None:
+        with self._writing_status:
+            if future.exception() is None and self.status is not None:
+                self.status = replace(self.status, is_light_on=False)
+
+    def _light(self) -> LightState | None:
+        return None if self.status is None else LightState(self.status.is_light_on, self.status.current_a)
 
 
 def _facts(instrument: Instrument, command: str) -> dict[str, Any]:

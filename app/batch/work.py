@@ -15,8 +15,9 @@ from app.batch.job import Job, Source
 from app.batch.store import ResultStore
 from app.bench.config import write_bench
 from app.errors import InputError, RunError
+from app.measurement.measurement import Measurement
 from app.recording.reader import Recording
-from app.recording.reprocess import BLOCK_FRAMES, Reprocessed, Reprocessing
+from app.recording.reprocess import BLOCK_FRAMES, Reprocessing
 from app.results.dataset import results_in_pieces
 from app.run_facts import software_facts
 
@@ -45,7 +46,7 @@ def reconstruct_block(store: Path, job: Job, block: Block) -> DoneBlock:
     problem, bench = "", ""
     damaged: dict[int, str] = {}
 
-    def noted() -> Iterator[tuple[Reprocessed, dict[str, Any]]]:
+    def noted() -> Iterator[tuple[Measurement, dict[str, Any]]]:
         nonlocal problem, bench
         for made in _prepared(block.source, job)(block.frames, damaged.__setitem__):
             problem = problem or made.problem

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import ipaddress
-import math
 import sys
 import tomllib
 from collections.abc import Iterator, Mapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
@@ -27,7 +25,6 @@ from app.errors import InputError
 from app.files import in_words
 from drivers.light_source import ManualLightSettings
 from reconstruction.annotated_settings import Checked, Limit, SettingError, settings_of
-from reconstruction.arrays import Counts
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.geometry import Field, Lattice, Sensor, nominal_lattice
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
@@ -36,8 +33,6 @@ from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSe
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from reconstruction.frame.noise import CameraNoise
-    from reconstruction.pipeline import OwnMethods, Reconstructor
 
 Settings = TypeVar("Settings", bound="DataclassInstance")
 
@@ -137,36 +132,6 @@ class Bench(Checked):
         """The configured lattice, or else the designed one in the middle of a frame of rows x columns pixels."""
         return self.lattice or nominal_lattice(self.sensor, rows, columns)
 
-    def reconstructor(
-        self,
-        reference: Counts,
-        *,
-        lattice: Lattice,
-        dark: Counts | None = None,
-        full_scale: float = math.inf,
-        noise: CameraNoise | None = None,
-        reference_frames: float = math.inf,
-        own: OwnMethods | None = None,
-    ) -> Reconstructor:
-        """Prepare the reconstruction of frames against a reference; see `Reconstructor` for the arguments."""
-        from app.bench.imaging_model import lenslet_model  # noqa: PLC0415 - reading a bench must not load Numba
-        from reconstruction.pipeline import NO_OWN, Reconstructor  # noqa: PLC0415 - the same
-
-        return Reconstructor(
-            reference,
-            sensor=self.sensor,
-            lattice=lattice,
-            field=self.field,
-            registration=self.registration,
-            reconstruction=self.reconstruction,
-            dark=dark,
-            full_scale=full_scale,
-            noise=noise,
-            reference_frames=reference_frames,
-            own=own or NO_OWN,
-            lenslet_model=partial(lenslet_model, self),
-        )
-
     @property
     def light_model(self) -> SimulatedLightSettings:
         """Settings of the light for simulations."""
@@ -177,6 +142,15 @@ def load_bench(source: str | Path, overrides: tuple[str, ...] = (), *, is_record
     """Read a bench from a TOML file or a preset; see `parse_bench`."""
     text = read_bench_text(Path(source) if is_recorded else bench_file(source))
     return parse_bench(text, str(source), overrides, is_recorded=is_recorded)
+
+
+def as_bench(bench: object) -> Bench:
+    """Return a bench, or the one of a file or preset; refuse anything else."""
+    if isinstance(bench, str):
+        return load_bench(bench)
+    if not isinstance(bench, Bench):
+        raise InputError(f"a bench is needed, as load_bench returns it, not {type(bench).__name__}")
+    return bench
 
 
 def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_recorded: bool = False) -> Bench:

@@ -70,7 +70,7 @@ def take_non_rigid(tree: dict[str, Any], text: str, name: str, *, is_recorded: b
         raise BenchError(
             f'{name}: registration.method = "{method}" is no longer offered: leave it out, or choose itk_affine or'
             " correlation; `svwfs paper table1 --peers` still compares it",
-            line_of_setting(text, "registration.method", "method"),
+            line_of_setting(text, "registration.method"),
         )
     del registration["method"]
     return str(method)

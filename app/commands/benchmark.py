@@ -115,7 +115,6 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
 
     The light is turned off and the recording removed, also on an error or Ctrl-C.
     """
-    from app.acquisition.streams.publisher import stream_sinks
     from app.commands.live import use_display
     from app.evaluation.benchmark.live_path.course import Course
     from app.evaluation.benchmark.live_path.figures import LiveFigures
@@ -126,26 +125,23 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     lasting_s = (plan.warm_up_s + plan.seconds, warm_up_s + plan.without_window_s)
     middle = lasting_s[0] / sum(lasting_s)
     in_window = named(between(progress, 0.0, middle), "window" if is_seen else "unseen window")
-    with stream_sinks(plan.bench) as sinks:
-        with recording_folder(plan, in_window) as folder:
-            with_window = Course(
-                plan.bench,
-                in_window,
-                warm_up_s=plan.warm_up_s,
-                seconds=plan.seconds,
-                memory_s=plan.memory_s,
-                record_into=folder,
-                sinks=sinks,
-            )
-            _run_in_window(with_window, with_panels=plan.with_panels)
-        without_window = Course(
+    with recording_folder(plan, in_window) as folder:
+        with_window = Course(
             plan.bench,
-            named(between(progress, middle, 1.0), "no window"),
-            warm_up_s=warm_up_s,
-            seconds=plan.without_window_s,
-            sinks=sinks,
+            in_window,
+            warm_up_s=plan.warm_up_s,
+            seconds=plan.seconds,
+            memory_s=plan.memory_s,
+            record_into=folder,
         )
-        _run(without_window)
+        _run_in_window(with_window, with_panels=plan.with_panels)
+    without_window = Course(
+        plan.bench,
+        named(between(progress, middle, 1.0), "no window"),
+        warm_up_s=warm_up_s,
+        seconds=plan.without_window_s,
+    )
+    _run(without_window)
     return LiveFigures(
         plan=plan,
         is_seen=is_seen,

@@ -6,17 +6,14 @@ import os
 import re
 import socket
 import sys
-from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from app.commands import options, terminal
-from app.errors import InputError, RunError
+from app.errors import InputError
 from app.files import check_outputs, make_folder
 
 if TYPE_CHECKING:
@@ -85,35 +82,6 @@ def live(
     raise typer.Exit(unattended_window(player.bench, seconds=seconds, out=out, overwrite=overwrite, player=player))
 
 
-class _Publishing:
-    """Makes the acquisitions of one bench after another; each is published as its bench says."""
-
-    def __init__(self, streams: ExitStack) -> None:
-        self._streams = streams
-        self._sinks: tuple[Callable[[Measurement], None], ...] = ()
-        self.bench: Bench | None = None
-
-    def __call__(self, bench: Bench) -> Acquisition:
-        """Make an acquisition; the previous one has ended."""
-        from app.acquisition.devices import open_devices
-        from app.acquisition.streams.publisher import stream_sinks
-        from app.acquisition.worker import Acquisition
-
-        try:
-            if bench is not self.bench:
-                self.bench = None
-                self._streams.close()  # the next bench may use the same port
-                self._sinks = self._streams.enter_context(stream_sinks(bench))
-                self.bench = bench
-        except RunError as error:
-            return Acquisition(bench, partial(_fail, error))
-        return Acquisition(bench, open_devices, self._sinks)
-
-
-def _fail(error: RunError, *_: object) -> NoReturn:
-    raise error
-
-
 def bench_window(source: str, overrides: tuple[str, ...], *, trust: bool, offers_last: bool) -> int:
     """Run the window on a bench file or a preset until it is closed, and return the exit status.
 
@@ -122,20 +90,24 @@ def bench_window(source: str, overrides: tuple[str, ...], *, trust: bool, offers
     from app.gui.splash import Splash
 
     splash = Splash()  # before the rest is loaded
+    from app.acquisition.worker import Acquisition
     from app.gui.application import run_window
 
-    with ExitStack() as streams:
-        publishing = _Publishing(streams)
+    opened: list[Bench] = []
 
-        def open_first(window: MainWindow) -> None:
-            splash.finish(window)
-            window.benches.open(source, overrides, trust=trust)
-            if offers_last:
-                window.benches.offer_last()
+    def make_for(opening: Bench) -> Acquisition:
+        opened.append(opening)
+        return Acquisition(opening)
 
-        status = run_window(None, make_for=publishing, open_first=open_first)
-        if publishing.bench is not None and publishing.bench.has_manual_light:
-            terminal.remind(terminal.LIGHT_BY_HAND)
+    def open_first(window: MainWindow) -> None:
+        splash.finish(window)
+        window.benches.open(source, overrides, trust=trust)
+        if offers_last:
+            window.benches.offer_last()
+
+    status = run_window(None, make_for=make_for, open_first=open_first)
+    if opened and opened[-1].has_manual_light:
+        terminal.remind(terminal.LIGHT_BY_HAND)
     return status
 
 
@@ -144,17 +116,13 @@ def replay_window(player: Player) -> int:
     from app.gui.splash import Splash
 
     splash = Splash()  # before the rest is loaded
-    from app.acquisition.streams.publisher import stream_sinks
-    from app.acquisition.worker import Acquisition
     from app.gui.application import run_window
 
     def open_first(window: MainWindow) -> None:
         splash.finish(window)
-        window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take, *sinks)), player.begin, player)
+        window.open(player.acquisition, player.begin, player)
 
-    with ExitStack() as streams:
-        sinks = streams.enter_context(stream_sinks(player.bench))
-        return run_window(None, make_for=_Publishing(streams), open_first=open_first)
+    return run_window(None, open_first=open_first)
 
 
 def unattended_window(
@@ -165,9 +133,7 @@ def unattended_window(
     The window closes by itself `seconds` after the first wavefront and writes `window.png`, `result.nc` and `run.json`
     into the folder `out`; without a wavefront it fails.
     """
-    from app.acquisition.devices import open_devices
     from app.acquisition.start_up import start_up
-    from app.acquisition.streams.publisher import stream_sinks
     from app.acquisition.worker import Acquisition
     from app.recording.folder import FRAME_LINES
     from app.results.dataset import result_dataset
@@ -187,24 +153,19 @@ def unattended_window(
             dataset = result_dataset(measurement.wavefront, measurement.quality)
             write_results(results, dataset, bench=bench, inputs={})
 
-    with stream_sinks(bench) as sinks:
+    def make() -> Acquisition:
+        made.append(Acquisition(bench) if player is None else player.acquisition())
+        return made[-1]
 
-        def make() -> Acquisition:
-            if player is None:
-                made.append(Acquisition(bench, open_devices, sinks))
-            else:
-                made.append(Acquisition(bench, player.open_devices, (player.take, *sinks)))
-            return made[-1]
-
-        make_folder(out)
-        begin = start_up if player is None else player.begin
-        status = run_window(
-            None,
-            offscreen_s=seconds or _UNATTENDED_S,
-            screenshot=picture,
-            on_finish=finish,
-            open_first=lambda window: window.open(make, begin, player),
-        )
+    make_folder(out)
+    begin = start_up if player is None else player.begin
+    status = run_window(
+        None,
+        offscreen_s=seconds or _UNATTENDED_S,
+        screenshot=picture,
+        on_finish=finish,
+        open_first=lambda window: window.open(make, begin, player),
+    )
     sys.stdout.write(f"screenshot: {picture}\nresults: {results}\ntimings: {run}\n")
     return status
 

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterable
-from concurrent.futures import Future
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,11 +13,8 @@ from app.files import check_outputs
 from app.progress import Progress, counted
 
 if TYPE_CHECKING:
-    from app.acquisition.worker import Acquisition
     from app.bench.config import Bench
     from app.results.frame_tallies import Measured
-
-_POLL_S = 0.05
 
 
 def measure(
@@ -84,36 +78,13 @@ def measure_bench(
     unusable reference, `InputError` for an impossible bench, a folder that holds a recording, or results that exist
     without `overwrite`.
     """
-    from app.acquisition.devices import open_devices
-    from app.acquisition.start_up import FRAMES
-    from app.acquisition.streams.publisher import stream_sinks
-    from app.acquisition.worker import Acquisition
     from app.recording.folder import RUN, check_free, remove_empty
     from app.recording.reader import Recording
     from app.results.frame_tallies import files_of, write_measured
-    from drivers.interface import DeviceError
 
     check_free(out)
     check_outputs(files_of(out), inputs=bench.files, overwrite=overwrite)
-    is_stopped, fault = False, ""
-    with stream_sinks(bench) as sinks:
-        acquisition = Acquisition(bench, open_devices, sinks)
-        acquisition.start()
-        try:
-            _calibrate(acquisition, bench, average or FRAMES, progress, auto_expose=auto_expose)
-            _record(acquisition, bench, frames, out, progress)
-        except Interrupted:
-            is_stopped = True
-        except DeviceError as error:
-            fault = str(acquisition.error or error)
-        finally:
-            acquisition.close()
-            if bench.has_manual_light:
-                terminal.remind(terminal.LIGHT_BY_HAND)
-    if isinstance(acquisition.error, InputError):
-        raise acquisition.error
-    state = acquisition.recording
-    fault = fault or acquisition.failure or ("" if state is None else state.problem)
+    is_stopped, fault = _record(bench, frames, out, progress, average, auto_expose=auto_expose)
     recording = Recording(out) if (out / RUN).exists() else None
     if not recording:
         remove_empty(out)
@@ -136,74 +107,31 @@ def measure_bench(
     return measured
 
 
-def _calibrate(acquisition: Acquisition, bench: Bench, average: int, progress: Progress, *, auto_expose: bool) -> None:
-    """Take dark and reference; without motors, ask the user to move mask and sample.
+def _record(
+    bench: Bench, frames: int, out: Path, progress: Progress, average: int | None, *, auto_expose: bool
+) -> tuple[bool, str]:
+    """Calibrate and record; return whether the user stopped it, and the fault that ended it, empty without one."""
+    from app.acquisition.session import LiveBench
+    from app.acquisition.start_up import FRAMES
+    from drivers.interface import DeviceError
 
-    An unusable reference is reported before the sample is moved.
-    """
-    from app.acquisition.start_up import calibrate
-
-    if bench.has_manual_stage:
-        terminal.ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
-    if bench.has_manual_light:
-        _calibrate_by_hand(acquisition, average, progress, auto_expose=auto_expose)
-    else:
-        _wait(calibrate(acquisition, average, auto_expose=auto_expose), acquisition, progress)
-    while problem := acquisition.submit(lambda made: "" if made.calibration else made.status().warning).result():
-        sentence = f"the reference is unusable: {problem}"
-        if not bench.has_manual_stage:
-            raise RunError(sentence)
-        terminal.ask(f"{sentence}; check light, mask and focus, the sample out of the beam")
-        _wait([acquisition.take_reference(average)], acquisition, progress)
-    if bench.has_manual_stage:
-        terminal.ask("put the sample into the beam")
-
-
-def _calibrate_by_hand(acquisition: Acquisition, average: int, progress: Progress, *, auto_expose: bool) -> None:
-    """Take dark and reference while the user switches the light."""
-
-    def switch(word: str) -> None:
-        terminal.ask(f"switch the light {word}")
-        acquisition.submit(lambda instrument: instrument.devices.light.note_light(word == "on")).result()
-
-    if auto_expose:
-        switch("on")
-        _wait([acquisition.auto_expose()], acquisition, progress)
-    switch("off")
-    _wait([acquisition.take_dark(average)], acquisition, progress)
-    switch("on")
-    _wait([acquisition.take_reference(average)], acquisition, progress)
-
-
-def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, progress: Progress) -> None:
-    """Record from the first frame of which sample and correction are known; of played frames from the first one."""
-    from app.acquisition.start_up import knows_sample, move_sample_in, start_camera
-    from app.bench.device_kinds import RecordingSettings
-    from app.recording.recorder import Limit
-
-    def begin() -> Future[None]:
-        return acquisition.start_recording(out, command="measure", limit=Limit(frames=frames))
-
-    moved = move_sample_in(acquisition)
-    if isinstance(bench.camera, RecordingSettings) or not acquisition.submit(lambda made: made.prepares).result():
-        _wait([moved, begin(), start_camera(acquisition)], acquisition, progress)  # no frame comes before it records
-    else:
-        _wait([moved, start_camera(acquisition)], acquisition, progress)
-        while acquisition.is_alive and not knows_sample(acquisition):
-            progress("finding layers and correction with the first frames", 0.0)
-            time.sleep(_POLL_S)
-        _wait([begin()], acquisition, progress)
-    while acquisition.is_alive and (state := acquisition.recording) is not None and state.stage == "recording":
-        progress(f"recording {counted(frames)}", state.frames / frames)
-        time.sleep(_POLL_S)
-
-
-def _wait(steps: Iterable[Future[Any]], acquisition: Acquisition, progress: Progress) -> None:
-    for step in steps:
-        while not step.done():
-            progress(acquisition.activity.text, acquisition.activity.progress)
-            time.sleep(_POLL_S)
-        step.result()
+    live = LiveBench(bench, average=0, progress=progress)
+    try:
+        with live:
+            live.calibrate(terminal.ask, average or FRAMES, auto_expose=auto_expose)
+            live.record(out, frames, command="measure")
+    except Interrupted:
+        return True, ""
+    except InputError:
+        raise
+    except Exception as error:
+        if not (live.failure or isinstance(error, DeviceError | RunError)):
+            raise
+        return False, live.failure or str(error)
+    finally:
+        if bench.has_manual_light:
+            terminal.remind(terminal.LIGHT_BY_HAND)
+    return False, ""
 
 
 def print_measurement(measured: Measured, out: Path) -> None:

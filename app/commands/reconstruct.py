@@ -135,7 +135,7 @@ def _size(image: NDArray[Any]) -> str:
 
 def print_views(wavefront: Wavefront) -> None:
     """Print RMS with error bar and PV of every view, arranged as in the field, what was assumed, and the lenslets."""
-    from app.measurement.assumptions import sample_sentence
+    from app.measurement.measurement import sample_sentence
     from app.results.dataset import rotation_of
     from app.results.frame_tallies import rms_noise, rms_text
     from reconstruction.wavefront import peak_to_valley, rms

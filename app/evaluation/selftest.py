@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
+from app.measurement.calibration import Calibration
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
@@ -97,7 +98,7 @@ def run_checks() -> Iterator[Check]:
         registration=RegistrationSettings(warp="affine"),
         reconstruction=ReconstructionSettings(pupil_modes=6),
     )
-    reconstructor = bench.reconstructor(model.irradiance(source), lattice=LATTICE)
+    reconstructor = Calibration.of_images(bench, model.irradiance(source), lattice=LATTICE).reconstructor()
     sample_x_m, sample_y_m = model.sample_x_m[None, :], model.sample_y_m[:, None]
     for name, known in KNOWN.items():
         amplitude = np.sqrt(known.intensity(sample_x_m, sample_y_m))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.acquisition.start_up import FRAMES
-from app.bench.config import Bench
+from app.bench.config import Bench, as_bench
 from app.errors import InputError
 from app.evaluation.noise_free import NoiseFreeFrames
 from app.measurement.bench_reconstructor import whole_number
@@ -27,26 +27,37 @@ class SimulatedFrames:
     sample moves."""
 
 
-def simulated_frames(bench: Bench, frames: int = 1, *, noise_free: bool = False) -> SimulatedFrames:
-    """Render the bench and take frames of it.
-
-    A drifting sample moves on by one of its states with every frame, so by `state_duration_s` of its drift. A second
-    call finds the rendered images on disk.
+def simulate(bench: Bench, frames: int = 1, *, noise_free: bool = False) -> SimulatedFrames:
+    """Simulate the images that the camera of a bench takes, with the true wavefronts.
 
     Parameters
     ----------
     bench
-        The bench; its `[simulation]`, `[camera]` and `[light]` describe the optics and the detector.
+        The bench; its `[simulation]`, `[camera]` and `[light]` describe source, screen and detector.
     frames
-        Number of frames with the sample.
+        Number of frames with the sample. A drifting sample moves on by one of its states with every frame, so by
+        `state_duration_s` of its drift.
     noise_free
         Return mean photons instead of counts; the dark is then zero.
+
+    Returns
+    -------
+    SimulatedFrames
+        `.reference` and `.dark` (row, column), `.frames` (frame, row, column), and `.truth` in rad (view_row,
+        view_column, lenslet_row, lenslet_column), with a leading frame axis if the sample moves.
 
     Raises
     ------
     InputError
-        If `frames` is not 1 ... the number of states of a drifting sample, or if the bench cannot be rendered.
+        If the bench cannot be rendered, or `frames` exceeds the states of a drifting sample.
+
+    Examples
+    --------
+    >>> images = svwfs.simulate(bench, frames=2)
+    >>> images.frames.shape, images.truth.shape
+    ((2, 240, 256), (3, 3, 7, 7))
     """
+    bench = as_bench(bench)
     frames = whole_number(frames, "frames")
     is_moving = bench.simulation.screen.is_drifting
     most = bench.simulation.drifting_states if is_moving else 10_000

@@ -8,7 +8,7 @@ from pathlib import Path
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 from PyQt6.QtWidgets import QApplication
 
-from app.acquisition.start_up import acquisition_of
+from app.acquisition.session import FirstWavefront
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError
@@ -22,7 +22,6 @@ from app.gui.window_state import settings_file
 from app.gui.wording import left_behind
 from app.signals import ended_by
 
-_HOPELESS_FRAMES = 20
 _FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run
 
 
@@ -33,7 +32,7 @@ def run_window(
     screenshot: Path | None = None,
     on_finish: Callable[[Measurement], None] | None = None,
     until: Callable[[], bool] | None = None,
-    make_for: Callable[[Bench], Acquisition] = acquisition_of,
+    make_for: Callable[[Bench], Acquisition] = Acquisition,
     open_first: Callable[[MainWindow], object] = MainWindow.connect_devices,
     remembers: bool = True,
 ) -> int:
@@ -166,32 +165,24 @@ class _UnattendedRun:
     ) -> None:
         self._window, self._duration_s = window, duration_s
         self._screenshot, self._on_finish = screenshot, on_finish
-        self._deadline_s = time.monotonic() + _FIRST_WAVEFRONT_S
+        self._first = FirstWavefront(_FIRST_WAVEFRONT_S)
         self._last: Measurement | None = None
-        self._hopeless = 0  # frames without wavefront after all commands, with a warning that says why
         window.measurement_shown.connect(self._note)
 
     def _note(self, measurement: Measurement) -> None:
-        controller = self._window.controller
-        is_hopeless = controller.pending.is_empty and controller.status is not None and bool(controller.status.warning)
-        self._hopeless = self._hopeless + 1 if measurement.wavefront is None and is_hopeless else 0
         if measurement.wavefront is not None:
-            if self._last is None:
-                self._deadline_s = time.monotonic() + self._duration_s
             self._last = measurement
+        if measurement.wavefront is not None or self._window.controller.pending.is_empty:  # not of a routine
+            self._first.take(measurement)
 
     def is_done(self) -> bool:
         """Return whether the time is over, and save the results then."""
-        status = self._window.controller.status
-        if self._last is None and self._hopeless >= _HOPELESS_FRAMES and status is not None:
-            raise RunError(f"no wavefront: {status.warning}")
-        if time.monotonic() < self._deadline_s:
+        self._first.check()
+        if self._first.came_s is None or time.perf_counter() < self._first.came_s + self._duration_s:
             return False
-        if self._last is None:
-            raise RunError(f"no wavefront within {_FIRST_WAVEFRONT_S:g} s: {self._window.messages.text.text()}")
         self._window.update_text()
         if self._screenshot is not None and not self._window.save_screenshot(self._screenshot):
             raise RunError(f"{self._screenshot}: cannot be written")
-        if self._on_finish is not None:
+        if self._on_finish is not None and self._last is not None:
             self._on_finish(self._last)
         return True

@@ -107,7 +107,7 @@ class BenchFiles(QObject):
         if before is None or self._controller.failure or replace(before, **changed) != bench:
             self._connect_trusted(bench, source="")
         else:
-            self._controller.settings.change(lambda now: replace(now, **changed))
+            self._controller.settings.change(*changed.items())
 
     def ask(self) -> None:
         """Ask for a bench file, and open it."""

@@ -7,14 +7,14 @@ from typing import Any, Protocol
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
 
-from app.acquisition.calibration_steps import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, differs
-from app.acquisition.instrument import Status
+from app.acquisition.instrument import Instrument, Setting, Status
+from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, differs
 from app.acquisition.worker import Acquisition
 from app.gui import theme
 from app.gui.widgets import button, column, label, row
 from app.gui.wording import exposure_found, lattice_found
-from app.measurement.routines.auto_exposure import AutoExposure
-from app.measurement.routines.frames import Cancelled
+from app.measurement.auto_exposure import AutoExposure
+from app.measurement.routines import Cancelled
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 
@@ -124,11 +124,13 @@ class CalibrationGuide(QDialog):
             return
         step = self._left[0]
         if (request := by_hand(step, status)) is not None:
-            text, note = request
+            text, setting, value = request
             self._ask(
                 text,
                 "Done",
-                lambda: self._send(lambda to: to.submit(note), lambda _: self._next(), self._fail),
+                lambda: self._send(
+                    lambda to: to.submit(Instrument.set, setting, value), lambda _: self._next(), self._fail
+                ),
                 "Stop",
                 self._stop,
             )
@@ -136,6 +138,10 @@ class CalibrationGuide(QDialog):
         self._mark(step, "running", "running \N{HORIZONTAL ELLIPSIS}")
         self._show_question("", "", "Cancel", self.reject)
         self._send(lambda to: step.begin(to, self._frames), self._finish, self._fail)
+
+    def _note(self, setting: Setting, value: bool) -> None:
+        """Note what a person has done, and go on."""
+        self._send(lambda to: to.submit(Instrument.set, setting, value), lambda _: self._next(), self._fail)
 
     def _finish(self, result: object) -> None:
         if not self._is_running:

@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -29,7 +28,7 @@ from app.gui.recording_panel import RecordingPanel
 from app.gui.sensor_region_dialog import SensorRegionDialog
 from app.gui.settings_control import SettingsControl
 from app.gui.wording import area_taken, exposure_found, lattice_found, recording_ended
-from app.measurement.routines.background import BackgroundCheck
+from app.measurement.averages import BackgroundCheck
 from app.measurement.sensor_region import SensorArea, in_steps, region_around
 from app.memory import release_memory
 from app.recording.recorder import Limit
@@ -148,7 +147,7 @@ class Controller:
         def show(check: BackgroundCheck) -> None:
             (self._messages.inform if check.is_good else self._messages.warn)(check.verdict)
 
-        self._send(Acquisition.check_background, show)
+        self._send(lambda to: to.submit(Instrument.check_background), show)
 
     def save_screenshot(self, picture: QPixmap, path: Path | None) -> bool:
         """Save a picture, by default in the user's picture folder; return whether that succeeded."""
@@ -199,7 +198,9 @@ class Controller:
 
     def _connect_routines(self, controls: ControlsPanel) -> None:
         controls.auto_exposure_requested.connect(
-            lambda: self._send(Acquisition.auto_expose, lambda found: self._messages.inform(exposure_found(found)))
+            lambda: self._send(
+                lambda to: to.submit(Instrument.auto_expose), lambda found: self._messages.inform(exposure_found(found))
+            )
         )
         controls.lattice_requested.connect(
             lambda: self._send(lambda to: to.submit(Instrument.survey_lattice), self._propose)
@@ -252,8 +253,7 @@ class Controller:
 
     def _use_lattice(self, lattice: Lattice) -> None:
         self.settings.change(
-            lambda bench: replace(bench, lattice=lattice),
-            lambda _: self._messages.inform("the lattice is in use; Ctrl+S saves it"),
+            ("lattice", lattice), then=lambda _: self._messages.inform("the lattice is in use; Ctrl+S saves it")
         )
 
     def _open_region_dialog(self) -> None:

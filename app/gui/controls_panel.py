@@ -7,9 +7,9 @@ from typing import Any, get_args
 from PyQt6.QtCore import QSize, pyqtBoundSignal, pyqtSignal
 from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QFrame, QHBoxLayout, QSizePolicy, QWidget
 
-from app.acquisition.calibration_steps import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.acquisition.instrument import Status
-from app.acquisition.validity import Validity, taken_at
+from app.acquisition.kept_averages import Validity, taken_at
+from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.bench.config import AUTOMATIC, Bench
 from app.gui import theme
 from app.gui.automatic_tips import MODES_TIP, WARP_TIP
@@ -17,7 +17,7 @@ from app.gui.number_field import NumberField
 from app.gui.presentation import percent
 from app.gui.step_button import StepButton
 from app.gui.widgets import Button, Choice, Item, Slot, button, column, label, mark_wanted, row, toggle
-from app.measurement.routines.averages import AVERAGED_FRAMES
+from app.measurement.averages import AVERAGED_FRAMES
 from app.results.pictures import FrameStatistics
 from drivers.interface import Range
 from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis

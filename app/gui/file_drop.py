@@ -10,7 +10,6 @@ from PyQt6.QtGui import QDropEvent
 
 from app.errors import InputError
 from app.images import SUFFIXES
-from app.measurement.frame_files import read_frame
 from app.recording.folder import read_run
 
 if TYPE_CHECKING:
@@ -59,7 +58,7 @@ class FileDrop(QObject):
         if acquisition.recording is not None and acquisition.recording.stage == "recording":
             self._window.messages.warn(f"{path.name}: is not shown during a recording, of which it would be part")
             return
-        shown = acquisition.show_single(lambda instrument: read_frame(path, instrument.devices.camera), path.name)
+        shown = acquisition.show_file(path)
         text = f"{path.name} is shown, reconstructed with the present reference; Space returns to the camera"
         self._window.controller.pending.add(shown, lambda _: self._window.messages.inform(text))
 

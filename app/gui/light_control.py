@@ -80,7 +80,7 @@ class LightControl:
             self._controls.light.setChecked(status.is_light_on)  # until it is confirmed
             self._ask_by_hand(on=on, then=lambda: None)
         elif on and may_light:
-            self._send(lambda to: to.submit(lambda instrument: instrument.devices.light.set_on(True)), None)
+            self._send(lambda to: to.submit(Instrument.set, "is_light_on", True), None)
         else:
             self._switching_off = acquisition.switch_light_off()
             self._messages.clear_notice()
@@ -93,13 +93,14 @@ class LightControl:
         if self._must_ask(on=False):
             self._ask_by_hand(on=False, then=lambda: self._take_dark(frames))
         else:
-            self._send(lambda to: to.take_dark(frames), lambda _: self._dark_taken(frames))
+            self._send(lambda to: to.submit(Instrument.take_dark, frames), lambda _: self._dark_taken(frames))
 
     def _take_reference(self, frames: int) -> None:
         if self._must_ask(on=True):
             self._ask_by_hand(on=True, then=lambda: self._take_reference(frames))
         else:
-            self._send(lambda to: to.take_reference(frames), lambda _: self._confirm("reference", frames))
+            take = Instrument.take_reference
+            self._send(lambda to: to.submit(take, frames), lambda _: self._confirm("reference", frames))
 
     def _dark_taken(self, frames: int) -> None:
         self._confirm("dark", frames)
@@ -120,13 +121,9 @@ class LightControl:
 
     def _ask_by_hand(self, *, on: bool, then: Callable[[], object]) -> None:
         """Ask a person to switch a manual light, and note it when that is confirmed."""
-
-        def note(instrument: Instrument) -> None:
-            instrument.devices.light.note_light(on)
-
         self._ask(
             f"switch the light {'on' if on else 'off'} by hand",
-            lambda: self._send(lambda to: to.submit(note), lambda _: then()),
+            lambda: self._send(lambda to: to.submit(Instrument.set, "is_light_on", on), lambda _: then()),
             "Done",
             "Not now",
         )

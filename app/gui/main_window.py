@@ -11,7 +11,7 @@ from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QApplication
 
 from app.acquisition.instrument import Status
-from app.acquisition.start_up import FRAMES, acquisition_of, start_up
+from app.acquisition.start_up import FRAMES, start_up
 from app.acquisition.worker import Acquisition, Activity, Measurement
 from app.bench.config import Bench
 from app.gui.analysis_tabs import AnalysisTabs
@@ -58,7 +58,7 @@ class MainWindow(BaseWindow):
         make_acquisition: Callable[[], Acquisition] | None,
         *,
         settings: QSettings | None = None,
-        make_for: Callable[[Bench], Acquisition] = acquisition_of,
+        make_for: Callable[[Bench], Acquisition] = Acquisition,
     ) -> None:
         """Make an empty window; `connect_devices` starts an acquisition, unless `open` does.
 

@@ -5,7 +5,7 @@ from concurrent.futures import CancelledError, Future
 from typing import Any, TypeVar
 
 from app.gui.message_strip import MessageStrip
-from app.measurement.routines.frames import Cancelled
+from app.measurement.routines import Cancelled
 
 T = TypeVar("T")
 

@@ -14,8 +14,7 @@ from app.gui import theme
 from app.gui.timing_row import TimingRow, timing_table
 from app.gui.widgets import ElidedLabel, colour_text, column, label, row, row_of
 from app.gui.wording import as_sentence, lenslet_summary
-from app.measurement.assumptions import sample_sentence
-from app.measurement.live_solver import RefinementState
+from app.measurement.measurement import RefinementState, sample_sentence
 from app.timing import Timings
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE

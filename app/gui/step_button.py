@@ -4,7 +4,7 @@ from PyQt6.QtCore import QEvent
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QSizePolicy
 
-from app.acquisition.validity import Validity
+from app.acquisition.kept_averages import Validity
 from app.gui import theme
 from app.gui.widgets import Button, Slot
 

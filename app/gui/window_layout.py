@@ -50,4 +50,4 @@ def lay_out(window: MainWindow) -> PanelDocks:
 
 
 def _exclude(window: MainWindow, row: int, column: int) -> None:
-    window.controller.settings.change(lambda bench: bench.with_toggled((row, column)))
+    window.controller.settings.change(("lenslet", (row, column)))

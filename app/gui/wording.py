@@ -7,8 +7,8 @@ import numpy as np
 from app.acquisition.instrument import Status
 from app.acquisition.worker import Activity, Measurement
 from app.gui.presentation import percent
+from app.measurement.auto_exposure import AutoExposure
 from app.measurement.measurement import Gap
-from app.measurement.routines.auto_exposure import AutoExposure
 from app.measurement.sensor_region import SensorArea, lenslets_outside
 from app.progress import counted
 from app.recording.recorded_devices import RecordedLight

@@ -1,8 +1,10 @@
-"""Reconstruction of frames that are arrays, with refinement by the bench's forward model."""
+"""Reconstruction of frames that are arrays, for Python and files, with refinement by the bench's forward model."""
 
+from __future__ import annotations
+
+import math
 import operator
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, cast
@@ -10,51 +12,152 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from app.bench.config import Bench
-from app.bench.imaging_model import BenchModel
+from app.bench.config import Bench, as_bench
 from app.errors import InputError
-from app.measurement.assumptions import mask_sentence
-from app.measurement.judging import frame_judge
+from app.measurement.calibration import Calibration, KnownNoise
+from app.measurement.estimator import Estimator, mask_sentence
 from reconstruction.arrays import Counts, Mask
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.noise import CameraNoise, TransferCurve, image_transfer
+from reconstruction.frame.noise import TransferCurve, image_transfer
 from reconstruction.frame.pixels import AboveDark, find_bad_pixels, repaired
+from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import survey
 from reconstruction.layers.layer_solver import FrameEquations
-from reconstruction.pipeline import NO_OWN, OwnMethods, Reconstructor
-from reconstruction.quality.frame_quality import FrameJudge
+from reconstruction.pipeline import NO_OWN, OwnBasis, OwnMethods, OwnRegistration
 from reconstruction.quality.reference_quality import linearity_quality
 from reconstruction.quality.verdict import Quality, repeated_reference
-from reconstruction.refinement import Refinement, Round
+from reconstruction.refinement import Round
 from reconstruction.wavefront import Wavefront
 
 
-class BenchReconstructor:
-    """Turns frames of one bench into wavefronts; everything that depends on the reference is prepared once.
+def reconstructor(
+    bench: Bench,
+    reference: Counts,
+    *,
+    dark: Counts | None = None,
+    full_scale: float | None = None,
+    frame: Counts | None = None,
+    registration: OwnRegistration | None = None,
+    basis: OwnBasis | None = None,
+) -> BenchReconstructor:
+    """Prepare the reconstruction of frames against a reference.
 
-    It is prepared with `frame`, or else with the first frame that is reconstructed.
+    The camera's noise, which weights lenslets and gives error bars, is estimated from reference and `frame`. Without
+    `frame`, it is estimated when the first frame is reconstructed, as `svwfs reconstruct` does.
 
     Parameters
     ----------
     bench
-        The bench. Without a lattice of its own, the lattice is found in the reference.
+        The bench. Without a `[lattice]`, the lattice is found in the reference.
     reference
         Frame without the sample, (row, column), counts.
     dark
         Frame without light, (row, column), counts. Without one, the darkest percent of each image is the background.
     full_scale
-        Count at which a pixel saturates, infinite if none does; by default see `full_scale_of`.
+        Count at which a pixel saturates, such as 4095 for a 12-bit camera, infinite if none does; by default that of 16
+        bits.
     frame
-        Frame with the sample, (row, column), counts, which with the reference shows the camera's noise.
-    own
-        Methods that replace those of the bench.
+        Frame with the sample, (row, column), counts, that shows the camera's noise.
+    registration
+        Your registration method instead of the bench's: called with the subimages of a reference and the field, it
+        returns a `RegistrationMethod` (docs/own_methods.md).
+    basis
+        Your pupil modes instead of the bench's: called with the sensor and their number or None, it returns
+        `PupilModes` (docs/own_methods.md).
+
+    Returns
+    -------
+    BenchReconstructor
+        Call it with a frame (row, column) to get its `Wavefront`: `.views` in rad (view_row, view_column, lenslet_row,
+        lenslet_column), `.at(x_m, y_m)` for numbers or arrays, `.sigma()`, `.coefficients`, `.displacement`.
 
     Raises
     ------
     ReconstructionError
-        If the reference shows no lattice, or when it is prepared, cannot be used; the message says why.
+        If reference, dark and bench do not go together, at the latest with the first frame; the message says why.
     InputError
         If the full scale is not positive.
+
+    Examples
+    --------
+    >>> reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
+    >>> wavefront = reconstruct(images.frames[0])
+    >>> bool(abs(wavefront.views - images.truth).mean() < 0.1)  # rad
+    True
+    """
+    own = OwnMethods(registration, basis)
+    return BenchReconstructor(as_bench(bench), reference, dark=dark, full_scale=full_scale, frame=frame, own=own)
+
+
+def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = 3) -> Wavefront:
+    """Reconstruct a frame and remove the estimator's bias with the forward model of the bench.
+
+    Parameters
+    ----------
+    reconstructor
+        Result of `svwfs.reconstructor`; it keeps the model for the next frame.
+    frame
+        Frame with the sample, (row, column), counts.
+    rounds
+        Rounds of refinement at most, 0 or more; it ends early when a round no longer improves.
+
+    Returns
+    -------
+    Wavefront
+        The refined wavefront.
+
+    Raises
+    ------
+    ReconstructionError
+        If the frame cannot be reconstructed; the message says why.
+
+    Examples
+    --------
+    >>> wavefront = svwfs.refine(reconstruct, images.frames[0])
+    >>> bool(abs(wavefront.views - images.truth).mean() < 0.05)  # rad
+    True
+    """
+    wavefront = None
+    for step in reconstructor.rounds(frame, rounds):
+        wavefront = step.wavefront
+    return wavefront or reconstructor(frame)
+
+
+def find_lattice(reference: Counts, bench: Bench, *, dark: Counts | None = None) -> Lattice:
+    """Find the lenslets on a reference.
+
+    Parameters
+    ----------
+    reference
+        Frame without the sample, (row, column), counts.
+    bench
+        The bench; its `[sensor]` gives the number of lenslets and the designed pitch.
+    dark
+        Frame without light, (row, column), counts.
+
+    Returns
+    -------
+    Lattice
+        Centre and pitch in px, rotation in rad.
+
+    Raises
+    ------
+    ReconstructionError
+        If the frame shows no such lattice; the message says why.
+
+    Examples
+    --------
+    >>> round(svwfs.find_lattice(images.reference, bench).pitch_px, 2)
+    31.25
+    """
+    background = None if dark is None else as_image(dark, "dark")
+    return survey(as_image(reference, "reference"), as_bench(bench).sensor, dark=background).lattice
+
+
+class BenchReconstructor:
+    """Turns frames of one bench into wavefronts; `reconstructor` makes it.
+
+    It is prepared with `frame`, or else with the first frame that is reconstructed.
     """
 
     def __init__(
@@ -71,111 +174,86 @@ class BenchReconstructor:
         most = full_scale_of(reference, bench.camera_model.bits) if full_scale is None else full_scale
         if not (isinstance(most, float | int | np.number) and most > 0):
             raise InputError(f"full_scale = {full_scale!r}: give the count at which a pixel saturates, as 4095")
-        lattice = bench.lattice or survey(reference, bench.sensor, dark=dark, full_scale=most).lattice
-        self._reference, self._dark, self._full_scale = reference, dark, most
-        self._is_lattice_given, self._is_scale_given = bench.lattice is not None, full_scale is not None
         registration, reconstruction = own.named(bench.registration, bench.reconstruction)
-        self.bench = replace(bench, lattice=lattice, registration=registration, reconstruction=reconstruction)
-        self._own, self._lattice = own, lattice
-        self._prepared: Reconstructor | None = None
+        named = replace(bench, registration=registration, reconstruction=reconstruction)
+        self._calibration = Calibration.of_images(named, reference, dark=dark, full_scale=most, own=own)
+        self._is_scale_given = full_scale is not None
+        self._estimator: Estimator | None = None
+        self.bench = replace(named, lattice=self._calibration.lattice)
         if frame is not None:
-            self._reconstructor(as_image(frame, "frame"))
+            self._prepared(as_image(frame, "frame"))
 
     def __call__(self, frame: Counts) -> Wavefront:
         """Return the wavefront of a frame (row, column), counts; `ReconstructionError` says why there is none."""
         image = as_image(frame, "frame")
-        return self._reconstructor(image)(image)
+        return self._prepared(image).reconstructor(image)
 
     def quality(self, frame: Counts, wavefront: Wavefront) -> Quality:
         """Judge a frame (row, column), counts, by its wavefront."""
         counts = as_image(frame, "frame")
-        of_frame = linearity_quality(self._transfer(counts), "frame")
-        return repeated_reference(counts, self._reference) | of_frame | self._judge(counts, wavefront.displacement)
+        of_frame = linearity_quality(self._curve(counts), "frame")
+        judged = self._prepared().judge(counts, wavefront.displacement)
+        return repeated_reference(counts, self._calibration.reference.mean) | of_frame | judged
 
     def mask_sentence(self, wavefront: Wavefront) -> str:
         """Say which displacements the mask hides, and what they follow from; empty if it shows all."""
-        return mask_sentence(self._reconstructor(), wavefront.sample)
+        return mask_sentence(self._prepared().reconstructor, wavefront.sample)
 
     def layers(self, wavefront: Wavefront) -> FrameEquations:
         """Normal equations of a wavefront's displacements for layers at any distance."""
-        return self._reconstructor().layers(wavefront.displacement)
+        return self._prepared().reconstructor.layers(wavefront.displacement)
 
     def rounds(self, frame: Counts, most: int) -> Iterator[Round]:
         """Refine the wavefront of a frame (row, column), counts, in at most `most` rounds; fewer where it settles."""
         if whole_number(most, "rounds") < 0:
             raise InputError(f"{most} rounds of refinement are impossible: give 0 or more")
         image = as_image(frame, "frame")
-        reconstructor = self._reconstructor(image)
-        displacement = reconstructor.register(image)
-        return self._refinement.rounds(displacement, most, reconstructor.find_sample(displacement))
+        estimator = self._prepared(image)
+        displacement = estimator.reconstructor.register(image)
+        return estimator.refinement.rounds(displacement, most, estimator.reconstructor.find_sample(displacement))
 
-    def _reconstructor(self, frame: Counts | None = None) -> Reconstructor:
-        """The reconstructor; prepared with the noise that a frame shows, if this is the first call."""
-        if self._prepared is None:
-            bench, noise, frames = self.bench, None, np.inf
+    def _prepared(self, frame: Counts | None = None) -> Estimator:
+        """The estimator; prepared with the noise that a frame shows, if this is the first call."""
+        if self._estimator is None:
+            given = self._calibration
+            known, full_scale = KnownNoise(None, curve=self._curve(given.reference.mean)), given.full_scale
             if frame is not None:
-                AboveDark(self._reference.shape, None, np.inf)(frame, "frame")  # refuses one of another size
-                noise, frames = _noise(self._transfer(frame), self._transfer(self._reference))
+                AboveDark(given.reference.mean.shape, None, np.inf)(frame, "frame")  # refuses one of another size
+                known = _known_noise(self._curve(frame), known.curve)
                 if not self._is_scale_given:
-                    self._full_scale = min(self._full_scale, full_scale_of(frame, bench.camera_model.bits))
-            self._prepared = bench.reconstructor(
-                self._reference,
-                lattice=self._lattice,
-                dark=self._dark,
-                full_scale=self._full_scale,
-                noise=noise,
-                reference_frames=frames,
-                own=self._own,
-            )
-        return self._prepared
+                    full_scale = min(full_scale, full_scale_of(frame, self.bench.camera_model.bits))
+            estimator = Estimator(replace(given, known=known, full_scale=full_scale))
+            _ = estimator.reconstructor  # may refuse
+            self._estimator = estimator
+        return self._estimator
 
-    @cached_property
-    def _judge(self) -> FrameJudge:
-        shown, sensor = None, self.bench.sensor
-        if self._is_lattice_given:
-            with suppress(ReconstructionError):  # a few lit lenslets show no lattice
-                shown = survey(self._reference, sensor, dark=self._dark, full_scale=self._full_scale).lattice
-        reconstructor = self._reconstructor()
-        return frame_judge(
-            reconstructor,
-            self._reference,
-            shown=shown,
-            dark=self._dark,
-            frames=reconstructor.subimages.reference_frames,
-            curve=self._transfer(self._reference),
-        )
-
-    def _transfer(self, image: Counts) -> TransferCurve | None:
-        """Variance of an image's pixels against their light; None if it does not show them."""
+    def _curve(self, image: Counts) -> TransferCurve | None:
+        """Variance of a single image's pixels against their light; None if it does not show them."""
         dark, bad = self._dark_of(image), self._bad
         light = np.subtract(image, np.min(image) if dark is None else dark, dtype=np.float32)
         return image_transfer(repaired(light, bad) if light.shape == bad.shape else light, self.bench.sensor.blur_px)
 
     @cached_property
     def _bad(self) -> Mask:
-        return find_bad_pixels(self._reference, self._dark_of(self._reference))
+        reference = self._calibration.reference.mean
+        return find_bad_pixels(reference, self._dark_of(reference))
 
     def _dark_of(self, image: Counts) -> Counts | None:
         """The dark, unless it has another size, which is refused later."""
-        return self._dark if self._dark is not None and self._dark.shape == image.shape else None
-
-    @cached_property
-    def _refinement(self) -> Refinement:
-        try:
-            return Refinement(self._reconstructor(), BenchModel(self.bench, self._reconstructor()))
-        except ValueError as error:  # the reference does not allow a model
-            raise ReconstructionError(str(error), image="reference") from error
+        dark = self._calibration.dark_image
+        return None if dark is None or dark.shape != image.shape else dark
 
 
-def _noise(frame: TransferCurve | None, reference: TransferCurve | None) -> tuple[CameraNoise | None, float]:
-    """Noise of a frame, None if it cannot be seen, and the number of frames averaged in the reference.
+def _known_noise(frame: TransferCurve | None, reference: TransferCurve | None) -> KnownNoise:
+    """Noise of a frame, if it can be seen, and the number of frames averaged in the reference.
 
     Filtering or a gamma can hide the noise of a frame; then it is that of the reference.
     """
     of_frame, of_reference = (None if curve is None else curve.noise for curve in (frame, reference))
     if of_frame is None or of_reference is None:
-        return of_frame or of_reference, np.inf if of_frame else 1.0
-    return of_frame, max(of_frame.counts_per_electron / of_reference.counts_per_electron, 1.0)
+        return KnownNoise(of_frame or of_reference, math.inf if of_frame else 1.0, reference)
+    averaged = of_frame.counts_per_electron / of_reference.counts_per_electron
+    return KnownNoise(of_frame, max(averaged, 1.0), reference)
 
 
 def as_image(image: ArrayLike, what: str) -> Counts:

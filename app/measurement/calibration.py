@@ -1,4 +1,4 @@
-"""Calibration: everything from which a reconstructor is rebuilt bit by bit.
+"""Calibration: everything from which an estimator is rebuilt bit by bit.
 
 A new dark, reference or setting makes a new `Calibration`. Each measurement refers to its own, and a recording stores
 all that its frames refer to.
@@ -6,18 +6,27 @@ all that its frames refer to.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import partial
 
 from app.bench.config import Bench
-from app.measurement.judging import frame_judge
-from app.measurement.routines.averages import Average
-from app.memory import kept_for_bench
-from reconstruction.errors import ReconstructionError
+from app.bench.imaging_model import lenslet_model
+from app.measurement.averages import Average
+from reconstruction.arrays import Counts
 from reconstruction.frame.noise import CameraNoise, TransferCurve, photon_transfer
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey, survey
-from reconstruction.pipeline import Reconstructor
-from reconstruction.quality.frame_quality import FrameJudge
+from reconstruction.pipeline import NO_OWN, OwnMethods, Reconstructor
+
+
+@dataclass(frozen=True, slots=True)
+class KnownNoise:
+    """Noise that does not come from the scatter of the averaged frames."""
+
+    noise: CameraNoise | None
+    reference_frames: float = math.inf  # averaged in the reference
+    curve: TransferCurve | None = None  # of the reference
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,65 +38,81 @@ class Calibration:
     reference: Average
     lattice: Lattice  # configured, or found in the reference
     full_scale: float  # saturation level, counts
+    known: KnownNoise | None = None  # None: found from the averages
+    own: OwnMethods = NO_OWN
 
     @classmethod
     def of(cls, bench: Bench, dark: Average | None, reference: Average, full_scale: float) -> Calibration:
         """Find the lattice in the reference unless it is configured; `ReconstructionError` if it shows none."""
-        lattice = bench.lattice or surveyed(bench, dark, reference, full_scale).lattice
+        lattice = bench.lattice or surveyed(bench.sensor, dark, reference, full_scale).lattice
         return cls(bench, dark, reference, lattice, full_scale)
 
-    def reconstructor(self) -> Reconstructor:
-        """Build the reconstructor; `ReconstructionError` if dark, reference and settings do not fit."""
-        return self.bench.reconstructor(
-            self.reference.mean,
-            lattice=self.lattice,
-            dark=None if self.dark is None else self.dark.mean,
-            full_scale=self.full_scale,
-            noise=self.noise(),
-            reference_frames=self.reference.frames,
-        )
+    @classmethod
+    def of_images(
+        cls,
+        bench: Bench,
+        reference: Counts,
+        *,
+        dark: Counts | None = None,
+        lattice: Lattice | None = None,
+        full_scale: float = math.inf,
+        known: KnownNoise = KnownNoise(None),
+        own: OwnMethods = NO_OWN,
+    ) -> Calibration:
+        """Take a reference and a dark, (row, column), that do not tell their noise, and a `lattice` if it is known."""
+        averages = None if dark is None else Average.of_image(dark), Average.of_image(reference)
+        lattice = lattice or bench.lattice or surveyed(bench.sensor, *averages, full_scale).lattice
+        return cls(bench, *averages, lattice, full_scale, known, own)
 
-    def judge(self, reconstructor: Reconstructor) -> FrameJudge:
-        """Judge the calibration, and prepare the judgement of frames reconstructed by `reconstructor`."""
+    @property
+    def dark_image(self) -> Counts | None:
+        """Mean of the dark, (row, column), counts; None without one."""
+        return None if self.dark is None else self.dark.mean
+
+    @property
+    def curve(self) -> TransferCurve | None:
+        """Variance of the reference's frames against their light; None if it is unknown, as without a dark."""
         dark, reference = self.dark, self.reference
-        shown = None
-        if self.bench.lattice is not None:
-            shown = _shown_lattice(dark, reference, self.bench.sensor, self.full_scale)
-        return frame_judge(
-            reconstructor,
-            reference.mean,
-            shown=shown,
-            dark=None if dark is None else dark.mean,
-            variance=reference.variance,
-            frames=reference.frames,
-            curve=self._transfer(),
-        )
-
-    def noise(self) -> CameraNoise | None:
-        """Camera noise from the scatter of the averaged frames; None without a dark."""
-        curve = self._transfer()
-        return None if curve is None else curve.noise
-
-    def _transfer(self) -> TransferCurve | None:
-        """Variance of the averaged frames against their light; None without a dark."""
-        dark, reference = self.dark, self.reference
+        if self.known is not None:
+            return self.known.curve
         if dark is None or dark.mean.shape != reference.mean.shape:  # refused by `reconstructor`
             return None
         return photon_transfer(
             reference.mean - dark.mean, reference.variance, frames=reference.frames, dark_variance=dark.variance
         )
 
+    @property
+    def noise(self) -> CameraNoise | None:
+        """Camera noise of a single frame; None if it is unknown."""
+        if self.known is not None:
+            return self.known.noise
+        curve = self.curve
+        return None if curve is None else curve.noise
 
-@kept_for_bench(maxsize=4)  # another setting does not change it
-def _shown_lattice(dark: Average | None, reference: Average, sensor: Sensor, full_scale: float) -> Lattice | None:
-    """The lattice that the reference shows; None if it shows none."""
-    try:
-        mean = None if dark is None else dark.mean
-        return survey(reference.mean, sensor, dark=mean, full_scale=full_scale).lattice
-    except ReconstructionError:
-        return None
+    @property
+    def reference_frames(self) -> float:
+        """Number of frames averaged in the reference."""
+        return self.reference.frames if self.known is None else self.known.reference_frames
+
+    def reconstructor(self) -> Reconstructor:
+        """Build the reconstructor; `ReconstructionError` if dark, reference and settings do not fit."""
+        bench = self.bench
+        return Reconstructor(
+            self.reference.mean,
+            sensor=bench.sensor,
+            lattice=self.lattice,
+            field=bench.field,
+            registration=bench.registration,
+            reconstruction=bench.reconstruction,
+            dark=self.dark_image,
+            full_scale=self.full_scale,
+            noise=self.noise,
+            reference_frames=self.reference_frames,
+            own=self.own,
+            lenslet_model=partial(lenslet_model, bench),
+        )
 
 
-def surveyed(bench: Bench, dark: Average | None, reference: Average, full_scale: float) -> Survey:
-    """Find the lenslets in the reference, ignoring the configured lattice; `ReconstructionError` if it shows none."""
-    return survey(reference.mean, bench.sensor, dark=None if dark is None else dark.mean, full_scale=full_scale)
+def surveyed(sensor: Sensor, dark: Average | None, reference: Average, full_scale: float) -> Survey:
+    """Find the lenslets in a reference; `ReconstructionError` if it shows none."""
+    return survey(reference.mean, sensor, dark=None if dark is None else dark.mean, full_scale=full_scale)

@@ -12,16 +12,14 @@ import os
 import sys
 import threading
 import time
-from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
-from app.bench.config import Bench
-from app.bench.imaging_model import BenchModel
-from reconstruction.arrays import Floats
+from app.measurement.estimator import Estimator
+from app.measurement.measurement import Assumptions, RefinementStage, RefinementState
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
-from reconstruction.pipeline import Reconstructor
 from reconstruction.refinement import Bias, Refinement, distance_rad, mean_rms
 from reconstruction.wavefront import Wavefront
 
@@ -31,26 +29,6 @@ _HARM = 1.2  # rise of the misfit by a harmful correction; noise stays below
 _HARM_PX = 0.003  # added, for a misfit of nearly 0
 _NICENESS = 10
 _WAIT_S = 0.2
-
-RefinementStage = Literal["off", "preparing", "applied", "moved", "worse", "failed"]
-
-
-@dataclass(frozen=True, slots=True)
-class RefinementState:
-    """Correction of one frame."""
-
-    stage: RefinementStage = "off"
-    age_s: float = math.nan  # from the bias's frame to this one
-    moved_rad: float = math.nan  # change of the wavefront since the bias's frame, mean RMS over the views
-    problem: str = ""  # reason of a failure
-    bias: Floats | None = field(default=None, compare=False, repr=False)  # as applied, px; see `Reconstructor.solve`
-
-
-class Assumptions(NamedTuple):
-    """What was assumed for one frame, and its correction."""
-
-    sample: AssumedSample | None = FREE  # None: not found yet, so that any wavefront was allowed
-    refinement: RefinementState = RefinementState()
 
 
 class _Solved(NamedTuple):
@@ -76,15 +54,16 @@ class _Closed(Exception):
 
 
 class LiveSolver:
-    """Reconstructs one reconstructor's frames; its thread ends soon after `close`."""
+    """Solves for one estimator's frames; its thread ends soon after `close`."""
 
-    def __init__(self, bench: Bench, reconstructor: Reconstructor) -> None:
+    def __init__(self, estimator: Estimator) -> None:
         """Start the thread if there is anything to find.
 
         With refinement, building its model blocks all threads for some tenths of a second.
         """
-        self._reconstructor = reconstructor
-        self._searches, self._refines = reconstructor.may_be_layered, bench.reconstruction.refine
+        self._estimator, self._reconstructor = estimator, estimator.reconstructor
+        self._searches = self._reconstructor.may_be_layered
+        self._refines = estimator.calibration.bench.reconstruction.refine
         self._newest: _Solved | None = None  # one slot each way, written by one thread
         self._found = _Found(None if self._searches else FREE)
         self._problem = ""
@@ -92,14 +71,14 @@ class LiveSolver:
         self._uncorrected_px = math.inf  # misfit of the last uncorrected wavefront
         self._something_new, self._closing = threading.Event(), threading.Event()
         self.prepares = self._searches or self._refines
-        model = None
         if self._refines:
             try:
-                model = BenchModel(bench, reconstructor)
-            except (ReconstructionError, ValueError) as error:  # the reference does not allow a model
+                _ = estimator.model
+            except ReconstructionError as error:  # the reference does not allow one
                 self._problem = str(error)
-        if self._searches or model is not None:
-            threading.Thread(target=self._work, args=(model,), name="live-solver", daemon=True).start()
+        has_model = self._refines and not self._problem
+        if self._searches or has_model:
+            threading.Thread(target=self._work, args=(has_model,), name="live-solver", daemon=True).start()
 
     def close(self) -> None:
         """Stop after the current round."""
@@ -142,12 +121,12 @@ class LiveSolver:
             return RefinementState()
         return RefinementState("failed" if self._problem else "preparing", problem=self._problem)
 
-    def _work(self, model: BenchModel | None) -> None:
+    def _work(self, has_model: bool) -> None:
         """Search and refine with the newest frame repeatedly."""
         if sys.platform == "linux":  # threads have their own priority only here
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         try:
-            refinement = None if model is None else Refinement(self._reconstructor, model)
+            refinement = self._estimator.refinement if has_model else None
             while not self._closing.is_set():
                 if self._something_new.wait(_WAIT_S) and self._newest is not None:
                     self._something_new.clear()

@@ -1,28 +1,40 @@
-"""Measurement: one frame and its result, as shown, recorded and published."""
+"""Measurement: one frame with its result, as shown, recorded, published and replayed; and what was assumed of it."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
 
 from app.measurement.calibration import Calibration
-from app.measurement.live_solver import Assumptions
 from drivers.interface import Frame
+from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
+from reconstruction.geometry import Field
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
 
 SKIPPED = "passed over: the computer was behind, and a newer frame was there"  # stored in recordings
+_COUNTS = {1: "one layer", 2: "two layers"}
+
+RefinementStage = Literal["off", "preparing", "applied", "moved", "worse", "failed"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reconstruction:
-    """Result for one frame, and everything needed to reproduce it."""
+@dataclass(frozen=True, slots=True)
+class RefinementState:
+    """Correction of one frame."""
 
-    wavefront: Wavefront | None
-    problem: str  # why there is no wavefront; empty if there is one
-    calibration: Calibration | None = None
-    start: Displacement | None = None  # initial guess of the registration: the previous frame's displacement
-    registered: Displacement | None = None  # as registered; the wavefront's displacement has the bias subtracted
-    assumed: Assumptions = Assumptions()
-    quality: Quality = Quality()
+    stage: RefinementStage = "off"
+    age_s: float = math.nan  # from the bias's frame to this one
+    moved_rad: float = math.nan  # change of the wavefront since the bias's frame, mean RMS over the views
+    problem: str = ""  # reason of a failure
+    bias: Floats | None = field(default=None, compare=False, repr=False)  # as applied, px; see `Reconstructor.solve`
+
+
+class Assumptions(NamedTuple):
+    """What was assumed for one frame, and its correction."""
+
+    sample: AssumedSample | None = FREE  # None: not found yet, so that any wavefront was allowed
+    refinement: RefinementState = RefinementState()
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +69,36 @@ class Measurement:
     frame: Frame
     wavefront: Wavefront | None
     problem: str  # why there is no wavefront; empty if there is one
-    counts: FrameTotals
-    exposure_end_s: float  # end of the exposure on this computer's clock, time.perf_counter()
-    latency_s: float  # from then to this result
-    assumed: Assumptions = Assumptions()  # of the sample, with the bias that was applied, if any
+    counts: FrameTotals = FrameTotals()
+    exposure_end_s: float = math.nan  # end of the exposure on this computer's clock, time.perf_counter()
+    latency_s: float = math.nan  # from then to this result
     calibration: Calibration | None = None  # shared by all frames that used it
     start: Displacement | None = None  # initial guess of the registration: the previous frame's displacement
     registered: Displacement | None = None  # as registered; the wavefront's displacement has the bias subtracted
-    light: LightState | None = None  # as last polled
+    assumed: Assumptions = Assumptions()  # of the sample, with the bias that was applied, if any
     quality: Quality = Quality()
+    lost: int = 0  # frames that the camera lost just before this one
+    light: LightState | None = None  # as last polled
     gap: Gap | None = None  # just before the frame
     file: str = ""  # name of the file that the frame was read from; empty: the camera
+    index: int = -1  # of the frame in the recording that it was read from; -1: none
+
+
+def sample_sentence(sample: AssumedSample, of: Field) -> str:
+    """Say what was assumed, as "one layer 195 +- 1 mm in front of the lenslets"."""
+    neglected = ", and no propagation of light (the paper's simulation)" if of.neglect_propagation else ""
+    if not sample.ratios:
+        return f"any wavefront{neglected}"
+    places = [
+        _place(-ratio * of.collimator_focal_length_m, sigma * of.collimator_focal_length_m)
+        for ratio, sigma in zip(sample.ratios, sample.sigma.tolist(), strict=True)
+    ]
+    return f"{_COUNTS[len(places)]} {' and '.join(places)}{neglected}"
+
+
+def _place(distance_m: float, sigma_m: float) -> str:
+    """Describe a distance, positive towards the source."""
+    side = "in front of" if distance_m >= 0 else "behind"
+    decimals = 0 if sigma_m <= 0 else max(0, -math.floor(math.log10(sigma_m * 1e3)))
+    error = f" +- {sigma_m * 1e3:.{decimals}f}" if sigma_m > 0 else ""
+    return f"{abs(distance_m) * 1e3:.{decimals}f}{error} mm {side} the lenslets"

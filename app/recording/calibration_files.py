@@ -12,8 +12,8 @@ from app.bench.config import load_bench, write_bench
 from app.errors import InputError
 from app.files import atomic_write, check_readable, in_words, sync
 from app.images import MOST_COUNTS
+from app.measurement.averages import AVERAGED_FRAMES, Average
 from app.measurement.calibration import Calibration
-from app.measurement.routines.averages import AVERAGED_FRAMES, Average
 from app.run_facts import write_record
 from reconstruction.arrays import Floats
 from reconstruction.geometry import require

@@ -46,29 +46,13 @@ class Recording:
 
     It holds no pixels: each call reads one frame, so that memory does not grow with the number of frames. Frames are
     counted from 0; `len` is the number of complete lines in `frames.jsonl`. If the folder is renamed meanwhile, the
-    recording is found again under its new name.
-
-    Parameters
-    ----------
-    folder
-        Folder of the recording.
-
-    Attributes
-    ----------
-    folder
-        Path of the folder; changes if it is renamed.
-    run
-        Contents of `run.json`.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no recording, and by every method if what it reads is missing or damaged.
+    recording is found again under its new name. Every method raises an `InputError` if what it reads is missing or
+    damaged, and so does opening a folder that holds no recording.
     """
 
     def __init__(self, folder: Path | str) -> None:
-        self.folder = Path(folder)
-        self.run = read_run(self.folder)
+        self.folder = Path(folder)  # changes if it is renamed
+        self.run = read_run(self.folder)  # contents of `run.json`
         self._ends = array("q", [0])  # end of each line, bytes; the first number is the start of the first line
         self._arrays: dict[str, FrameArray | None] = {}
         self._calibrations = lru_cache(4)(lambda number: read_calibration(self.folder / CALIBRATION.format(number)))

@@ -88,7 +88,7 @@ class BackgroundRecording:
         with self._changed:
             if not self._is_open:
                 return
-            self._first_s = record.frame.host_time_s if self._first_s is None else self._first_s
+            self._first_s = record.made.frame.host_time_s if self._first_s is None else self._first_s
             if self._is_beyond_limit(record):
                 self._end("")
                 return
@@ -125,7 +125,7 @@ class BackgroundRecording:
     def _is_beyond_limit(self, record: Record) -> bool:
         """Return whether a frame comes too late; the limit may have been lowered below what was taken."""
         frames, seconds = self.limit.frames, self.limit.seconds
-        is_late = seconds is not None and record.frame.host_time_s - (self._first_s or 0.0) > seconds
+        is_late = seconds is not None and record.made.frame.host_time_s - (self._first_s or 0.0) > seconds
         return is_late or (frames is not None and self._taken >= frames)
 
     def _end(self, problem: str) -> None:
@@ -205,20 +205,18 @@ class Recorder:
         self._timings = timings
         self._recent: deque[Record] = deque()
         self._recent_bytes = 0
-        self._lost = 0
         self._recording: BackgroundRecording | None = None
         self._kept: BackgroundRecording | None = None
         self._changing = threading.Lock()
 
     def take(self, measurement: Measurement) -> None:
         """Keep a measurement and record it if a recording is on; never waits for the disk."""
-        record = Record.of(measurement, measurement.counts.lost - self._lost)
-        self._lost = measurement.counts.lost
+        record = Record.of(measurement)
         with self._changing:
             self._recent.append(record)
             self._recent_bytes += record.nbytes
-            oldest_s = record.frame.host_time_s - RECENT_S
-            while self._recent[0].frame.host_time_s < oldest_s or self._recent_bytes > _RECENT_BYTES:
+            oldest_s = record.made.frame.host_time_s - RECENT_S
+            while self._recent[0].made.frame.host_time_s < oldest_s or self._recent_bytes > _RECENT_BYTES:
                 self._recent_bytes -= self._recent.popleft().nbytes
             if self._recording is not None:
                 self._recording.take(record)
@@ -293,8 +291,9 @@ class Recorder:
         Slow on a network disk; `OSError` if the disk cannot be asked.
         """
         with self._changing:
-            spanned_s = self._recent[-1].frame.host_time_s - self._recent[0].frame.host_time_s if self._recent else 0.0
+            arrivals_s = [record.made.frame.host_time_s for record in self._recent]
             nbytes = self._recent_bytes
+        spanned_s = arrivals_s[-1] - arrivals_s[0] if arrivals_s else 0.0
         if spanned_s <= 0:
             return math.inf
         return shutil.disk_usage(nearest_existing(folder)).free / (nbytes / spanned_s) / 60

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from app.errors import InputError, RunError
 from app.files import make_folder, sync
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import Gap, LightState, Measurement
+from app.measurement.measurement import Gap, Measurement
 from app.recording.calibration_files import write_array, write_calibration
 from app.recording.folder import (
     BEFORE,
@@ -36,11 +37,8 @@ from app.recording.folder import (
 from app.recording.frame_array import FrameArray
 from app.recording.frame_lines import FrameLine, checksum, sample_line
 from app.run_facts import now, software_facts, write_record
-from drivers.interface import Frame
 from reconstruction.arrays import Floats
-from reconstruction.layers.layered_wavefront import AssumedSample
-from reconstruction.solve.modal import ModalSolution
-from reconstruction.wavefront import rms
+from reconstruction.refinement import mean_rms
 
 T = TypeVar("T")
 
@@ -53,60 +51,67 @@ _DIMENSIONS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """Recorded subset of a `Measurement`; 10 s of them fit in memory."""
+    """Recorded part of a `Measurement`; 10 s of them fit in memory, because they hold no covariance."""
 
-    frame: Frame
-    lost: int  # frames lost just before this one
-    light: LightState | None
-    problem: str
-    calibration: Calibration | None
-    bias: Floats | None  # px, (lenslet_row, lenslet_column, field_mode, xy)
-    bias_age_s: float | None
-    sample: AssumedSample | None
-    start: Floats | None  # px, as bias: starting point of the registration
-    displacement: Floats | None  # px, as bias
-    coefficients: Floats | None  # rad, (pupil_mode, field_mode)
-    views: Floats | None  # rad, (view_row, view_column, lenslet_row, lenslet_column)
-    valid: int | None
-    gap: Gap | None = None  # just before this frame
+    made: Measurement  # without wavefront and displacements
+    start: Floats | None = None  # px, (lenslet_row, lenslet_column, field_mode, xy): registration's starting point
+    displacement: Floats | None = None  # px, as `start`
+    coefficients: Floats | None = None  # rad, (pupil_mode, field_mode)
+    views: Floats | None = None  # rad, (view_row, view_column, lenslet_row, lenslet_column)
+    valid: int | None = None
 
     @classmethod
-    def of(cls, measurement: Measurement, lost: int) -> Record:
+    def of(cls, measurement: Measurement) -> Record:
         """Take the recorded parts of a measurement, without a copy."""
         wavefront, registered, start = measurement.wavefront, measurement.registered, measurement.start
-        solution = None if wavefront is None else wavefront.solution
-        sample, refinement = measurement.assumed
         return cls(
-            frame=measurement.frame,
-            lost=lost,
-            light=measurement.light,
-            problem=measurement.problem,
-            calibration=measurement.calibration,
-            bias=refinement.bias,
-            bias_age_s=None if refinement.bias is None else refinement.age_s,
-            sample=sample,
+            replace(measurement, wavefront=None, registered=None, start=None),
             start=None if start is None else start.coefficients,
             displacement=None if registered is None else registered.coefficients,
-            coefficients=solution.coefficients if isinstance(solution, ModalSolution) else None,
+            coefficients=None if wavefront is None else wavefront.coefficients,
             views=None if wavefront is None else wavefront.views,
             valid=None if registered is None else int(np.count_nonzero(registered.valid)),
-            gap=measurement.gap,
         )
 
     @property
     def nbytes(self) -> int:
         """Memory of the arrays that belong to this record alone."""
-        arrays = (self.frame.pixels, self.displacement, self.coefficients, self.views)
+        arrays = (self.made.frame.pixels, self.displacement, self.coefficients, self.views)
         return sum(array.nbytes for array in arrays if array is not None)
 
-    @property
-    def rms_rad(self) -> float | None:
-        """RMS of the wavefront, mean over the views in the field; None without a wavefront."""
-        if self.views is None:
-            return None
-        values = rms(self.views)
-        known = values[np.isfinite(values)]
-        return float(known.mean()) if known.size else None
+    def line(self, index: int, calibration: int | None, bias: int | None, start: int | None) -> FrameLine:
+        """Line of the frame at an `index`, with the numbers of what it refers to."""
+        made, frame, light = self.made, self.made.frame, self.made.light
+        sample, refinement = made.assumed
+        gap = made.gap if index else None  # one before the first frame is none of this recording
+        return FrameLine(
+            index=index,
+            camera_index=frame.index,
+            camera_time_s=frame.camera_time_s,
+            host_time_s=frame.host_time_s,
+            exposure_s=frame.exposure_s,
+            em_gain=frame.em_gain,
+            is_light_on=None if light is None else light.is_on,
+            light_current_a=None if light is None else light.current_a,
+            lost=made.lost,
+            calibration=calibration,
+            bias=bias,
+            bias_age_s=None if refinement.bias is None else refinement.age_s,
+            start=start,
+            problem=made.problem,
+            rms_rad=_known_mean_rms(self.views),
+            valid=self.valid,
+            sample=None if sample is None else sample_line(sample),
+            crc32=checksum(frame.pixels),
+            gap_s=0.0 if gap is None else gap.seconds,
+            gap_cause="" if gap is None else gap.cause,
+        )
+
+
+def _known_mean_rms(views: Floats | None) -> float | None:
+    """RMS of a wavefront, mean over the views in the field; None without a wavefront, as JSON has no NaN."""
+    value = math.nan if views is None else mean_rms(views)
+    return None if math.isnan(value) else value
 
 
 class RecordingWriter:
@@ -145,27 +150,28 @@ class RecordingWriter:
     def write(self, record: Record) -> None:
         """Write a frame, and then its line."""
         index = self.frames
-        calibration, bias = self._calibrations.number_of(record.calibration), self._biases.number_of(record.bias)
+        made = record.made
+        calibration = self._calibrations.number_of(made.calibration)
+        bias = self._biases.number_of(made.assumed.refinement.bias)
         if self._registered is None and record.start is not None:  # the frame before is not in this recording
             write_array(self._folder / START, record.start)
             self._registered = BEFORE, record.start
         start = self._registered[0] if record.start is not None and self._registered is not None else None
-        written = self._put(PIXELS, index, record.frame.pixels)
+        written = self._put(PIXELS, index, made.frame.pixels)
         if calibration is not None:
             results = RESULTS.format(calibration)
             if record.displacement is not None:
                 written += self._put(f"{results}/displacement", index, record.displacement)
             if record.coefficients is not None:
                 written += self._put(f"{results}/coefficients", index, record.coefficients)
-        gap = record.gap if index else None  # one before the first frame is none of this recording
-        self._write_line(_line(replace(record, gap=gap), index, calibration, bias, start))
+        self._write_line(record.line(index, calibration, bias, start))
         if record.displacement is not None:
             self._registered = index, record.displacement
         self.frames += 1
-        self.reconstructed += not record.problem
-        self.lost += record.lost
-        if gap is not None:
-            self.gaps.append(gap)
+        self.reconstructed += not made.problem
+        self.lost += made.lost
+        if made.gap is not None and index:
+            self.gaps.append(made.gap)
         self.bytes += written
 
     def sync(self) -> None:
@@ -251,32 +257,6 @@ def _create_lines(folder: Path) -> IO[bytes]:
         lines.close()
         raise
     return lines
-
-
-def _line(record: Record, index: int, calibration: int | None, bias: int | None, start: int | None) -> FrameLine:
-    frame, light, gap = record.frame, record.light, record.gap
-    return FrameLine(
-        index=index,
-        camera_index=frame.index,
-        camera_time_s=frame.camera_time_s,
-        host_time_s=frame.host_time_s,
-        exposure_s=frame.exposure_s,
-        em_gain=frame.em_gain,
-        is_light_on=None if light is None else light.is_on,
-        light_current_a=None if light is None else light.current_a,
-        lost=record.lost,
-        calibration=calibration,
-        bias=bias,
-        bias_age_s=record.bias_age_s,
-        start=start,
-        problem=record.problem,
-        rms_rad=record.rms_rad,
-        valid=record.valid,
-        sample=None if record.sample is None else sample_line(record.sample),
-        crc32=checksum(frame.pixels),
-        gap_s=0.0 if gap is None else gap.seconds,
-        gap_cause="" if gap is None else gap.cause,
-    )
 
 
 def make_array(store: Path, name: str, values: NDArray[Any]) -> FrameArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -13,7 +12,7 @@ import xarray as xr
 
 from app.bench.config import Bench
 from app.errors import SETTINGS_CHANGED, InputError
-from app.recording.reprocess import Reprocessed
+from app.measurement.measurement import Measurement
 from app.results.result_file import FRAME, LENSLET, PIECE, Variable, about, require_alike, write_results
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
@@ -132,7 +131,7 @@ def truth_dataset(views: Floats, light: Floats, bench: Bench) -> xr.Dataset:
 
 
 def results_in_pieces(
-    frames: Iterable[tuple[Reprocessed, Mapping[str, Variable]]],
+    frames: Iterable[tuple[Measurement, Mapping[str, Variable]]],
     results_of: Callable[[Wavefront, Quality], xr.Dataset] = result_dataset,
 ) -> Iterator[xr.Dataset]:
     """Stack the results of frames, with additional variables for each, along `frame`, in pieces that fit in memory.
@@ -140,21 +139,19 @@ def results_in_pieces(
     Frames without a wavefront are left out; the coordinate `recording_index` has the index in the recording.
     """
     made = (  # a wavefront holds megabytes of its solution: none is kept
-        (results.assign(more) if more else results, frame.line, frame.bias_age_s)  # assign copies every variable
-        for frame, more in frames
-        if frame.wavefront is not None
-        for results in [results_of(frame.wavefront, frame.quality)]
+        (
+            results.assign(more) if more else results,  # assign copies every variable
+            (one.frame.index, one.frame.camera_time_s, one.assumed.refinement.age_s, one.index),
+        )
+        for one, more in frames
+        if one.wavefront is not None
+        for results in [results_of(one.wavefront, one.quality)]
     )
     while piece := list(islice(made, PIECE)):
-        datasets, lines, ages_s = zip(*piece, strict=True)
-        stacked = stack_frames(
-            datasets,
-            [line.camera_index for line in lines],
-            [line.camera_time_s for line in lines],
-            [math.nan if age_s is None else age_s for age_s in ages_s],
-        )
+        datasets, facts = zip(*piece, strict=True)
+        *of_frames, indices = zip(*facts, strict=True)
         index = about("1", "the frame's index in the recording")
-        yield stacked.assign_coords(recording_index=(FRAME, [line.index for line in lines], index))
+        yield stack_frames(datasets, *of_frames).assign_coords(recording_index=(FRAME, list(indices), index))
 
 
 def stack_frames(

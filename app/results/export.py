@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from app.bench.config import write_bench
 from app.errors import SETTINGS_CHANGED, InputError, RunError
 from app.files import atomic_write, check_outputs, check_suffix
+from app.measurement.measurement import Measurement
 from app.progress import Progress
 from app.recording.folder import parts_of
 from app.recording.reader import Recording
-from app.recording.reprocess import Reprocessed, reprocess
+from app.recording.reprocess import reprocess
 from app.results.dataset import result_dataset, results_in_pieces
 from app.results.field_coefficients import double_zernikes, write_table, zernike_names, zernike_rows
 from app.results.replay import first_bench
@@ -166,7 +167,7 @@ def _write_csv(recording: Recording, chosen: range, out: Path, progress: Progres
     Q, and `e_P_Q_sigma_rad` its standard deviation (modal method only).
     """
     remaining = _reconstructed(recording, chosen, progress)
-    before: list[Reprocessed] = []  # up to the first with a wavefront, which decides the columns
+    before: list[Measurement] = []  # up to the first with a wavefront, which decides the columns
     for frame in remaining:
         before.append(frame)
         if frame.wavefront is not None:
@@ -178,14 +179,15 @@ def _write_csv(recording: Recording, chosen: range, out: Path, progress: Progres
     write_table(out, [*first, *names], (_row(each, names) for each in chain(before, remaining)))
 
 
-def _row(frame: Reprocessed, names: list[str]) -> list[float]:
-    line, values = frame.line, dict.fromkeys(names, np.nan)
+def _row(frame: Measurement, names: list[str]) -> list[float]:
+    taken, values = frame.frame, dict.fromkeys(names, np.nan)
     if frame.wavefront is not None:
         values = _values(frame.wavefront)
         if list(values) != names:
             raise InputError(SETTINGS_CHANGED)
     valid = 0 if frame.registered is None else int(frame.registered.valid.sum())
-    return [line.index, line.camera_index, line.camera_time_s, line.exposure_s, line.em_gain, valid, *values.values()]
+    times = taken.index, taken.camera_time_s, taken.exposure_s, taken.em_gain
+    return [frame.index, *times, valid, *values.values()]
 
 
 def _values(wavefront: Wavefront) -> dict[str, float]:
@@ -212,7 +214,7 @@ def _write_results(
 def _write_zernike_table(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
     """Write one row of numbers for each frame with a wavefront, and view inside the field."""
     frames = _reconstructed(recording, chosen, progress)
-    found = ((frame.line.index, frame.wavefront) for frame in frames if frame.wavefront is not None)
+    found = ((frame.index, frame.wavefront) for frame in frames if frame.wavefront is not None)
     first = next(found, None)
     if first is None:
         raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
@@ -239,7 +241,7 @@ def _views(recording: Recording, chosen: range, progress: Progress, text: str) -
 
 def _reconstructed(
     recording: Recording, chosen: range, progress: Progress, text: str = "reconstructing frames"
-) -> Iterator[Reprocessed]:
+) -> Iterator[Measurement]:
     return _counted(reprocess(recording, chosen), len(chosen), progress, text)
 
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from app.bench.config import Bench
 from app.images import write_image
-from app.measurement.assumptions import sample_sentence
+from app.measurement.measurement import Measurement, sample_sentence
 from app.progress import Progress, counted
 from app.recording.reader import Recording
-from app.recording.reprocess import Reprocessed, reprocess
+from app.recording.reprocess import Reprocessing
 from app.results.dataset import results_in_pieces, rotation_of
 from app.results.result_file import write_pieces
 from reconstruction.arrays import Floats
@@ -146,15 +146,16 @@ class Measured:
         """Samples that were assumed, in words."""
         return self.samples.sentence(self.bench.field)
 
-    def take(self, made: Reprocessed) -> None:
+    def take(self, made: Measurement, mask_note: str) -> None:
         """Add one frame."""
-        self.recorded, self.lost = self.recorded + 1, self.lost + made.line.lost
-        self.exposure_s, self.light_current_a = made.line.exposure_s, made.line.light_current_a
+        self.recorded, self.lost = self.recorded + 1, self.lost + made.lost
+        self.exposure_s = made.frame.exposure_s
+        self.light_current_a = None if made.light is None else made.light.current_a
         if made.wavefront is None:
             self.problem = self.problem or made.problem
             return
         self.reconstructed += 1
-        self.mask_note = made.mask_note
+        self.mask_note = mask_note
         self.quality.take(made.quality)
         self.samples.take(made.wavefront.sample)
         self.rotation = rotation_of(made.wavefront)
@@ -191,9 +192,10 @@ def _write_calibration(recording: Recording) -> None:
                 write_image(recording.folder / f"{name}.tif", average.mean)
 
 
-def _counted(recording: Recording, measured: Measured, progress: Progress) -> Iterator[Reprocessed]:
+def _counted(recording: Recording, measured: Measured, progress: Progress) -> Iterator[Measurement]:
     """Reconstruct and count every frame."""
-    for made in reprocess(recording):
-        measured.take(made)
-        progress("writing the results", (made.line.index + 1) / len(recording))
+    reprocessing = Reprocessing(recording)
+    for made in reprocessing():
+        measured.take(made, reprocessing.mask_sentence(made))
+        progress("writing the results", (made.index + 1) / len(recording))
         yield made

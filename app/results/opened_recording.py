@@ -23,19 +23,38 @@ from reconstruction.arrays import Image
 from reconstruction.wavefront import html, picture_of_frame
 
 
-class OpenedRecording:
-    """A recording on disk; frames are read when they are used.
+def open_recording(path: Path | str) -> "OpenedRecording":
+    """Open a recording.
 
     Parameters
     ----------
-    folder
+    path
         Folder of the recording.
+
+    Returns
+    -------
+    OpenedRecording
+        `.frames` is a lazy array (frame, row, column) in counts with the coordinates `frame_index` and `time`;
+        `.results()` is the dataset of all frames; `.bench`, `.dark`, `.reference` and `.run` are what it was made with.
 
     Raises
     ------
     InputError
         If the folder holds no recording.
+
+    Examples
+    --------
+    >>> with svwfs.live(bench) as instrument:
+    ...     folder = instrument.record("recording", frames=3)
+    >>> recording = svwfs.open_recording(folder)
+    >>> recording.frames.sizes["frame"], recording.results().sizes["frame"]
+    (3, 3)
     """
+    return OpenedRecording(path)
+
+
+class OpenedRecording:
+    """A recording on disk; frames are read when they are used."""
 
     def __init__(self, folder: Path | str) -> None:
         self._recording = Recording(folder)

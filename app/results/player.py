@@ -11,8 +11,7 @@ from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
 from app.recording.reader import Recording
-from app.recording.recorded_camera import RecordedCamera
-from app.recording.recorded_devices import recorded_devices
+from app.recording.recorded_devices import RecordedCamera, recorded_devices
 from app.results.replay import change_of
 from app.results.sources import version_notice
 from drivers.interface import Devices, Frame, FrameLost, WrongState
@@ -52,11 +51,20 @@ class Player:
         self.set_speed(self._speed)
         return devices
 
+    def acquisition(self) -> Acquisition:
+        """Make an acquisition that plays the recording."""
+        return Acquisition(self.bench, self.open_devices, (self.take,))
+
     def begin(self, acquisition: Acquisition) -> tuple[Future[None], ...]:
         """Set the recorded calibration and start the camera, instead of taking dark and reference."""
         self._acquisition, self._asked = acquisition, self._first
         used = self._use(acquisition, self._first)
-        return (used, acquisition.submit(_show))
+        return (
+            used,
+            acquisition.submit(Instrument.set, "is_light_on", True),
+            acquisition.submit(Instrument.set, "is_sample_in", True),
+            acquisition.submit(Instrument.set, "is_running", True),
+        )
 
     def take(self, _: Measurement) -> None:
         """Between two frames, set the calibration of the next if it is another.
@@ -121,10 +129,3 @@ class Player:
         if self._camera is not None:
             self._camera.in_force = number
         instrument.use(self._calibration(number))
-
-
-def _show(instrument: Instrument) -> None:
-    """Bring the recorded frames into view."""
-    instrument.devices.light.set_on(True)
-    instrument.devices.stage.set_sample_in(True)
-    instrument.devices.camera.start()

@@ -14,11 +14,12 @@ from app.bench.config import Bench, load_bench, parse_bench, write_bench
 from app.errors import InputError, RunError
 from app.files import check_outputs, check_suffix
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import SKIPPED
+from app.measurement.measurement import SKIPPED, Measurement
 from app.progress import Progress, counted
 from app.recording.folder import parts_of
+from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
-from app.recording.reprocess import Change, Reprocessed, reprocess
+from app.recording.reprocess import Change, reprocess
 from app.results.dataset import results_in_pieces
 from app.results.frame_tallies import QualityTally, SampleTally
 from app.results.result_file import Variable, about, write_pieces
@@ -42,15 +43,16 @@ class Verification:
         self.frames = 0  # frames that were reconstructed, or refused, live
         self.different = 0
 
-    def take(self, frame: Reprocessed) -> None:
+    def take(self, frame: Measurement) -> None:
         """Compare one frame, unless it was skipped live."""
-        if frame.line.calibration is None or frame.line.problem == SKIPPED:
+        line = self._recording.line(frame.index)
+        if line.calibration is None or line.problem == SKIPPED:
             return
         self.frames += 1
-        differences = _differences(self._recording, frame)
+        differences = _differences(self._recording, line, frame)
         if differences:
             self.different += 1
-            self._first = self._first or f"frame {frame.line.index}: {differences}"
+            self._first = self._first or f"frame {frame.index}: {differences}"
 
     @property
     def passes(self) -> bool:
@@ -70,9 +72,9 @@ class Verification:
         return f"{self.different} of {self.frames} frames differ from what was recorded; {self._first} ({software})"
 
 
-def _differences(recording: Recording, frame: Reprocessed) -> str:
+def _differences(recording: Recording, line: FrameLine, frame: Measurement) -> str:
     """Differences and their size; empty if there are none."""
-    line, wavefront = frame.line, frame.wavefront
+    wavefront = frame.wavefront
     if line.problem != frame.problem:
         return f'the problem was "{line.problem}" and is "{frame.problem}"'
     if wavefront is None or frame.registered is None:
@@ -111,7 +113,7 @@ class Comparison:
         self.field: Field | None = None
         self.recorded_rms_rad = self.rms_rad = self.difference_rms_rad = np.zeros(())
 
-    def take(self, then: Reprocessed, now: Reprocessed) -> dict[str, Variable]:
+    def take(self, then: Measurement, now: Measurement) -> dict[str, Variable]:
         """Add a frame; return additional variables for its results."""
         if then.wavefront is None or now.wavefront is None or not are_alike(then.wavefront, now.wavefront):
             return {}
@@ -150,11 +152,11 @@ class Replay:
     samples: SampleTally = field(default_factory=SampleTally)
     quality: QualityTally = field(default_factory=QualityTally)
 
-    def take(self, frame: Reprocessed) -> None:
-        """Count one frame."""
+    def take(self, frame: Measurement, *, was_refined: bool) -> None:
+        """Count one frame, which `was_refined` live or not."""
         self.frames += 1
         self.reconstructed += frame.wavefront is not None
-        self.unrefined += frame.wavefront is not None and frame.line.bias is not None and not frame.is_refined
+        self.unrefined += frame.wavefront is not None and was_refined and frame.assumed.refinement.bias is None
         self.problem = self.problem or frame.problem
         if frame.wavefront is not None:
             self.quality.take(frame.quality)
@@ -207,7 +209,7 @@ def replay(
 
 def _frames(
     recording: Recording, chosen: range, change: Change | None, made: Replay, progress: Progress
-) -> Iterator[tuple[Reprocessed, Mapping[str, Variable]]]:
+) -> Iterator[tuple[Measurement, Mapping[str, Variable]]]:
     """Reconstruct each frame, with both benches if there are two; yield it with additional variables."""
     originals = reprocess(recording, chosen)
     others = originals if change is None else reprocess(recording, chosen, change)
@@ -217,7 +219,7 @@ def _frames(
             made.verification.take(frame)
         if made.comparison is not None:
             more = made.comparison.take(next(originals), frame)
-        made.take(frame)
+        made.take(frame, was_refined=recording.line(frame.index).bias is not None)
         progress(f"replaying {counted(len(chosen))}", done / len(chosen))
         yield frame, more
 

@@ -15,7 +15,8 @@ from app.bench.config import Bench, load_bench
 from app.cli import main
 from app.errors import InputError
 from app.evaluation.run_studies import run_studies
-from app.evaluation.simulated_frames import simulated_frames
+from app.evaluation.simulated_frames import simulate
+from app.measurement.calibration import Calibration
 from reconstruction.geometry import nominal_lattice
 from reconstruction.wavefront import rms
 
@@ -38,7 +39,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
 @pytest.mark.slow
 def test_calibrated_bench_reconstructs_frames_to_results(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     bench = load_bench("small_demo", HEXAGONAL)
-    made = simulated_frames(bench)
+    made = simulate(bench)
     for name, image in (("reference", made.reference), ("dark", made.dark), ("frame", made.frames[0])):
         tifffile.imwrite(tmp_path / f"{name}.tif", np.asarray(image, np.float32))
     settings = [word for setting in HEXAGONAL for word in ("--set", setting)]
@@ -70,9 +71,10 @@ def test_calibrated_bench_reconstructs_frames_to_results(monkeypatch: pytest.Mon
 def relative_error(bench: Bench, method: str) -> float:
     """Mean residual of the views over the mean wavefront, with the noise of the simulated camera."""
     settings = replace(bench.reconstruction, method=method)  # type: ignore[arg-type] # one of two words
-    made = simulated_frames(bench)
+    made = simulate(bench)
     lattice = nominal_lattice(bench.sensor, *made.reference.shape)
-    prepared = replace(bench, reconstruction=settings).reconstructor(made.reference, lattice=lattice, dark=made.dark)
+    bench = replace(bench, reconstruction=settings)
+    prepared = Calibration.of_images(bench, made.reference, dark=made.dark, lattice=lattice).reconstructor()
     views = prepared(made.frames[0]).views
     assert np.isfinite(views).all()
     return float(np.mean(rms(views - made.truth)) / np.mean(rms(made.truth)))
@@ -96,9 +98,9 @@ def test_residual_is_at_most_that_of_as_many_square_lenslets(method: str, mask: 
 @pytest.mark.slow
 def test_layer_is_found_where_the_screen_is() -> None:
     bench = load_bench("small_demo", HEXAGONAL)
-    made = simulated_frames(bench)
+    made = simulate(bench)
     lattice = nominal_lattice(bench.sensor, *made.reference.shape)
-    prepared = bench.reconstructor(made.reference, lattice=lattice, dark=made.dark)
+    prepared = Calibration.of_images(bench, made.reference, dark=made.dark, lattice=lattice).reconstructor()
     wavefront = prepared(made.frames[0])
     equations = prepared.layers(wavefront.displacement)
     fit, away = equations.fit(-0.195 / 0.2), equations.fit(0.195 / 0.2)

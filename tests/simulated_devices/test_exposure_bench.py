@@ -8,9 +8,9 @@ import pytest
 
 from drivers.contract import camera as of_cameras
 from drivers.contract import light as of_lights
-from drivers.contract import stage as of_stages
 from drivers.interface import Camera, LightSource, Range, Stage
 from simulated_devices.exposure_bench import Scene, exposure_bench
+from support.light_contract import StageContract
 
 SCENE = Scene(counts_per_a_s=1e6, exposure_range_s=Range(1e-3, 1.0))
 
@@ -45,6 +45,7 @@ def test_lamp_keeps_the_contract(check: Callable[[LightSource], None]) -> None:
     check(exposure_bench(SCENE, exposure_s=0.1)[2])
 
 
-@pytest.mark.parametrize("check", [of_stages.check_masks, of_stages.check_sample, of_stages.check_closes])
-def test_table_keeps_the_contract(check: Callable[[Stage], None]) -> None:
-    check(exposure_bench(SCENE, exposure_s=0.1)[0].stage)
+class TestTable(StageContract):
+    @pytest.fixture
+    def stage(self) -> Stage:
+        return exposure_bench(SCENE, exposure_s=0.1)[0].stage

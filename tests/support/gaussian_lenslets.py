@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
-from app.measurement.routines.averages import Average
 from reconstruction.arrays import Floats
 from reconstruction.modes.field_modes import LegendreModes
 from support.gui_bench import BENCH, FIELD, LATTICE, SENSOR, make_frame, make_measurement

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
 from app.bench.config import Bench, load_bench, write_bench
-from app.measurement.measurement import FrameTotals, Measurement
 from app.recording.folder import PIXELS, STORE
 from app.recording.frame_array import FrameArray
 from app.recording.frame_lines import checksum
@@ -43,8 +42,8 @@ def record(
         closing(RecordingWriter(folder, _facts(bench, instrument))) as writer,
     ):
         devices.light.set_on(True)
-        instrument.take_dark(4, progress=lambda *_: None, should_stop=lambda: False)
-        instrument.take_reference(4, progress=lambda *_: None, should_stop=lambda: False)
+        instrument.take_dark(4)
+        instrument.take_reference(4)
         devices.stage.set_sample_in(True)
         devices.camera.start()
         for _ in range(before):
@@ -60,19 +59,7 @@ def record(
                 assert not made.problem
             sample, refinement = made.assumed
             if sample is not None and (not bench.reconstruction.refine or refinement.stage == "applied"):
-                measurement = Measurement(
-                    frame,
-                    made.wavefront,
-                    made.problem,
-                    FrameTotals(),
-                    exposure_end_s=0.0,
-                    latency_s=0.0,
-                    assumed=made.assumed,
-                    calibration=made.calibration,
-                    start=made.start,
-                    registered=made.registered,
-                )
-                writer.write(Record.of(measurement, 0))
+                writer.write(Record.of(made))
         writer.finish("", acquired=frames, facts={})
     return Recording(folder)
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from app.bench.config import Bench
+from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import LightState
-from app.measurement.routines.averages import Average
+from app.measurement.measurement import Assumptions, LightState, Measurement, RefinementState
 from app.recording.recorder import BackgroundRecording, Recorder, RecordingState
 from app.recording.writer import Record, RecordingWriter
 from drivers.interface import Frame
@@ -33,22 +33,24 @@ def make_frame(index: int, shape: tuple[int, int] = SHAPE) -> Frame:
 def make_record(index: int, calibration: Calibration | None = None, **changes: Any) -> Record:
     """Return a record of noise, with results if it has a calibration."""
     has = calibration is not None
-    record = Record(
+    refinement = RefinementState(age_s=changes.pop("bias_age_s", 0.0), bias=changes.pop("bias", None))
+    of_arrays = {field.name for field in fields(Record)}
+    measurement = Measurement(
         frame=make_frame(index),
-        lost=0,
-        light=LightState(is_on=True, current_a=0.35),
+        wavefront=None,
         problem="" if has else "no reference yet",
         calibration=calibration,
-        bias=None,
-        bias_age_s=None,
-        sample=None,
-        start=None,
+        assumed=Assumptions(None, refinement),
+        light=LightState(is_on=True, current_a=0.35),
+    )
+    record = Record(
+        replace(measurement, **{name: value for name, value in changes.items() if name not in of_arrays}),
         displacement=RANDOM.normal(size=(7, 9, 3, 2)) if has else None,
         coefficients=RANDOM.normal(size=(15, 3)) if has else None,
         views=RANDOM.normal(size=(3, 3, 7, 9)) if has else None,
         valid=63 if has else None,
     )
-    return replace(record, **changes)
+    return replace(record, **{name: value for name, value in changes.items() if name in of_arrays})
 
 
 def make_chain(calibration: Calibration, count: int) -> list[Record]:

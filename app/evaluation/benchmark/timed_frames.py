@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.evaluation.noise_free import NoiseFreeFrames
+from app.measurement.calibration import Calibration, KnownNoise
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Field, Lattice, Sensor
@@ -48,13 +49,10 @@ class TimedFrames:
     ) -> Reconstructor:
         """Prepare for the reference; `reconstruction` has its defaults if omitted."""
         reconstruction = reconstruction or ReconstructionSettings()
-        return replace(self.bench, registration=registration, reconstruction=reconstruction).reconstructor(
-            self.reference,
-            lattice=self.lattice,
-            dark=self.dark,
-            noise=self.noise,
-            reference_frames=_REFERENCE_FRAMES if self.noise is not None else np.inf,
-        )
+        bench = replace(self.bench, registration=registration, reconstruction=reconstruction)
+        known = KnownNoise(self.noise, _REFERENCE_FRAMES if self.noise is not None else np.inf)
+        given = Calibration.of_images(bench, self.reference, dark=self.dark, lattice=self.lattice, known=known)
+        return given.reconstructor()
 
 
 def noise_free(bench: Bench) -> TimedFrames:

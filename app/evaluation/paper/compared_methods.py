@@ -14,6 +14,7 @@ from app.bench.config import Bench, write_bench
 from app.cache import Arrays, cached
 from app.evaluation.paper import nonrigid_methods
 from app.evaluation.paper.frame_pairs import FramePair, Mask
+from app.measurement.calibration import Calibration
 from reconstruction.arrays import Floats
 from reconstruction.pipeline import OwnMethods, OwnRegistration
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
@@ -106,7 +107,8 @@ def reconstructed(bench: Bench, frames: Mapping[str, FramePair], method: Method)
 def _reconstruct(bench: Bench, own: OwnMethods, pair: FramePair) -> Arrays:
     """Return the fields of `MethodResult`."""
     lattice = bench.design_lattice(*pair.reference.shape)
-    reconstructor = bench.reconstructor(pair.reference, lattice=lattice, dark=np.zeros_like(pair.reference), own=own)
+    dark = np.zeros_like(pair.reference)
+    reconstructor = Calibration.of_images(bench, pair.reference, dark=dark, lattice=lattice, own=own).reconstructor()
     start_s = time.perf_counter()
     wavefront = reconstructor(pair.frame)
     seconds = time.perf_counter() - start_s

@@ -10,7 +10,7 @@ import xarray as xr
 from app.bench.config import Bench
 from app.evaluation.cases import CaseResult
 from app.evaluation.noise_free import NoiseFreeFrames, seeded
-from app.evaluation.simulated_frames import simulated_frames
+from app.evaluation.simulated_frames import simulate
 from app.evaluation.study_kinds import PhotographStudy
 from app.measurement.bench_reconstructor import BenchReconstructor
 from app.progress import Progress
@@ -57,7 +57,7 @@ class _Photographs:
 
     def __init__(self, bench: Bench) -> None:
         self._bench, self._sample = bench, NoiseFreeFrames(bench).sample
-        frames = simulated_frames(bench)
+        frames = simulate(bench)
         self._measured = BenchReconstructor(bench, frames.reference, dark=frames.dark)(frames.frames[0])
         unit = Imaging(pixel_m=1e-6, counts_per_electron=1.0)
         pixel_m = unit.pixel_m * unit.blur_px(bench.sensor, bench.field) / _RESOLUTION_PX

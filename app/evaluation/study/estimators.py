@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
-from app.bench.imaging_model import BenchModel
 from app.evaluation.cases import CaseResult, Position
+from app.measurement.calibration import Calibration, KnownNoise
+from app.measurement.estimator import Estimator
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.pipeline import Reconstructor
-from reconstruction.refinement import Refinement
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.wavefront import Wavefront, rms
 from simulated_devices.sample import Sample
@@ -34,7 +34,7 @@ AUTOMATIC = ReconstructionSettings()  # modal, the number of modes chosen from t
 _FIELD_NODES, _LENSLET_NODES = 7, 6  # of Gauss-Legendre quadrature along each axis
 
 
-class WarpEstimator:
+class WarpEstimator(Estimator):
     """One warp with one reconstruction, and its refinement."""
 
     def __init__(
@@ -46,30 +46,17 @@ class WarpEstimator:
         reconstruction: ReconstructionSettings = AUTOMATIC,
         noise: CameraNoise | None = None,
     ) -> None:
-        """Prepare for a reference (row, column) above the dark, in the unit of the frames."""
-        self._bench, self._reference, self._noise = bench, reference, noise
-        self._method = replace(bench, registration=RegistrationSettings(warp=warp), reconstruction=reconstruction)
-        self.reconstructor = self._prepared(self._method)
+        """Take a reference (row, column) above the dark, in the unit of the frames."""
+        method = replace(bench, registration=RegistrationSettings(warp=warp), reconstruction=reconstruction)
+        lattice, dark = bench.design_lattice(*reference.shape), np.zeros_like(reference)
+        super().__init__(Calibration.of_images(method, reference, dark=dark, lattice=lattice, known=KnownNoise(noise)))
 
     @cached_property
     def by_gradients(self) -> Reconstructor:
         """Reconstruction from mean gradients, without the response of the registration."""
-        settings = replace(self._method.reconstruction, response=False)
-        return self._prepared(replace(self._method, reconstruction=settings))
-
-    @cached_property
-    def refinement(self) -> Refinement:
-        """Refinement by the model of the bench."""
-        return Refinement(self.reconstructor, BenchModel(self._bench, self.reconstructor))
-
-    def _prepared(self, method: Bench) -> Reconstructor:
-        reference = self._reference
-        return method.reconstructor(
-            reference,
-            lattice=self._bench.design_lattice(*reference.shape),
-            dark=np.zeros_like(reference),
-            noise=self._noise,
-        )
+        bench = self.calibration.bench
+        settings = replace(bench.reconstruction, response=False)
+        return replace(self.calibration, bench=replace(bench, reconstruction=settings)).reconstructor()
 
     def rounds(
         self, displacement: Displacement, most: int = ROUNDS, sample: AssumedSample = FREE

@@ -15,9 +15,8 @@ import numpy as np
 from app.bench.config import Bench
 from app.evaluation.cases import CaseResult
 from app.evaluation.study_kinds import TrialStudy, trial
-from app.measurement.routines.auto_exposure import FILL, TOLERANCE, auto_expose
-from app.measurement.routines.exposure_search import MOST_FRAMES
-from app.measurement.routines.frames import RoutineError
+from app.measurement.auto_exposure import FILL, MOST_FRAMES, TOLERANCE, auto_expose
+from app.measurement.routines import RoutineError
 from app.progress import Progress
 from drivers.interface import Range
 from reconstruction.arrays import Floats

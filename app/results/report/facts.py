@@ -7,8 +7,8 @@ from datetime import datetime
 from typing import Any
 
 from app.bench.config import Bench
+from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
-from app.measurement.routines.averages import Average
 from app.progress import counted
 from app.recording.frame_lines import FrameLine
 from app.results.report.summary import Summary
@@ -127,7 +127,7 @@ def _average(average: Average) -> str:
 
 
 def _noise(calibration: Calibration) -> str:
-    noise = calibration.noise()
+    noise = calibration.noise
     if noise is None:
         return "unknown from dark and reference; error bars from the misfit"
     return (

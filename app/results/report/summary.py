@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from app.bench.config import Bench
 from app.errors import SETTINGS_CHANGED, InputError
 from app.measurement.calibration import Calibration
+from app.measurement.measurement import Measurement
 from app.progress import Progress, counted
 from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
-from app.recording.reprocess import Change, Reprocessed, reprocess
+from app.recording.reprocess import Change, reprocess
 from app.results.frame_tallies import QualityTally
 from app.results.replay import are_alike
 from reconstruction.arrays import Floats
@@ -80,7 +81,7 @@ def summarise(recording: Recording, frames: str | None, progress: Progress, *, c
     again: Counter[str] = Counter()
     sums = _Sums()
     for done, frame in enumerate(reprocess(recording, some, change), 1):
-        if frame.problem and not frame.line.problem:
+        if frame.problem and not recording.line(frame.index).problem:
             again[frame.problem] += 1
         sums.take(frame, is_early=2 * done <= len(some) + 1)
         progress(f"reconstructing {recording.folder.name}", done / len(some))
@@ -110,7 +111,7 @@ class _Sums:
         self._refined = 0
         self._quality = QualityTally()
 
-    def take(self, frame: Reprocessed, *, is_early: bool) -> None:
+    def take(self, frame: Measurement, *, is_early: bool) -> None:
         """Add a frame; keep the last early wavefront, or the first if none is early."""
         wavefront = frame.wavefront
         if wavefront is None:
@@ -124,10 +125,10 @@ class _Sums:
         self._variance = self._variance + np.nansum(variance, axis=(0, 1))
         self._variances = self._variances + np.isfinite(variance).sum(axis=(0, 1))
         self._outcomes = self._outcomes + (wavefront.displacement.outcome == np.array(Outcome)[:, None, None])
-        self._frames.append(frame.line.index)
+        self._frames.append(frame.index)
         self._rms_rad.append(mean_rms(views))
         self._rms_sigma_rad.append(float(np.sqrt(np.nanmean(variance))) if np.isfinite(variance).any() else np.nan)
-        self._refined += frame.is_refined
+        self._refined += frame.assumed.refinement.bias is not None
         self._quality.take(frame.quality)
 
     def statistics(self) -> Statistics | None:

@@ -18,7 +18,7 @@ from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
-from app.measurement.measurement import SKIPPED, Measurement, Reconstruction
+from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState
 from app.recording.recover import recover
@@ -73,8 +73,8 @@ def make_live(small_toml: Path) -> Iterator[Callable[..., Live]]:
 def assert_made_again(recording: Recording) -> None:
     """Check that every frame is reproduced bit by bit."""
     for made in reprocess(recording):
-        index = made.line.index
-        if made.line.problem:
+        index = made.index
+        if recording.line(index).problem:
             continue
         assert made.registered is not None
         assert made.wavefront is not None
@@ -90,7 +90,7 @@ def test_recorded_frames_are_reproduced_bit_by_bit(make_live: Callable[..., Live
     wait_until(lambda: live.recording.frames > 10)
     live.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.3)).result(HANG_S)
     old = live.measurements[-1].calibration
-    live.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench)).result(HANG_S)
+    live.acquisition.submit(lambda instrument: instrument.change_settings(())).result(HANG_S)
     wait_until(lambda: live.measurements[-1].calibration not in {None, old})
     live.until_refined()
     frames = live.recording.frames
@@ -123,7 +123,7 @@ def measure_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the reconstruction slower than the camera."""
     measure = Instrument.measure
 
-    def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
+    def slowly(instrument: Instrument, frame: Frame) -> Measurement:
         time.sleep(0.2)
         return measure(instrument, frame)
 
@@ -168,7 +168,7 @@ def test_skipped_frames_keep_previous_refinement(
     before = lines[0]
     for line, made in zip(lines[1:], list(reprocess(recording))[1:], strict=True):
         if line.problem == SKIPPED:
-            assert (line.bias, made.is_refined) == (before.bias, before.bias is not None)
+            assert (line.bias, made.assumed.refinement.bias is not None) == (before.bias, before.bias is not None)
             if line.bias_age_s is not None and before.bias_age_s is not None:
                 later_s = line.camera_time_s - before.camera_time_s
                 assert line.bias_age_s == pytest.approx(before.bias_age_s + later_s)

@@ -18,10 +18,9 @@ from app.acquisition.kept_averages import KeptAverages
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
-from app.measurement.routines.auto_exposure import AutoExposure, auto_expose
-from app.measurement.routines.averages import Average
-from app.measurement.routines.device_state import Circumstances
-from app.measurement.routines.frames import Cancelled, RoutineError
+from app.measurement.auto_exposure import AutoExposure, auto_expose
+from app.measurement.averages import Average
+from app.measurement.routines import Cancelled, Circumstances, RoutineError
 from app.measurement.sensor_region import SensorArea
 from drivers.interface import Devices, DeviceTimeout, Region
 from reconstruction.frame.noise import CameraNoise
@@ -73,7 +72,7 @@ def test_auto_expose_command_reaches_target_and_restores_state(live: Live, monke
         show(*arguments)
 
     monkeypatch.setattr(live.acquisition._path, "show", note)
-    found = live.acquisition.auto_expose().result(HANG_S)
+    found = live.acquisition.submit(Instrument.auto_expose).result(HANG_S)
     status = live.status
     assert "finding the exposure" in texts
     assert found.fill == pytest.approx(0.7, abs=0.05)
@@ -88,7 +87,7 @@ def test_failed_auto_exposure_keeps_loop_running(small_toml: Path) -> None:
     dim = Live(small_toml, "light.maximum_current_a=1e-6", "light.current_a=0.0")
     try:
         with pytest.raises(RoutineError, match="check the lamp"):
-            dim.acquisition.auto_expose().result(HANG_S)
+            dim.acquisition.submit(Instrument.auto_expose).result(HANG_S)
         status = dim.status
         assert (status.is_light_on, status.current_a, status.exposure_s) == (False, 0.0, 0.02)
         assert dim.acquisition.is_alive
@@ -99,7 +98,7 @@ def test_failed_auto_exposure_keeps_loop_running(small_toml: Path) -> None:
 def test_auto_exposure_can_be_cancelled(small_toml: Path) -> None:
     live = Live(small_toml, "camera.readout_speed=2", "camera.exposure_s=9.0")
     try:
-        future = live.acquisition.auto_expose()
+        future = live.acquisition.submit(Instrument.auto_expose)
         wait_until(lambda: live.acquisition.activity.text.startswith("finding"))
         time.sleep(0.3)
         live.acquisition.cancel()
@@ -111,7 +110,7 @@ def test_auto_exposure_can_be_cancelled(small_toml: Path) -> None:
 
 
 def test_camera_stalled_in_auto_exposure_ends_loop_dark(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.measurement.routines.frames._MARGIN_S", 0.2)
+    monkeypatch.setattr("app.measurement.routines._MARGIN_S", 0.2)
     started(live)
     assert live.devices is not None
     camera, light = live.devices.camera, live.devices.light
@@ -121,7 +120,7 @@ def test_camera_stalled_in_auto_exposure_ends_loop_dark(live: Live, monkeypatch:
     live.do(lambda instrument: instrument.devices.camera.stop())  # or the acquisition itself would miss the frames
     monkeypatch.setattr(camera, "read", _no_frame)
     with pytest.raises(DeviceTimeout):
-        live.acquisition.auto_expose().result(HANG_S)
+        live.acquisition.submit(Instrument.auto_expose).result(HANG_S)
     live.acquisition.close()
     assert was_off == [True]
 
@@ -132,15 +131,15 @@ def _no_frame(_timeout_s: float) -> None:
 
 def test_background_check_command_needs_a_matching_dark(live: Live) -> None:
     with pytest.raises(RoutineError, match="no dark yet"):
-        live.acquisition.check_background(4).result(HANG_S)
+        live.acquisition.submit(Instrument.check_background, 4).result(HANG_S)
     started(live)
-    check = live.acquisition.check_background(4).result(HANG_S)
+    check = live.acquisition.submit(Instrument.check_background, 4).result(HANG_S)
     assert check.is_good
     assert "still good" in check.verdict
     assert (live.status.is_light_on, live.status.is_running) == (True, True)
     live.do(lambda instrument: instrument.devices.camera.set_exposure(0.05))
     with pytest.raises(RoutineError, match=r"the dark was taken at 20.0 ms: take it again"):
-        live.acquisition.check_background(4).result(HANG_S)
+        live.acquisition.submit(Instrument.check_background, 4).result(HANG_S)
 
 
 def test_start_up_auto_exposes_before_dark_and_reference(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -247,18 +246,18 @@ def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
     started(live)
     first = live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S)
     assert first is not None
-    live.do(lambda instrument: instrument.change_settings(lambda bench: bench, "circle"))
+    live.do(lambda instrument: instrument.change_settings((), "circle"))
     assert live.status.reference == "doubtful"  # none yet: that of the square stays in use
-    live.acquisition.take_reference(4).result(HANG_S)
+    live.acquisition.submit(Instrument.take_reference, 4).result(HANG_S)
     assert live.status.warning == ""
-    live.do(lambda instrument: instrument.change_settings(lambda bench: bench, "square"))
+    live.do(lambda instrument: instrument.change_settings((), "square"))
     assert live.status.warning == ""
     assert "mask square" in live.status.reference_note
     assert live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S) is first
     whole = live.status.area
     live.acquisition.set_area(SensorArea(Region(0, 0, 168, 240), 1)).result(HANG_S)
-    live.acquisition.take_dark(2).result(HANG_S)
-    live.acquisition.take_reference(4).result(HANG_S)
+    live.acquisition.submit(Instrument.take_dark, 2).result(HANG_S)
+    live.acquisition.submit(Instrument.take_reference, 4).result(HANG_S)
     assert live.status.warning == ""
     live.acquisition.set_area(whole).result(HANG_S)
     assert live.status.warning == ""
@@ -269,9 +268,9 @@ def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
 @pytest.mark.slow
 def test_reference_of_a_mask_is_stale_at_another_exposure(live: Live) -> None:
     started(live)
-    live.do(lambda instrument: instrument.change_settings(lambda bench: bench, "circle"))
+    live.do(lambda instrument: instrument.change_settings((), "circle"))
     live.do(lambda instrument: instrument.devices.camera.set_exposure(0.05))
-    live.do(lambda instrument: instrument.change_settings(lambda bench: bench, "square"))
+    live.do(lambda instrument: instrument.change_settings((), "square"))
     assert live.status.reference == "doubtful"
     assert "at 20.0 ms" in live.status.warning
 

@@ -31,10 +31,9 @@ from app.acquisition.streams.messages import TOPICS
 from app.acquisition.streams.publisher import Publisher, stream_sinks
 from app.bench.config import Bench, StreamSettings, load_bench, parse_bench, write_bench
 from app.errors import InputError, RunError
+from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
-from app.measurement.live_solver import Assumptions, RefinementState
-from app.measurement.measurement import FrameTotals, Measurement
-from app.measurement.routines.averages import Average
+from app.measurement.measurement import Assumptions, FrameTotals, Measurement, RefinementState
 from app.recording.reader import Recording
 from drivers.interface import Frame
 from reconstruction.layers.layered_wavefront import AssumedSample
@@ -80,7 +79,7 @@ def _measured(wavefront: Wavefront | None, index: int, problem: str = "") -> Mea
     )
     layer = AssumedSample((-0.975,), np.array([[0.01**2]]))  # 195 +- 2 mm before the lenslets
     assumed = Assumptions(layer, RefinementState("applied", 0.75, 0.01)) if index % 2 else Assumptions()
-    return Measurement(frame, wavefront, problem, FrameTotals(9, 8, 1), now_s - 0.02, 0.02, assumed)
+    return Measurement(frame, wavefront, problem, FrameTotals(9, 8, 1), now_s - 0.02, 0.02, assumed=assumed)
 
 
 class Subscriber:

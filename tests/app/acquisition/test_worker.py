@@ -21,8 +21,8 @@ from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import SKIPPED, Reconstruction
-from app.measurement.routines.frames import Cancelled
+from app.measurement.measurement import SKIPPED
+from app.measurement.routines import Cancelled
 from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.verdict import Fault
@@ -138,8 +138,8 @@ def test_refused_setting_keeps_loop_running(running: Running) -> None:
 @pytest.mark.slow
 def test_routines_restore_devices(running: Running) -> None:
     running.begin()
-    running.acquisition.take_dark(3).result(HANG_S)
-    running.acquisition.take_reference(3).result(HANG_S)
+    running.acquisition.submit(Instrument.take_dark, 3).result(HANG_S)
+    running.acquisition.submit(Instrument.take_reference, 3).result(HANG_S)
     status = running.acquisition.status
     assert status is not None
     assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, True)
@@ -148,7 +148,7 @@ def test_routines_restore_devices(running: Running) -> None:
 
 def test_cancelled_routine_restores_devices(running: Running) -> None:
     running.begin()
-    long = running.acquisition.take_dark(10_000)
+    long = running.acquisition.submit(Instrument.take_dark, 10_000)
     wait_until(lambda: running.newest.problem == "taking the dark, 10000 frames")
     newest = running.newest
     assert newest.wavefront is None  # shown, not measured
@@ -172,14 +172,14 @@ def test_dark_ends_with_the_status_of_the_light(running: Running, monkeypatch: p
         seen.add((acquisition.activity.text, acquisition.status.is_light_on))
 
     monkeypatch.setattr(Acquisition, "__setattr__", note)
-    running.acquisition.take_dark(3).result(HANG_S)
+    running.acquisition.submit(Instrument.take_dark, 3).result(HANG_S)
     assert ("taking the dark, 3 frames", False) in seen
     assert ("", False) not in seen  # the window would ask for the light
 
 
 def test_cancel_affects_only_running_routine(running: Running) -> None:
     running.begin()
-    first, second = running.acquisition.take_dark(10_000), running.acquisition.take_dark(2)
+    first, second = (running.acquisition.submit(Instrument.take_dark, frames) for frames in (10_000, 2))
     wait_until(lambda: "dark" in running.acquisition.activity.text)
     running.acquisition.cancel()
     with pytest.raises(Cancelled):
@@ -246,7 +246,7 @@ def test_reference_clipped_by_the_full_well_is_doubtful(small_toml: Path) -> Non
 def test_reference_without_light_is_a_warning(running: Running) -> None:
     running.begin()
     running.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.0)).result(HANG_S)
-    running.acquisition.take_reference(2).result(HANG_S)
+    running.acquisition.submit(Instrument.take_reference, 2).result(HANG_S)
     assert running.acquisition.status is not None
     assert "no light" in running.acquisition.status.warning
     assert running.acquisition.status.reference == "doubtful"
@@ -294,7 +294,7 @@ def test_unplugged_camera_ends_loop_with_light_off(running: Running) -> None:
 @pytest.mark.slow
 def test_stalled_camera_ends_loop(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     running.begin()
-    monkeypatch.setattr("app.measurement.routines.frames._MARGIN_S", 0.3)
+    monkeypatch.setattr("app.measurement.routines._MARGIN_S", 0.3)
     stall(running.camera)
     wait_until(lambda: not running.acquisition.is_alive)
     assert "no frame" in running.acquisition.failure
@@ -309,13 +309,8 @@ def test_impossible_bench_is_input_error(small_toml: Path) -> None:
 
 
 def test_settings_change_while_running(running: Running) -> None:
-
     running.begin()
-    running.acquisition.submit(
-        lambda instrument: instrument.change_settings(
-            lambda bench: replace(bench, registration=replace(bench.registration, warp="affine"))
-        )
-    ).result(HANG_S)
+    running.acquisition.submit(Instrument.change_settings, [("registration.warp", "affine")]).result(HANG_S)
     wait_until(
         lambda: (
             (wavefront := running.measurements[-1].wavefront) is not None
@@ -333,7 +328,7 @@ def test_close_works_before_start_and_twice(small_toml: Path) -> None:
 def test_slow_reconstruction_skips_to_newest_frame(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measure = Instrument.measure
 
-    def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
+    def slowly(instrument: Instrument, frame: Frame) -> Measurement:
         time.sleep(0.2)
         return measure(instrument, frame)
 
@@ -366,11 +361,11 @@ def test_slow_reconstruction_skips_to_newest_frame(small_toml: Path, monkeypatch
 def test_slow_skipping_still_measures_and_stops(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measure, skip = Instrument.measure, Instrument.skip
 
-    def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
+    def slowly(instrument: Instrument, frame: Frame) -> Measurement:
         time.sleep(0.2)
         return measure(instrument, frame)
 
-    def more_slowly_than_they_come(instrument: Instrument, frame: Frame) -> Reconstruction:
+    def more_slowly_than_they_come(instrument: Instrument, frame: Frame) -> Measurement:
         time.sleep(0.03)
         return skip(instrument, frame)
 
@@ -399,7 +394,7 @@ def test_slow_devices_are_polled_less_often(running: Running, monkeypatch: pytes
         return status(instrument)
 
     running.begin()
-    monkeypatch.setattr("app.acquisition.loop._STATUS_INTERVAL_S", 0.01)
+    monkeypatch.setattr("app.acquisition.worker._STATUS_INTERVAL_S", 0.01)
     monkeypatch.setattr(Instrument, "status", slowly)
     wait_until(lambda: len(asked_s) > 2)
     assert min(asked - answered for asked, answered in zip(asked_s[1:], answered_s, strict=False)) >= 1.8
@@ -409,7 +404,7 @@ def test_light_timeout_while_skipping_is_not_the_cameras(small_toml: Path, monke
     skip, status = Instrument.skip, Instrument.status
     has_skipped = threading.Event()
 
-    def skip_before(instrument: Instrument, frame: Frame) -> Reconstruction:
+    def skip_before(instrument: Instrument, frame: Frame) -> Measurement:
         has_skipped.set()
         return skip(instrument, frame)
 
@@ -419,15 +414,15 @@ def test_light_timeout_while_skipping_is_not_the_cameras(small_toml: Path, monke
             raise DeviceTimeout("the light did not answer")
         return status(instrument)
 
-    def measure_slowly(*_: object) -> Reconstruction:
+    def measure_slowly(_: Instrument, frame: Frame) -> Measurement:
         time.sleep(0.4)
-        return Reconstruction(None, "slow")
+        return Measurement(frame, None, "slow")
 
     running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
     try:
         running.begin()
-        monkeypatch.setattr("app.acquisition.loop._STATUS_INTERVAL_S", 0.0)
-        monkeypatch.setattr("app.acquisition.loop._STATUS_SHARE", math.inf)
+        monkeypatch.setattr("app.acquisition.worker._STATUS_INTERVAL_S", 0.0)
+        monkeypatch.setattr("app.acquisition.worker._STATUS_SHARE", math.inf)
         running.acquisition.submit(_is_dark).result(HANG_S)  # from here on the status is always due
         monkeypatch.setattr(Instrument, "status", silent_once)
         monkeypatch.setattr(Instrument, "skip", skip_before)
@@ -457,7 +452,7 @@ def test_camera_that_repeats_a_frame_is_reported(small_toml: Path) -> None:
         frame = running.newest.frame
         assert not running.newest.quality.reasons
 
-        def repeat(_: Instrument) -> list[Reconstruction]:
+        def repeat(_: Instrument) -> list[Measurement]:
             later = [
                 replace(frame, index=frame.index + step, camera_time_s=frame.camera_time_s + step) for step in (1, 2)
             ]
@@ -484,8 +479,8 @@ def test_worker_that_was_given_up_ends_silently(running: Running, monkeypatch: p
         raise RuntimeError("cannot schedule new futures after shutdown")
 
     monkeypatch.setattr(Calibration, "reconstructor", prepare_too_late)
-    change = running.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench))
-    waiting = running.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench))
+    change = running.acquisition.submit(lambda instrument: instrument.change_settings(()))
+    waiting = running.acquisition.submit(lambda instrument: instrument.change_settings(()))
     assert entered.wait(HANG_S)
     running.acquisition.begin_close()
     release.set()
@@ -506,7 +501,7 @@ def test_preparation_is_not_begun_after_the_request_to_end(running: Running, mon
         release.wait(HANG_S)
 
     running.acquisition.submit(hold)
-    change = running.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench))
+    change = running.acquisition.submit(lambda instrument: instrument.change_settings(()))
     assert entered.wait(HANG_S)
     running.acquisition.begin_close()
     release.set()

@@ -158,12 +158,12 @@ def test_late_start_of_the_recording_costs_no_frame(
 def test_measure_that_recorded_nothing_can_be_repeated(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:
-    def fail(_: Instrument) -> None:
+    def fail(*_: object) -> None:
         raise Disconnected("the camera is gone")
 
     command = ("measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m")
     with monkeypatch.context() as unplugged:
-        unplugged.setattr("app.acquisition.start_up.start_camera", lambda acquisition: acquisition.submit(fail))
+        unplugged.setattr(Instrument, "_set_running", fail)
         assert run(monkeypatch, *command) == 1
     assert "the camera is gone" in capsys.readouterr().err
     assert not (tmp_path / "m").exists()

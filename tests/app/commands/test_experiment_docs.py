@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from conftest import SMALL_TOML
 from matplotlib.figure import Figure
 from support.command_line import run
 from support.gui_bench import FakeCamera, opener
@@ -24,6 +23,7 @@ from app.errors import Interrupted
 from app.recording.reader import Recording
 from drivers.stage import ManualStage
 from simulated_devices.settings import exposure_range_s
+from conftest import SMALL_TOML
 
 TEXT = (DOCS / "experiment.md").read_text("utf-8")
 SMALL = SMALL_TOML.replace("em_gain = 8.0", "readout_speed = 2").replace("exposure_s = 0.02", "exposure_s = 0.03")

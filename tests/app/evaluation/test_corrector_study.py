@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.bench.config import load_bench
-from app.evaluation.simulated_frames import simulated_frames
+from app.evaluation.simulated_frames import simulate
 from app.evaluation.study.corrector import predicted_and_simulated
 from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.arrays import Floats
@@ -36,7 +36,7 @@ def test_predicted_residuals_agree_with_simulated_ones() -> None:
 @pytest.fixture(scope="module")
 def correction() -> Correction:
     """Best command in the layer's place, from a noisy frame."""
-    images = simulated_frames(BENCH)
+    images = simulate(BENCH)
     wavefront = BenchReconstructor(BENCH, images.reference, dark=images.dark)(images.frames[0])
     positions_m = field_positions_m(BENCH.field)
     before = np.array([wavefront.at(x_m, y_m) for x_m, y_m in positions_m])

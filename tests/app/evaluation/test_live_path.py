@@ -10,6 +10,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -25,11 +26,11 @@ from support.simulated_faults import lose_frames
 import app.commands.benchmark
 from app import cli
 from app.acquisition.devices import open_devices
+from app.acquisition.session import FirstWavefront
 from app.bench.config import Bench, load_bench
 from app.bench.device_kinds import RecordingSettings
 from app.commands.benchmark import benchmark_acquisition
 from app.errors import InputError, Interrupted, RunError
-from app.evaluation.benchmark.live_path import course
 from app.evaluation.benchmark.live_path.course import Course, Span
 from app.evaluation.benchmark.live_path.figures import LiveFigures, print_figures
 from app.evaluation.benchmark.live_path.plan import LivePlan, recording_folder
@@ -118,7 +119,7 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("QT_QPA_PLATFORM", "offscreen")
         patch.setattr(CoefficientsPanel, "show_coefficients", show_bars)
-        patch.setattr(course, "open_devices", open_watched)
+        patch.setattr("app.acquisition.devices.open_devices", open_watched)
         patch.setattr(shutil, "rmtree", inspect_and_remove)
         patch.setattr(Tally, "take", take_and_time)
         figures = benchmark_acquisition(
@@ -217,15 +218,33 @@ def test_tally_counts_frames_by_outcome() -> None:
     tally = Tally()
     made = make_measurement(np.zeros((300, 430), np.uint16), np.zeros((3, 3, 9, 13)))
     tally.take(replace(made, wavefront=None, problem="too dark", counts=FrameTotals(1, 0, 0)))
-    assert (tally.first_wavefront_s, tally.problem) == (None, "too dark")
     before = tally.counts
     tally.take(replace(made, wavefront=None, problem=SKIPPED, counts=FrameTotals(2, 0, 1)))
     tally.take(replace(made, counts=FrameTotals(3, 1, 5)))
-    assert tally.first_wavefront_s is not None
     assert tally.counts == FrameCounts(acquired=3, reconstructed=1, passed_over=1, failed=1, lost=5)
     assert tally.counts.since(before) == FrameCounts(acquired=2, reconstructed=1, passed_over=1, failed=0, lost=5)
     assert tally.counts.share == 1 / 8
     assert math.isnan(FrameCounts().share)
+
+
+def test_first_wavefront_is_hopeless_after_twenty_failed_frames() -> None:
+    made = make_measurement(np.zeros((300, 430), np.uint16), np.zeros((3, 3, 9, 13)))
+    first = FirstWavefront(100.0)
+    for _ in range(25):
+        first.take(replace(made, wavefront=None, problem=SKIPPED))
+    for _ in range(19):
+        first.take(replace(made, wavefront=None, problem="too dark"))
+        first.check()
+    hopeful = copy(first)
+    first.take(replace(made, wavefront=None, problem="too dark"))
+    with pytest.raises(RunError, match="no wavefront in the first 20 frames: too dark"):
+        first.check()
+    hopeful.take(made)
+    hopeful.take(replace(made, wavefront=None, problem="too dark"))
+    hopeful.check()
+    assert hopeful.came_s is not None
+    with pytest.raises(RunError, match="no wavefront within 0 s: no frame came"):
+        FirstWavefront(0.0).check()
 
 
 def span_of(
@@ -361,7 +380,7 @@ def test_second_interrupt_still_removes_the_recording(tmp_path: Path, monkeypatc
 @pytest.fixture
 def camera(monkeypatch: pytest.MonkeyPatch, qapp: QApplication) -> FakeCamera:
     made = FakeCamera()
-    monkeypatch.setattr(course, "open_devices", opener(made))
+    monkeypatch.setattr("app.acquisition.devices.open_devices", opener(made))
     monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
     assert qapp is QApplication.instance()
     return made

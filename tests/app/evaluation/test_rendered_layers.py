@@ -10,6 +10,7 @@ import pytest
 
 from app.acquisition.devices import scene_of
 from app.bench.config import load_bench
+from app.measurement.calibration import Calibration
 from reconstruction.arrays import Floats
 from reconstruction.layers.layer_search import find_layers
 from reconstruction.layers.layer_solver import FrameEquations
@@ -37,9 +38,8 @@ def rendered(preset: str, distances_m: tuple[float, ...], **settings: Any) -> tu
     reach_m = float(model.sample_x_m.max()), float(model.sample_y_m.max())
     light = LayeredLight(layers, bench.sensor, bench.field, pupil_half_width_m=reach_m)
     frame = model.irradiance(points, light.field(model.sample_x_m, model.sample_y_m))
-    reconstructor = bench.reconstructor(
-        reference, lattice=bench.design_lattice(*reference.shape), dark=np.zeros_like(reference)
-    )
+    lattice, dark = bench.design_lattice(*reference.shape), np.zeros_like(reference)
+    reconstructor = Calibration.of_images(bench, reference, dark=dark, lattice=lattice).reconstructor()
     return reconstructor.layers(reconstructor.register(frame)), screens
 
 

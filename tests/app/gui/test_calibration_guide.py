@@ -11,7 +11,7 @@ from support.manual_bench import MANUAL
 from support.window_tools import MakeWindow, press, wait_for_wavefront
 from test_window_calibration import is_about, move_lattice
 
-from app.acquisition.calibration_steps import DARK, EXPOSURE, LATTICE, REFERENCE, STEPS, CalibrationStep
+from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE, STEPS, CalibrationStep
 from app.acquisition.worker import Acquisition
 from app.gui.calibration_guide import CalibrationGuide
 from app.gui.main_window import MainWindow

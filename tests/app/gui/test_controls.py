@@ -14,11 +14,11 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import press
 
-from app.acquisition.validity import Validity
+from app.acquisition.kept_averages import Validity
 from app.gui import theme
 from app.gui.main_window import MainWindow
 from app.gui.names import NAMES
-from app.measurement.routines.averages import AVERAGED_FRAMES
+from app.measurement.averages import AVERAGED_FRAMES
 from reconstruction.settings import Method, PupilBasis
 
 

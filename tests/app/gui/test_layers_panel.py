@@ -16,11 +16,11 @@ from support.patience import wait_until
 from support.window_tools import MakeWindow, click, press, tab
 
 from app.bench.config import load_bench
-from app.evaluation.simulated_frames import simulated_frames
+from app.evaluation.simulated_frames import simulate
 from app.gui.main_window import MainWindow
+from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement
-from app.measurement.routines.averages import Average
 from app.results.shown_layers import FoundLayers, LayersRequest, find_shown_layers
 from simulated_devices.sample import make_sample
 
@@ -29,7 +29,7 @@ DISTANCE_M = 0.195  # of the screen in small_demo
 
 def measured(*settings: str) -> Measurement:
     bench = load_bench("small_demo", settings)
-    images = simulated_frames(bench)
+    images = simulate(bench)
     dark, reference = (
         Average(image, np.zeros_like(image), 1, 0.02, 8.0, "em") for image in (images.dark, images.reference)
     )

@@ -14,7 +14,6 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.window_tools import MakeWindow, click, tab, wait_for_wavefront
 
-from app.acquisition.start_up import acquisition_of
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.gui.main_window import MainWindow
@@ -69,7 +68,7 @@ def test_memory_does_not_grow_over_twenty_openings(make_window: MakeWindow, qtbo
     window, sizes = make_window(), list[float]()
     for index in range(22):
         bench = load_bench("live_demo" if index % 2 else small_toml)
-        window.open(partial(acquisition_of, bench))
+        window.open(partial(Acquisition, bench))
         qtbot.waitUntil(lambda: window._measurement is not None and window._measurement.counts.reconstructed > 20)
         qtbot.waitUntil(lambda: window.controller.pending.is_empty)
         sizes.append(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))

@@ -23,9 +23,9 @@ from app.gui import theme
 from app.gui.main_window import MainWindow
 from app.gui.number_field import NumberField
 from app.gui.wording import warning
-from app.measurement.measurement import Reconstruction
+from app.measurement.measurement import Measurement
 from app.results.view_analysis import Quantity
-from drivers.interface import Range
+from drivers.interface import Frame, Range
 
 
 def type_text(qtbot: QtBot, field: NumberField, text: str) -> None:
@@ -57,10 +57,10 @@ def blocked_reconstruction(monkeypatch: pytest.MonkeyPatch) -> Iterator[threadin
     """The worker hangs in a frame until the event is set, as with the slowest method."""
     begun, release = threading.Event(), threading.Event()
 
-    def measure(*_: object) -> Reconstruction:
+    def measure(_: Instrument, frame: Frame) -> Measurement:
         begun.set()
         release.wait()
-        return Reconstruction(None, "slow")
+        return Measurement(frame, None, "slow")
 
     monkeypatch.setattr(Instrument, "measure", measure)
     assert begun.wait(30)
@@ -240,10 +240,10 @@ def test_problem_of_earlier_settings_is_not_shown_as_the_present_one(
     window, _ = live
     release = threading.Event()
 
-    def measure(instrument: Instrument, *_: object) -> Reconstruction:
+    def measure(instrument: Instrument, frame: Frame) -> Measurement:
         if instrument.bench.reconstruction.method == "zonal":
             release.wait()  # a slow method
-        return Reconstruction(None, "no stars are where they are expected")
+        return Measurement(frame, None, "no stars are where they are expected")
 
     monkeypatch.setattr(Instrument, "measure", measure)
     try:
@@ -442,7 +442,7 @@ def test_message_names_the_actual_cause(live: tuple[MainWindow, FakeCamera], qtb
 def test_amplifier_change_says_what_else_it_changed(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.measurement.routines.frames._MARGIN_S", HANG_S)  # no frame comes after 421 ms
+    monkeypatch.setattr("app.measurement.routines._MARGIN_S", HANG_S)  # no frame comes after 421 ms
     window, camera = live
     choose = camera._set_amplifier
 

@@ -26,16 +26,11 @@ def bench_of(window: MainWindow) -> Bench:
 
 def move_lattice(window: MainWindow, qtbot: QtBot, center_x_px: float) -> None:
     """Displace the lattice of the bench."""
-
-    def move(bench: Bench) -> Bench:
-        assert bench.lattice is not None
-        return replace(bench, lattice=replace(bench.lattice, center_x_px=center_x_px))
-
-    def command(instrument: Instrument) -> None:
-        instrument.change_settings(move)
-
+    lattice = bench_of(window).lattice
+    assert lattice is not None
+    change = "lattice", replace(lattice, center_x_px=center_x_px)
     assert window.controller.acquisition is not None
-    window.controller.acquisition.submit(command).result(HANG_S)
+    window.controller.acquisition.submit(Instrument.change_settings, [change]).result(HANG_S)
     qtbot.waitUntil(lambda: center_of(window) == center_x_px)
 
 

@@ -32,8 +32,7 @@ from app.gui.number_field import NumberField
 from app.gui.status_line import StatusLine
 from app.gui.theme import apply_theme
 from app.gui.wording import advice
-from app.measurement.live_solver import Assumptions, RefinementState
-from app.measurement.measurement import FrameTotals
+from app.measurement.measurement import Assumptions, FrameTotals, RefinementState
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 
 LONG = "the recording ended early, 1203 frames are saved: the disk is full, free some space and start another recording"

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from support.optics import FIELD, SmallBench
 
-from app.measurement.assumptions import mask_sentence, sample_sentence
+from app.measurement.estimator import mask_sentence
+from app.measurement.measurement import sample_sentence
 from app.results.frame_tallies import SampleTally
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings

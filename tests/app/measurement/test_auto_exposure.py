@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 
 from app.acquisition.devices import simulated_bench
 from app.bench.config import load_bench
-from app.measurement.routines.auto_exposure import AutoExposure, auto_expose
-from app.measurement.routines.brightness import brightness
-from app.measurement.routines.frames import Cancelled, RoutineError
+from app.measurement.auto_exposure import AutoExposure, auto_expose, brightness
+from app.measurement.routines import Cancelled, RoutineError
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Range
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock

@@ -10,11 +10,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.estimators import estimator_with
 from support.optics import FIELD, SmallBench
 from support.patience import HANG_S, wait_until
 
 from app.bench.config import Bench
-from app.measurement.live_solver import Assumptions, LiveSolver, RefinementState
+from app.measurement.live_solver import LiveSolver
+from app.measurement.measurement import Assumptions, RefinementState
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.pipeline import Reconstructor
@@ -43,6 +45,10 @@ def bench_of(bench: SmallBench, *, refine: bool = True) -> Bench:
     return Bench(sensor=bench.sensor, field=bench.field, lattice=bench.lattice, reconstruction=reconstruction)
 
 
+def solver_of(bench: SmallBench, reconstructor: Reconstructor, *, refine: bool = True) -> LiveSolver:
+    return LiveSolver(estimator_with(reconstructor, bench_of(bench, refine=refine), bench.reference))
+
+
 def until(solver: LiveSolver, reconstructor: Reconstructor, frame: NDArray[np.float32], stage: str) -> float:
     """Refine a frame every 20 ms until the stage is reached; return the time (s)."""
     displacement, begin_s = reconstructor.register(frame), time.monotonic()
@@ -54,7 +60,7 @@ def until(solver: LiveSolver, reconstructor: Reconstructor, frame: NDArray[np.fl
 
 @pytest.mark.slow
 def test_bias_applies_only_near_its_wavefront(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
-    solver = LiveSolver(bench_of(paper_bench), reconstructor)
+    solver = solver_of(paper_bench, reconstructor)
     try:
         frame = bowl(paper_bench, 1.0)
         displacement = reconstructor.register(frame)
@@ -86,7 +92,7 @@ def test_bias_applies_only_near_its_wavefront(paper_bench: SmallBench, reconstru
 
 
 def test_nearly_flat_wavefront_keeps_bias(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
-    solver = LiveSolver(bench_of(paper_bench), reconstructor)
+    solver = solver_of(paper_bench, reconstructor)
     until(solver, reconstructor, paper_bench.reference, "applied")
     noise = np.random.default_rng(0).normal(0, 0.002 * paper_bench.reference.max(), paper_bench.frame_shape)
     displacement = reconstructor.register((paper_bench.reference + noise).astype(np.float32))
@@ -96,7 +102,7 @@ def test_nearly_flat_wavefront_keeps_bias(paper_bench: SmallBench, reconstructor
 
 @pytest.mark.slow
 def test_refinement_thread_ends(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
-    solver = LiveSolver(bench_of(paper_bench), reconstructor)
+    solver = solver_of(paper_bench, reconstructor)
     until(solver, reconstructor, paper_bench.reference, "applied")
     solver.close()
     wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
@@ -113,8 +119,8 @@ def test_round_cut_short_by_exit_is_no_error(
 
     raised: list[object] = []
     monkeypatch.setattr(threading, "excepthook", raised.append)
-    monkeypatch.setattr("app.measurement.live_solver.Refinement.bias", cut_short)
-    solver = LiveSolver(bench_of(paper_bench), reconstructor)
+    monkeypatch.setattr("app.measurement.estimator.Refinement.bias", cut_short)
+    solver = solver_of(paper_bench, reconstructor)
     solver.solve(reconstructor.register(paper_bench.reference), 0.0)
     wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
     assert len(raised) == (0 if closes else 1)
@@ -123,11 +129,11 @@ def test_round_cut_short_by_exit_is_no_error(
 def test_impossible_model_is_reported(
     paper_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise ValueError("no such source")
 
-    monkeypatch.setattr("app.measurement.live_solver.BenchModel", fail)
-    solver = LiveSolver(bench_of(paper_bench), reconstructor)
+    monkeypatch.setattr("app.measurement.estimator.BenchModel", fail)
+    solver = solver_of(paper_bench, reconstructor)
     until(solver, reconstructor, paper_bench.reference, "failed")
     assert solver.solve(reconstructor.register(paper_bench.reference), 0.0)[1].refinement.problem == "no such source"
 
@@ -148,7 +154,7 @@ def test_bias_that_worsens_the_misfit_is_rejected(
         sample_x_m, sample_y_m = paper_bench.model.sample_x_m, paper_bench.model.sample_y_m
         first_rad = math.nan
 
-        def __init__(self, *_: object) -> None:
+        def __init__(self, *_: object, threads: int) -> None:
             pass
 
         def image(self, field: PointField | None) -> NDArray[np.float32]:
@@ -159,8 +165,8 @@ def test_bias_that_worsens_the_misfit_is_rejected(
                 self.first_rad = rms_rad
             return bowl(paper_bench, 1.05 if abs(rms_rad / self.first_rad - 1) < 0.01 else 0.85)
 
-    monkeypatch.setattr("app.measurement.live_solver.BenchModel", Wild)
-    solver = LiveSolver(bench_of(paper_bench), reconstructor)
+    monkeypatch.setattr("app.measurement.estimator.BenchModel", Wild)
+    solver = solver_of(paper_bench, reconstructor)
     try:
         frame = bowl(paper_bench, 1.0)
         until(solver, reconstructor, frame, "worse")
@@ -179,7 +185,7 @@ def test_bias_that_worsens_the_misfit_is_rejected(
 @pytest.mark.slow
 def test_helpful_bias_in_noise_is_kept(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
     """Rounds at one strong wavefront, each frame with noise of its own."""
-    solver = LiveSolver(bench_of(paper_bench), reconstructor)
+    solver = solver_of(paper_bench, reconstructor)
     random, clean = np.random.default_rng(0), bowl(paper_bench, 1.0)
 
     def noisy() -> NDArray[np.float32]:
@@ -234,7 +240,7 @@ def layered(paper_bench: SmallBench) -> Reconstructor:
 def test_layers_found_in_the_background_serve_later_frames(
     paper_bench: SmallBench, layered: Reconstructor, *, refine: bool
 ) -> None:
-    solver = LiveSolver(bench_of(paper_bench, refine=refine), layered)
+    solver = solver_of(paper_bench, layered, refine=refine)
     try:
         displacement = layered.register(behind_layer(paper_bench, -0.8))
         first, assumed = solver.solve(displacement, 0.0)
@@ -264,8 +270,8 @@ def test_bias_is_found_with_the_sample_of_the_frames(
         seen.append((wavefront.sample, bias))
         return bias
 
-    monkeypatch.setattr("app.measurement.live_solver.Refinement.bias", noted)
-    solver = LiveSolver(bench_of(paper_bench), layered)
+    monkeypatch.setattr("app.measurement.estimator.Refinement.bias", noted)
+    solver = solver_of(paper_bench, layered)
     try:
         displacement = layered.register(behind_layer(paper_bench, -0.8))
         applied: list[Assumptions] = []
@@ -291,7 +297,7 @@ def test_close_ends_a_search(paper_bench: SmallBench, layered: Reconstructor, mo
             time.sleep(0.01)
 
     monkeypatch.setattr(Reconstructor, "find_sample", search)
-    solver = LiveSolver(bench_of(paper_bench, refine=False), layered)
+    solver = solver_of(paper_bench, layered, refine=False)
     solver.solve(layered.register(paper_bench.reference), 0.0)
     assert searching.wait(HANG_S)
     solver.close()
@@ -299,7 +305,7 @@ def test_close_ends_a_search(paper_bench: SmallBench, layered: Reconstructor, mo
 
 
 def test_no_thread_without_layers_and_refinement(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
-    solver = LiveSolver(bench_of(paper_bench, refine=False), reconstructor)
+    solver = solver_of(paper_bench, reconstructor, refine=False)
     assert not solver.prepares
     displacement = reconstructor.register(bowl(paper_bench, 1.0))
     wavefront, assumed = solver.solve(displacement, 0.0)

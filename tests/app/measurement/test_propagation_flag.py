@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from app.bench.config import load_bench
-from app.evaluation.simulated_frames import simulated_frames
+from app.evaluation.simulated_frames import simulate
 from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.quality.verdict import Fault, Quality
 
 
 def judged(world: str, assumed: str, *settings: str) -> Quality:
-    images = simulated_frames(load_bench("small_demo", (f"field.neglect_propagation={world}", *settings)))
+    images = simulate(load_bench("small_demo", (f"field.neglect_propagation={world}", *settings)))
     bench = load_bench("small_demo", (f"field.neglect_propagation={assumed}",))
     frame = images.frames[0]
     reconstructor = BenchReconstructor(bench, images.reference, dark=images.dark, frame=frame)

@@ -13,10 +13,17 @@ from scipy import stats
 
 from app.acquisition.devices import simulated_bench
 from app.bench.config import load_bench
-from app.measurement.routines.auto_exposure import auto_expose
-from app.measurement.routines.averages import Average, average, take_dark, take_reference
-from app.measurement.routines.background import BackgroundCheck, check_background, compare_backgrounds
-from app.measurement.routines.frames import Cancelled
+from app.measurement.auto_exposure import auto_expose
+from app.measurement.averages import (
+    Average,
+    BackgroundCheck,
+    average,
+    check_background,
+    compare_backgrounds,
+    take_dark,
+    take_reference,
+)
+from app.measurement.routines import Cancelled
 from drivers.interface import (
     BadValue,
     Camera,

@@ -267,11 +267,12 @@ def test_smaller_area_shows_same_lenslets_after_recalibration(
         acquisition.submit(lambda instrument: instrument.survey_lattice()).result(HANG_S)
 
     seen = len(measurements)
-    acquisition.take_reference(5).result(HANG_S)  # the dark, still of the whole sensor, must not be used
+    # the dark, still of the whole sensor, must not be used
+    acquisition.submit(Instrument.take_reference, 5).result(HANG_S)
     newest(measurements, seen, has_wavefront)
     assert acquisition.status is not None
     assert "dark was taken of another part" in acquisition.status.warning
-    acquisition.take_dark(5).result(HANG_S)
+    acquisition.submit(Instrument.take_dark, 5).result(HANG_S)
     assert acquisition.status.warning == ""
     now = newest(measurements, len(measurements), has_wavefront).wavefront
     assert now is not None
@@ -313,7 +314,7 @@ def test_camera_area_is_restored_if_bench_rejects_it(
 def test_lattice_outside_frame_is_reported(live_small: tuple[Acquisition, list[Measurement]]) -> None:
     acquisition, measurements = live_small
     acquisition.set_area(SensorArea(Region(0, 0, 64, 64), 1)).result(HANG_S)
-    acquisition.take_reference(3).result(HANG_S)
+    acquisition.submit(Instrument.take_reference, 3).result(HANG_S)
     wait_until(lambda: "lenslets lie outside the frame of 64 x 64" in measurements[-1].problem)
 
 

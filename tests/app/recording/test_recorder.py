@@ -25,7 +25,7 @@ from app.timing import Timings
 
 def measurement(index: int, *, host_time_s: float, lost: int = 0) -> Measurement:
     frame = replace(make_frame(index), host_time_s=host_time_s)
-    return Measurement(frame, None, "dark", FrameTotals(index + 1, 0, lost), host_time_s, 0.01)
+    return Measurement(frame, None, "dark", FrameTotals(index + 1, 0, lost), host_time_s, 0.01, lost=lost)
 
 
 def test_recording_ends_after_the_requested_frames(tmp_path: Path) -> None:
@@ -33,7 +33,7 @@ def test_recording_ends_after_the_requested_frames(tmp_path: Path) -> None:
     recorder_.take(measurement(0, host_time_s=0.0, lost=2))
     recorder_.start(tmp_path / "r", FACTS, limit=Limit(frames=3))
     for index in range(1, 9):
-        recorder_.take(measurement(index, host_time_s=index / 10, lost=4 if index > 1 else 2))
+        recorder_.take(measurement(index, host_time_s=index / 10, lost=2 if index == 2 else 0))
     assert wait(recorder_, {"finished"}).frames == 3
     recording = Recording(tmp_path / "r")
     assert recording.run["frames"] == {"acquired": 3, "recorded": 3, "reconstructed": 0, "lost": 2}

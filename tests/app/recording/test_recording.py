@@ -15,8 +15,8 @@ from support.records import FACTS, RANDOM, SHAPE, make_chain, make_record, noisy
 
 from app.bench.config import write_bench
 from app.errors import InputError
+from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
-from app.measurement.routines.averages import Average
 from app.recording import frame_array
 from app.recording.reader import Recording
 from app.recording.recover import recover
@@ -45,11 +45,11 @@ def test_written_recording_is_read_back(tmp_path: Path, calibration: Calibration
     assert recording.run["devices"] == FACTS["devices"]
     for index, record in enumerate(records):
         frame, line = recording.frame(index), recording.line(index)
-        np.testing.assert_array_equal(frame.pixels, record.frame.pixels)
+        np.testing.assert_array_equal(frame.pixels, record.made.frame.pixels)
         assert frame.pixels.dtype == np.uint16
         for field in fields(Frame)[1:]:
-            assert getattr(frame, field.name) == getattr(record.frame, field.name)
-        assert (line.index, line.lost, line.problem) == (index, record.lost, record.problem)
+            assert getattr(frame, field.name) == getattr(record.made.frame, field.name)
+        assert (line.index, line.lost, line.problem) == (index, record.made.lost, record.made.problem)
         for found, expected in (
             (recording.displacement(index), record.displacement),
             (recording.coefficients(index), record.coefficients),
@@ -83,7 +83,7 @@ def test_zarr_library_and_ome_readers_read_the_same(
     assert isinstance(frames, zarr.Array)
     assert frames.shape == (10, *SHAPE)
     assert frames.metadata.dimension_names == ("t", "y", "x")  # type: ignore[union-attr] # of Zarr v3
-    np.testing.assert_array_equal(frames[:], [record.frame.pixels for record in records])
+    np.testing.assert_array_equal(frames[:], [record.made.frame.pixels for record in records])
     coefficients = np.asarray(group["results/0/coefficients"])
     np.testing.assert_array_equal(coefficients[:9], [record.coefficients for record in records[:9]])
     assert np.isnan(coefficients[9]).all()
@@ -120,7 +120,7 @@ def test_growing_recording_can_be_read(tmp_path: Path, calibration: Calibration)
     for index, record in enumerate(records):
         writer.write(record)
         assert recording.refresh() == index + 1
-        np.testing.assert_array_equal(recording.pixels(index), record.frame.pixels)
+        np.testing.assert_array_equal(recording.pixels(index), record.made.frame.pixels)
         np.testing.assert_array_equal(recording.coefficients(index), record.coefficients)
     with pytest.raises(InputError, match="still being recorded"):
         recover(tmp_path / "r")

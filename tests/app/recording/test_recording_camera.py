@@ -21,12 +21,11 @@ from app.bench.config import load_bench, parse_bench, write_bench
 from app.bench.device_kinds import Pace, RecordingSettings
 from app.commands.measure import measure_bench
 from app.errors import InputError, RunError
+from app.measurement.averages import Average, average, take_dark, take_reference
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import FrameTotals, Measurement
-from app.measurement.routines.averages import Average, average, take_dark, take_reference
+from app.measurement.measurement import Measurement
 from app.recording.reader import Recording
-from app.recording.recorded_camera import AveragedFrames, RecordedCamera
-from app.recording.recorded_devices import recorded_devices
+from app.recording.recorded_devices import AveragedFrames, RecordedCamera, recorded_devices
 from app.recording.writer import Record, RecordingWriter
 from drivers.interface import BadValue, Camera, DeviceTimeout, Disconnected, Frame, FrameLost, Range, WrongState
 from reconstruction.wavefront import rms
@@ -263,7 +262,7 @@ def written(source: Recording, folder: Path, calibrations: tuple[Calibration | N
         for index in range(FRAMES):
             calibration = calibrations[index * len(calibrations) // FRAMES]
             frame = replace(source.frame(index), exposure_s=0.02 if index < FRAMES // 2 else 0.04)
-            writer.write(Record.of(Measurement(frame, None, "", FrameTotals(), 0, 0, calibration=calibration), 0))
+            writer.write(Record.of(Measurement(frame, None, "", calibration=calibration)))
         writer.finish("", acquired=FRAMES, facts={})
     return Recording(folder)
 

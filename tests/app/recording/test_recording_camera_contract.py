@@ -13,8 +13,7 @@ from support.light_contract import LightContract, StageContract
 from support.recordings import edit_line, record
 
 from app.recording.reader import Recording
-from app.recording.recorded_camera import RecordedCamera
-from app.recording.recorded_devices import RecordedLight, RecordedStage
+from app.recording.recorded_devices import RecordedCamera, RecordedLight, RecordedStage
 from drivers.interface import BadValue, Camera, LightSource, Stage
 from simulated_devices.clock import ManualClock
 

@@ -9,7 +9,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from conftest import SMALL_TOML
 from hypothesis import strategies as st
 from hypothesis.stateful import precondition, rule
 from support.camera_storm import CameraStorm
@@ -18,9 +17,10 @@ from support.storm import storm_settings
 
 from app.errors import InputError
 from app.recording.reader import Recording
-from app.recording.recorded_camera import RecordedCamera
+from app.recording.recorded_devices import RecordedCamera
 from drivers.interface import Camera, Disconnected
 from simulated_devices.clock import ManualClock
+from conftest import SMALL_TOML
 
 FRAMES = 6
 

@@ -54,7 +54,7 @@ def test_full_disk_keeps_all_acknowledged_frames(
     recording.take(records[0])  # the live view goes on
     read = Recording(tmp_path / "r")
     assert (len(read), read.is_complete, read.ended_early) == (5, True, state.problem)
-    np.testing.assert_array_equal(read.pixels(4), records[4].frame.pixels)
+    np.testing.assert_array_equal(read.pixels(4), records[4].made.frame.pixels)
     assert read.run["frames"]["acquired"] == 12
     assert not read.is_whole(5)  # the unfinished frame was removed
 

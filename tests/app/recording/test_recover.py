@@ -30,7 +30,7 @@ def calibration(small_bench: SmallBench) -> Calibration:
 
 def test_recovery_removes_a_half_line_and_can_be_repeated(tmp_path: Path, calibration: Calibration) -> None:
     records = make_chain(calibration, 5)
-    write(tmp_path / "r", [replace(records[0], lost=4), *records[1:]], finish=False)
+    write(tmp_path / "r", [replace(records[0], made=replace(records[0].made, lost=4)), *records[1:]], finish=False)
     path = tmp_path / "r" / "frames.jsonl"
     whole = path.read_bytes()
     path.write_bytes(whole + whole.splitlines()[-1][:40])
@@ -216,7 +216,7 @@ def test_damaged_frame_in_the_middle_keeps_the_others(
     recording = Recording(tmp_path / "r")
     assert (len(recording), recording.is_complete) == (6, True)
     for index in found.whole:
-        np.testing.assert_array_equal(recording.frame(index).pixels, records[index].frame.pixels)
+        np.testing.assert_array_equal(recording.frame(index).pixels, records[index].made.frame.pixels)
         np.testing.assert_array_equal(recording.displacement(index), records[index].displacement)
     np.testing.assert_array_equal(recording.start(4), records[3].displacement)  # although its line was damaged
     again = recover(tmp_path / "r")
@@ -289,7 +289,7 @@ def test_misplaced_lines_return_to_their_places(
                 recording.line(index)
         else:
             assert recording.line(index) == lines[index]
-            np.testing.assert_array_equal(recording.pixels(index), records[index].frame.pixels)
+            np.testing.assert_array_equal(recording.pixels(index), records[index].made.frame.pixels)
     for text in path.read_text().splitlines():
         json.loads(text)  # standard JSON
     before = _everything(tmp_path / "r")

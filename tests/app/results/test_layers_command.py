@@ -15,7 +15,7 @@ from support.command_line import run
 
 from app.bench.config import load_bench
 from app.errors import InputError
-from app.evaluation.simulated_frames import simulated_frames
+from app.evaluation.simulated_frames import simulate
 from app.measurement.bench_reconstructor import BenchReconstructor
 from app.results.corrector import (
     compare_correctors,
@@ -132,7 +132,7 @@ def test_error_bar_of_a_distance_follows_that_of_the_ratio(origin: Origin) -> No
 @pytest.mark.slow
 def test_layer_behind_the_lenslets_has_no_distance_from_the_mask() -> None:
     bench = load_bench("small_demo", ("simulation.screen.distance_m=-0.1",))
-    images = simulated_frames(bench)
+    images = simulate(bench)
     reconstruct = BenchReconstructor(bench, images.reference, dark=images.dark)
     wavefront = reconstruct(images.frames[0])
     found = layers_dataset(find_layers(reconstruct.layers(wavefront)), bench, "mask")

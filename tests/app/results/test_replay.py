@@ -20,7 +20,7 @@ from support.recordings import edit_line, record, remove_coefficients, replace_p
 from app.bench.config import write_bench
 from app.bench.imaging_model import lenslet_model
 from app.errors import InputError, Interrupted, RunError
-from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
+from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.frame_lines import assumed_sample
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
@@ -270,6 +270,15 @@ def test_other_views_or_lenslets_are_not_compared(
 DARK, PASSED, UNCALIBRATED, CHANGED = 3, 2, 0, 6  # special frames of the recording below
 
 
+@pytest.mark.slow
+def test_bias_of_another_chosen_warp_is_not_subtracted(small_toml: Path, tmp_path: Path) -> None:
+    settings = ("registration.warp=automatic", "reconstruction.refine=true")
+    recording = record(small_toml, tmp_path / "run", *settings, frames=2)
+    assert recording.line(0).bias is not None
+    made = replayed(recording.folder, "reconstruction.method=zonal")  # with an affine warp
+    assert (made.reconstructed, made.unrefined) == (2, 2)
+
+
 @pytest.fixture(scope="module")
 def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """Eight frames: one without calibration, one skipped, one too dark, and new settings from the seventh on."""
@@ -285,7 +294,7 @@ def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Reco
             if index == DARK:
                 frame = replace(frame, pixels=np.full_like(frame.pixels, 500))
             start = None if index == CHANGED else before
-            made = Measurement(frame, None, "", FrameTotals(), 0, 0, calibration=calibration)
+            made = Measurement(frame, None, "", calibration=calibration)
             if index == UNCALIBRATED:
                 made = replace(made, calibration=None, problem="no reference yet")
             elif index == PASSED:
@@ -299,7 +308,7 @@ def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Reco
                     before = registered
                 except ReconstructionError as error:
                     made = replace(made, problem=str(error), start=start)
-            writer.write(Record.of(made, 0))
+            writer.write(Record.of(made))
     writer.finish("", acquired=8, facts={})
     writer.close()
     return Recording(folder)

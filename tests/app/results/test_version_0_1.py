@@ -144,7 +144,7 @@ def test_replay_repeats_the_results_of_0_1() -> None:
             assert made.registered is not None
             assert made.wavefront is not None
             now = made.registered.coefficients, made.wavefront.coefficients
-            then = recording.displacement(made.line.index), recording.coefficients(made.line.index)
+            then = recording.displacement(made.index), recording.coefficients(made.index)
             for value, expected in zip(now, then, strict=True):
                 assert value is not None
                 assert expected is not None

@@ -145,10 +145,10 @@ def test_instrument_measures_noise_from_dark_and_reference(small_toml: Path) -> 
     bench = load_bench(small_toml)
     with open_devices(bench, lambda _: None) as devices, closing(Instrument(devices, bench)) as instrument:
         devices.light.set_on(True)
-        instrument.take_dark(6, progress=lambda *_: None, should_stop=lambda: False)
-        instrument.take_reference(6, progress=lambda *_: None, should_stop=lambda: False)
-        reconstructor = instrument._reconstructor
-        assert reconstructor is not None
+        instrument.take_dark(6)
+        instrument.take_reference(6)
+        assert instrument._estimator is not None
+        reconstructor = instrument._estimator.reconstructor
         assert reconstructor.noise is not None
         settings = bench.camera_model
         expected = settings.em_gain / settings.electrons_per_count * (2 - 1 / settings.em_gain)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import svwfs
+from app.measurement.calibration import Calibration
 from app.results.dataset import result_dataset, stack_frames
 from reconstruction.field_coefficients import ModalFit, field_coefficients
 from reconstruction.geometry import nominal_lattice
@@ -28,7 +29,8 @@ def wavefronts() -> dict[str, Wavefront]:
     alone = replace(BENCH, reconstruction=ReconstructionSettings(sample="free"))
     lattice = nominal_lattice(BENCH.sensor, *images.reference.shape)
     automatic, free_only = (
-        bench.reconstructor(images.reference, lattice=lattice, dark=images.dark) for bench in (BENCH, alone)
+        Calibration.of_images(bench, images.reference, dark=images.dark, lattice=lattice).reconstructor()
+        for bench in (BENCH, alone)
     )
     found = automatic(images.frames[0])
     assert len(found.sample.ratios) == 1

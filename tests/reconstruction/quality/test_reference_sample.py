@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.estimators import estimator_with
 from support.optics import FIELD, SmallBench
 from support.polynomial_layers import PHASE, light
 
-from app.measurement.judging import frame_judge
+from app.bench.config import Bench
 from reconstruction.arrays import Floats, Image
 from reconstruction.quality.reference_quality import sample_quality, shared_deformation_px
 from reconstruction.quality.verdict import Fault
@@ -121,6 +122,6 @@ def test_reference_with_a_sample_is_found(
     for image in (frame, noisy(frame, 300, 0)):
         assert sample_quality(cut(bench, image)).faults == Fault.SAMPLE
     reconstructor = bench.reconstructor(reference=frame, registration=RegistrationSettings(warp="affine"))
-    judge = frame_judge(reconstructor, frame, shown=None, dark=None)
+    judge = estimator_with(reconstructor, Bench(sensor=bench.sensor, field=bench.field), frame).judge
     assert Fault.SAMPLE in judge.of_reference.faults
     assert "was the sample in the beam" in judge.of_reference.sentence

@@ -1,25 +1,23 @@
 """One run: first wavefront, warm-up, measured span. A window's timer or a loop polls it some ten times a second."""
 
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
 from typing import Any
 
-from app.acquisition.devices import open_devices
+from app.acquisition.session import FirstWavefront
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.evaluation.benchmark.live_path.tally import FrameCounts, Tally, resident_mb
-from app.measurement.measurement import Measurement
 from app.progress import Progress
 from app.timing import Timings
 
 _GIVE_UP_S = 600.0  # for rendering the bench and compiling
-_HOPELESS_FRAMES = 20  # without a wavefront; the camera starts when all steps are done
 _DONE = object()
 
 
@@ -57,11 +55,10 @@ class Course:
         seconds: float,
         memory_s: float = 0.0,
         record_into: Path | None = None,
-        sinks: tuple[Callable[[Measurement], None], ...] = (),
     ) -> None:
         """Prepare a span of `seconds` after the warm-up; the memory is measured over its last `memory_s`."""
-        self._tally = Tally()
-        self.acquisition = Acquisition(bench, open_devices, (self._tally.take, *sinks))
+        self._tally, self._first = Tally(), FirstWavefront(_GIVE_UP_S)
+        self.acquisition = Acquisition(bench, sinks=(self._tally.take, self._first.take))
         self._progress, self._record_into = progress, record_into
         self._warm_up_s, self._seconds, self._memory_s = warm_up_s, seconds, memory_s
         self._kept = 2 * ceil(seconds / bench.camera_model.exposure_s)
@@ -108,12 +105,9 @@ class Course:
         )
 
     def _until_first_wavefront(self) -> Generator[None, None, float]:
-        while (first_s := self._tally.first_wavefront_s) is None:
+        while (first_s := self._first.came_s) is None:
             self._check()
-            if (failed := self._tally.counts.failed) >= _HOPELESS_FRAMES:
-                raise RunError(f"no wavefront in the first {failed} frames: {self._tally.problem}")
-            if time.perf_counter() > self._made_s + _GIVE_UP_S:
-                raise RunError(f"no wavefront within {_GIVE_UP_S:g} s: {self._tally.problem or 'no frame came'}")
+            self._first.check()
             activity = self.acquisition.activity
             self._progress(activity.text or "waiting for the first wavefront", 0.0)
             yield

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import sys
-import time
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
@@ -40,16 +39,10 @@ class Tally:
 
     def __init__(self) -> None:
         self.counts = FrameCounts()  # replaced by the worker with each frame, safe to read in any thread
-        self.first_wavefront_s: float | None = None  # by time.perf_counter()
-        self.problem = ""  # why the newest failed frame has no wavefront
 
     def take(self, measurement: Measurement) -> None:
         """Count one more frame."""
         is_reconstructed, is_passed_over = measurement.wavefront is not None, measurement.problem == SKIPPED
-        if is_reconstructed and self.first_wavefront_s is None:
-            self.first_wavefront_s = time.perf_counter()
-        if not is_reconstructed and not is_passed_over:
-            self.problem = measurement.problem
         before = self.counts
         self.counts = FrameCounts(
             acquired=before.acquired + 1,

@@ -1,16 +1,75 @@
-"""Device states: restored after a routine, or compared with those of a dark or reference."""
+"""Shared by all routines: waiting for frames, early ends, and the states of devices, restored or compared.
+
+Routines run in the thread that owns the devices. Each restores camera, light and stage, also when it is cancelled or
+fails; after a device fault it turns the light off.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 
-from drivers.interface import REFUSALS, DeviceError, Devices, LightHeldOff, Region
+from app.errors import RunError
+from drivers.interface import (
+    REFUSALS,
+    Camera,
+    DeviceError,
+    Devices,
+    DeviceTimeout,
+    Frame,
+    FrameLost,
+    LightHeldOff,
+    Region,
+)
 
+FrameProgress = Callable[[Frame, float], None]  # newest frame, fraction done 0 ... 1
+ShouldStop = Callable[[], bool]
+
+
+class Watch(TypedDict):
+    """Callbacks of a routine."""
+
+    progress: FrameProgress
+    should_stop: ShouldStop
+
+
+UNWATCHED: Watch = {"progress": lambda *_: None, "should_stop": lambda: False}
+
+WAIT_SLICE_S = 0.1  # longest wait, so that a stop takes effect at once even in a long exposure
+_MARGIN_S = 3.0  # timeout beyond the exposure
 _SAME_EXPOSURE = 1e-3  # relative
+
+
+class Cancelled(Exception):
+    """The routine was asked to stop."""
+
+
+class RoutineError(RunError):
+    """A routine cannot reach its goal, although no device failed; the text says what to do."""
+
+
+def next_frame(camera: Camera, should_stop: ShouldStop) -> Frame:
+    """Wait for the next frame in slices; raise `Cancelled` on a stop, `DeviceTimeout` if none arrives.
+
+    Lost frames are skipped; they show as a gap in the frame index.
+    """
+    deadline_s = time.monotonic() + camera.exposure_s + _MARGIN_S
+    while True:
+        if should_stop():
+            raise Cancelled
+        try:
+            return camera.read(WAIT_SLICE_S)
+        except DeviceTimeout:
+            if time.monotonic() > deadline_s:
+                raise
+        except FrameLost as error:
+            if time.monotonic() > deadline_s:
+                raise DeviceTimeout(f"no complete frame has arrived for too long: {error}") from error
 
 
 @dataclass(slots=True)

@@ -1,0 +1,185 @@
+"""Estimator: everything that turns the frames of one calibration into measurements."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from typing import TypeAlias
+
+from app.bench.imaging_model import BenchModel
+from app.measurement.averages import Average
+from app.measurement.calibration import Calibration, surveyed
+from app.measurement.measurement import Assumptions, Measurement
+from app.memory import kept_for_bench
+from app.timing import Timings
+from drivers.interface import Frame
+from reconstruction.displacement import Displacement
+from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import Lattice, Sensor
+from reconstruction.layers.layered_wavefront import AssumedSample
+from reconstruction.pipeline import Reconstructor
+from reconstruction.quality.frame_quality import FrameJudge
+from reconstruction.quality.reference_quality import (
+    linearity_quality,
+    reference_quality,
+    response_quality,
+    sample_quality,
+)
+from reconstruction.quality.verdict import Quality, sequence_quality
+from reconstruction.refinement import Refinement
+from reconstruction.settings import FIELD_MODES
+from reconstruction.wavefront import Wavefront
+
+Solve: TypeAlias = Callable[[Displacement], tuple[Wavefront, Assumptions]]
+
+
+class Estimator:
+    """Reconstructor, judge and refinement of one calibration; each is prepared when it is first used.
+
+    Each of them raises a `ReconstructionError` then, if the calibration does not allow it.
+    """
+
+    def __init__(self, calibration: Calibration, *, threads: int = 2) -> None:
+        """`threads` render the forward model; only a single one repeats it bit by bit."""
+        self.calibration, self._threads = calibration, threads
+
+    @cached_property
+    def reconstructor(self) -> Reconstructor:
+        """Registers frames, finds the sample, and solves."""
+        return self.calibration.reconstructor()
+
+    @cached_property
+    def judge(self) -> FrameJudge:
+        """Judges frames by their displacements; the calibration itself is judged already."""
+        made, given = self.reconstructor, self.calibration
+        shown = None
+        if given.bench.lattice is not None:
+            shown = _shown_lattice(given.dark, given.reference, given.bench.sensor, given.full_scale)
+        of_reference = reference_quality(
+            given.reference.mean,
+            sensor=made.sensor,
+            lattice=made.lattice,
+            shown=shown,
+            dark=given.dark_image,
+            variance=given.reference.variance,
+            noise=made.noise,
+            frames=given.reference_frames,
+        )
+        return FrameJudge(
+            made.subimages,
+            made.registration,
+            sensor=made.sensor,
+            field=made.field,
+            dark=given.dark_image,
+            of_reference=sample_quality(made.subimages)
+            | linearity_quality(given.curve, "reference")
+            | of_reference
+            | response_quality(made.response_problem),  # named first
+        )
+
+    @cached_property
+    def model(self) -> BenchModel:
+        """Forward model of the bench."""
+        with _refusals():
+            return BenchModel(self.calibration.bench, self.reconstructor, threads=self._threads)
+
+    @cached_property
+    def refinement(self) -> Refinement:
+        """Refines wavefronts with the model."""
+        with _refusals():
+            return Refinement(self.reconstructor, self.model)
+
+    def measure(
+        self,
+        frame: Frame,
+        solve: Solve,
+        timings: Timings,
+        *,
+        start: Displacement | None = None,
+        previous: Frame | None = None,
+    ) -> Measurement:
+        """Register, solve and judge a frame, or say why that is impossible.
+
+        `start` is the displacement of an earlier frame, `previous` the frame before this one.
+        """
+        try:
+            with timings.of("register"):
+                registered = self.reconstructor.register(frame.pixels, start=start)
+            with timings.of("reconstruct"):
+                wavefront, assumed = solve(registered)
+                quality = self.judge(frame.pixels, wavefront.displacement) | _beside(previous, frame)
+        except ReconstructionError as error:
+            return Measurement(frame, None, str(error), calibration=self.calibration, start=start)
+        return Measurement(
+            frame,
+            wavefront,
+            "",
+            calibration=self.calibration,
+            start=start,
+            registered=registered,
+            assumed=assumed,
+            quality=quality,
+        )
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """Turn a `ValueError` into a `ReconstructionError`: the reference does not allow a model."""
+    try:
+        yield
+    except ValueError as error:
+        raise ReconstructionError(str(error), image="reference") from error
+
+
+@kept_for_bench(maxsize=4)  # another setting does not change it
+def _shown_lattice(dark: Average | None, reference: Average, sensor: Sensor, full_scale: float) -> Lattice | None:
+    """The lattice that the reference shows; None if it shows none."""
+    try:
+        return surveyed(sensor, dark, reference, full_scale).lattice
+    except ReconstructionError:
+        return None
+
+
+def _beside(previous: Frame | None, frame: Frame) -> Quality:
+    """Quality of a frame beside the one before; the camera counts from 0 after a restart."""
+    if previous is None or frame.index <= previous.index:
+        return Quality()
+    return sequence_quality(previous.pixels, frame.pixels, frame.camera_time_s - previous.camera_time_s)
+
+
+def mask_sentence(reconstructor: Reconstructor, sample: AssumedSample | None = None) -> str:
+    """Say which displacements mask or warp leave out, and what they follow from; empty if all are shown.
+
+    Also say if the bias of mean gradients is left out. Without a `sample`, of frames in general.
+    """
+    return "; ".join(filter(None, [_left_out(reconstructor, sample), _bias(reconstructor)]))
+
+
+def _bias(reconstructor: Reconstructor) -> str:
+    registration, reconstruction = reconstructor.registration, reconstructor.reconstruction
+    knows_response = reconstruction.response and registration.method == "gauss_newton" and not registration.rotation
+    if reconstruction.method == "modal" and knows_response:
+        return ""
+    return "displacements count as mean gradients of the wavefront, whose bias the error bars leave out"
+
+
+def _left_out(reconstructor: Reconstructor, sample: AssumedSample | None) -> str:
+    warp, hidden = reconstructor.registration.warp, reconstructor.hidden
+    if warp == "affine":
+        return "an affine warp does not show how wavefronts bend over the field; the error bars leave that out"
+    if warp is None or not hidden:
+        return ""
+    fields = FIELD_MODES[warp]
+    degree = (math.isqrt(8 * fields + 1) - 3) // 2
+    count = 2 * fields if reconstructor.registration.rotation else fields + degree + 1  # gradients of a potential
+    if reconstructor.reconstruction.method == "zonal":
+        source = "are left out, also of the error bars"
+    elif sample is None:
+        source = "follow from layers, or only from the prior"
+    elif sample.ratios:
+        source = "follow from the layer" if len(sample.ratios) == 1 else "follow from the layers"
+    else:
+        source = "are known only by the prior"
+    return f"the mask shows {count - hidden} of {count} displacements of a {warp} warp; the others {source}"
