@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from app.acquisition.session import LiveBench
     from app.bench.config import Bench
     from app.errors import InputError, Interrupted, RunError
-    from app.evaluation.simulated_frames import SimulatedFrames
+    from app.evaluation.frames import SimulatedFrames
     from app.measurement.bench_reconstructor import BenchReconstructor
     from app.measurement.measurement import Measurement
     from app.results.opened_recording import OpenedRecording
@@ -63,7 +63,7 @@ _TYPES = {
     "Outcome": "reconstruction.displacement",
     "ReconstructionError": "reconstruction.errors",
     "RunError": "app.errors",
-    "SimulatedFrames": "app.evaluation.simulated_frames",
+    "SimulatedFrames": "app.evaluation.frames",
     "Unsupported": "drivers.errors",
     "Wavefront": "reconstruction.wavefront",
     "WrongState": "drivers.errors",
@@ -173,7 +173,7 @@ def simulate(bench: Bench, frames: int = 1, *, noise_free: bool = False) -> Simu
     >>> images.frames.shape, images.truth.shape
     ((2, 240, 256), (3, 3, 7, 7))
     """
-    from app.evaluation.simulated_frames import simulated_frames
+    from app.evaluation.frames import simulated_frames
 
     return simulated_frames(_bench(bench), frames, noise_free=noise_free)
 

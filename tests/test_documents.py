@@ -174,7 +174,7 @@ def at_work(inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
 def test_commands_run(document: Path, at_work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PRESETS:
         monkeypatch.setitem(PRESETS, name, at_work / "bench.toml")
-    monkeypatch.setattr("app.evaluation.run_studies.run_studies", lambda *_: ())  # they have tests of their own
+    monkeypatch.setattr("app.evaluation.studies.run_studies", lambda *_: ())  # they have tests of their own
     monkeypatch.setattr("app.batch.workers.workers", lambda *_, **_options: nullcontext(Counting()))
     for command in commands(document):
         words = shlex.split(reduce(lambda text, change: text.replace(*change), QUICK.items(), command))

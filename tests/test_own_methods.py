@@ -15,7 +15,7 @@ from support.optics import sensor_of
 
 import svwfs
 from app.commands.field import field
-from app.evaluation.simulated_frames import SimulatedFrames
+from app.evaluation.frames import SimulatedFrames
 from app.gui import coefficients_panel
 from app.results.mode_coefficients import mode_names
 from reconstruction.errors import ReconstructionError

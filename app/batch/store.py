@@ -74,27 +74,31 @@ class ResultStore:
         """Make an empty store for results like these of some frames of one recording."""
         group = zarr.open_group(_DurableStore(folder), mode="a", zarr_format=3)
         group.attrs.update({"format": FORMAT})
-        for name, variable in template.variables.items():
-            attributes = {
-                key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in variable.attrs.items()
-            }
-            if variable.dims[:1] == (_FRAME,):
-                if name != "recording_index":  # it is the position along `frame`
-                    _make(group, str(name), variable.dtype, variable.dims[1:], variable.shape[1:], attributes)
-            else:
-                values = (
-                    variable.values if variable.dtype.kind != "U" else variable.values.astype(np.dtypes.StringDType())
-                )
-                group.create_array(
-                    str(name),
-                    data=values,
-                    dimension_names=[*map(str, variable.dims)],
-                    attributes=attributes,
-                    overwrite=True,
-                )
         words = "not_done wavefront no_wavefront damaged"
         meanings = {"flag_values": [0, WAVEFRONT, NO_WAVEFRONT, DAMAGED], "flag_meanings": words}
-        _make(group, STATE, np.dtype(np.uint8), (), (), about("1", "whether the frame has a wavefront") | meanings)
+        state = about("1", "whether the frame has a wavefront") | meanings
+        of_frames: list[tuple[Any, xr.Variable]] = []
+        for name, variable in template.variables.items():
+            if variable.dims[:1] == (_FRAME,):
+                of_frames.append((name, variable))
+            else:
+                is_text = variable.dtype.kind == "U"
+                values = variable.values.astype(np.dtypes.StringDType()) if is_text else variable.values
+                _make(group, name, variable.dims, variable.attrs, data=values)
+        of_frames.append((STATE, xr.Variable((_FRAME,), np.zeros(1, np.uint8), state)))
+        for name, variable in of_frames:
+            if name != "recording_index":  # it is the position along `frame`
+                kind, shape = variable.dtype.kind, variable.shape[1:]
+                _make(
+                    group,
+                    name,
+                    (_RECORDING, *variable.dims),
+                    variable.attrs,
+                    shape=(0, 0, *shape),
+                    chunks=(1, BLOCK_FRAMES, *shape),  # a block of frames
+                    dtype=variable.dtype,
+                    fill_value=np.nan if kind == "f" else -1 if kind == "i" else 0,
+                )
         text: Any = np.dtypes.StringDType()
         for name, dtype, along, chunk, long_name in (
             (_RECORDING, text, _RECORDING, _NAMES_CHUNK, "name of the recording"),
@@ -102,16 +106,7 @@ class ResultStore:
             (_FRAMES, np.int64, _RECORDING, _NAMES_CHUNK, "number of recorded frames"),
             (_FRAME, np.int64, _FRAME, _FRAME_CHUNK, "the frame's index in the recording"),
         ):
-            attributes = {"long_name": long_name}
-            group.create_array(
-                name,
-                shape=(0,),
-                chunks=(chunk,),
-                dtype=dtype,
-                dimension_names=(along,),
-                attributes=attributes,
-                overwrite=True,
-            )
+            _make(group, name, (along,), {"long_name": long_name}, shape=(0,), chunks=(chunk,), dtype=dtype)
         more = [str(name) for name in template.coords if name not in template.dims and name != "recording_index"]
         coordinates = " ".join(dict.fromkeys((*more, *_COORDINATES)))
         # the job is written last: a store without it is not whole
@@ -241,25 +236,11 @@ class ResultStore:
         self._arrays[_FRAME].resize((frames,))
 
 
-def _make(
-    group: zarr.Group,
-    name: str,
-    dtype: np.dtype[Any],
-    dims: Sequence[Any],
-    shape: Sequence[int],
-    attributes: dict[str, Any],
-) -> None:
-    """Make an array (recording, frame, *dims), whose chunk is a block of frames."""
-    group.create_array(
-        name,
-        shape=(0, 0, *shape),
-        chunks=(1, BLOCK_FRAMES, *shape),
-        dtype=dtype,
-        fill_value=np.nan if dtype.kind == "f" else -1 if dtype.kind == "i" else 0,
-        dimension_names=(_RECORDING, _FRAME, *dims),
-        attributes=attributes,
-        overwrite=True,
-    )
+def _make(group: zarr.Group, name: Any, dims: Iterable[Any], attributes: Mapping[Any, Any], **array: Any) -> None:
+    """Make an array."""
+    simple = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in attributes.items()}
+    names = [str(each) for each in dims]
+    group.create_array(str(name), dimension_names=names, attributes=simple, overwrite=True, **array)
 
 
 def _dimensions(array: zarr.Array[Any]) -> tuple[str, ...]:

@@ -46,6 +46,7 @@ def field(
 
     Example: svwfs field result.nc --mode 5 --mode 6 --out field.nc --plot astigmatism.png
     """
+    from app.files import write_csv
     from app.results import field_coefficients as analysis
     from app.results.figures import save_figure
     from app.results.result_file import write_results
@@ -73,7 +74,7 @@ def field(
         progress("writing", 0.9)
         if out.suffix.lower() == ".csv":
             x_m = maps["x"].values
-            analysis.write_table(out, analysis.table_names(found), analysis.table_rows(found, bench.field, x_m, x_m))
+            write_csv(out, analysis.table_names(found), analysis.table_rows(found, bench.field, x_m, x_m))
         else:
             write_results(out, maps, bench=bench, inputs={"source": source.name, "frame": str(frame)})
         if plot is not None:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from app.bench.config import Bench
+from app.cache import kept_for_bench
 from app.measurement.judging import frame_judge
 from app.measurement.routines.averages import Average
-from app.memory import kept_for_bench
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise, TransferCurve, photon_transfer
 from reconstruction.geometry import Lattice, Sensor

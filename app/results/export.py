@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from app.bench.config import write_bench
 from app.errors import SETTINGS_CHANGED, InputError, RunError
-from app.files import atomic_write, check_outputs, check_suffix
+from app.files import atomic_write, check_outputs, check_suffix, write_csv
 from app.progress import Progress
 from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed, reprocess
 from app.results.dataset import result_dataset, results_in_pieces
-from app.results.field_coefficients import double_zernikes, write_table, zernike_names, zernike_rows
+from app.results.field_coefficients import double_zernikes, zernike_names, zernike_rows
 from app.results.replay import first_bench
 from app.results.result_file import write_pieces
 from reconstruction.arrays import Floats
@@ -175,7 +175,7 @@ def _write_csv(recording: Recording, chosen: range, out: Path, progress: Progres
         raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
     names = list(_values(frame.wavefront))
     first = ("frame", "camera_frame", "time_s", "exposure_s", "em_gain", "valid_lenslets")
-    write_table(out, [*first, *names], (_row(each, names) for each in chain(before, remaining)))
+    write_csv(out, [*first, *names], (_row(each, names) for each in chain(before, remaining)))
 
 
 def _row(frame: Reprocessed, names: list[str]) -> list[float]:
@@ -217,7 +217,7 @@ def _write_zernike_table(recording: Recording, chosen: range, out: Path, progres
     if first is None:
         raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
     names = zernike_names(first[1])
-    write_table(out, names, chain.from_iterable(zernike_rows(*each, names) for each in chain([first], found)))
+    write_csv(out, names, chain.from_iterable(zernike_rows(*each, names) for each in chain([first], found)))
 
 
 def _write_psf(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:

@@ -1,8 +1,6 @@
 """Coefficients over the field (docs/field.md): dataset, table, figure, double Zernikes."""
 
-import csv
-from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import xarray as xr
@@ -10,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 
 from app.errors import SETTINGS_CHANGED, InputError
-from app.files import atomic_write
 from app.results.mode_coefficients import mode_names
 from app.results.result_file import Variable, about
 from reconstruction.arrays import Floats
@@ -74,14 +71,6 @@ def circles(sensor: Sensor, field: Field) -> dict[str, float]:
     """Return the radii of the double Zernikes' circles as attributes, named as GalSim names its arguments."""
     radius_m = min(sensor.pupil_half_width_m)
     return {"uv_outer": field.half_width_m, "uv_inner": 0.0, "xy_outer": radius_m, "xy_inner": 0.0}
-
-
-def write_table(path: Path, names: Sequence[str], rows: Iterable[Sequence[float]]) -> None:
-    """Write rows of numbers as CSV, with all digits; `names` have the units."""
-    with atomic_write(path) as temporary, temporary.open("w", newline="", encoding="ascii") as file:
-        writer = csv.writer(file)
-        writer.writerow(names)
-        writer.writerows(rows)
 
 
 def table_names(found: FieldCoefficients) -> list[str]:

@@ -9,9 +9,9 @@ from typing import Self
 import numpy as np
 import xarray as xr
 
+from app.cache import kept_for_bench
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
-from app.memory import kept_for_bench
 from app.results.corrector import compare_correctors, correction_dataset
 from app.results.layers import Origin, centred, distance_m, distances_and_sigma_m, layer_maps, possible_origin
 from reconstruction.arrays import Floats

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.bench.imaging_model import BenchModel
-from app.evaluation.cases import CaseResult, Position
+from app.evaluation.studies import CaseResult, Position
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError

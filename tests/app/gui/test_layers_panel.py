@@ -16,7 +16,7 @@ from support.patience import wait_until
 from support.window_tools import MakeWindow, click, press, tab
 
 from app.bench.config import load_bench
-from app.evaluation.simulated_frames import simulated_frames
+from app.evaluation.frames import simulated_frames
 from app.gui.main_window import MainWindow
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement

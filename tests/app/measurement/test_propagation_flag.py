@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.bench.config import load_bench
-from app.evaluation.simulated_frames import simulated_frames
+from app.evaluation.frames import simulated_frames
 from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.quality.verdict import Fault, Quality
 

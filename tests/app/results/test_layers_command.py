@@ -15,7 +15,7 @@ from support.command_line import run
 
 from app.bench.config import load_bench
 from app.errors import InputError
-from app.evaluation.simulated_frames import simulated_frames
+from app.evaluation.frames import simulated_frames
 from app.measurement.bench_reconstructor import BenchReconstructor
 from app.results.corrector import (
     compare_correctors,
