@@ -511,7 +511,7 @@ def field_coefficients(
     >>> field["coefficient"].sel(mode=4)["name"].item()  # Noll's count
     'Z4 defocus'
     """
-    from app.results.field_coefficients import field_dataset
+    from app.results.coefficients import field_dataset
     from reconstruction.field_coefficients import ModalFit
     from reconstruction.field_coefficients import field_coefficients as coefficients
 
@@ -564,19 +564,12 @@ def deconvolve(
     >>> corrected.shape, bool(corrected.inside.any())
     ((240, 256), True)
     """
-    import xarray as xr
-
-    from app.commands.deconvolve import correct
     from app.measurement.bench_reconstructor import as_image
+    from app.results.deconvolution import correct
 
     phase_at, bench = _phase_at(source, bench), _bench(bench)
     made = correct(as_image(image, "image"), phase_at, bench, method, iterations, lambda *_: None, name="image")
-    return xr.DataArray(
-        made.image,
-        dims=("row", "column"),
-        coords={"inside": (("row", "column"), made.inside)},
-        attrs={"units": "counts", "iterations": made.iterations, "chi_square": made.chi_square},
-    )
+    return made["image"].rename(None).assign_coords(inside=made["inside"]).assign_attrs(units="counts", **made.attrs)
 
 
 def to_dataset(wavefront: Wavefront) -> xr.Dataset:

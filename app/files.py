@@ -116,6 +116,12 @@ def check_suffix(path: Path | None, *suffixes: str) -> None:
         raise InputError(f"{path}: the file will not be what its name says: end it with {suffixes[0]}")
 
 
+def require_suffix(path: Path, *suffixes: str, kind: str = "name") -> None:
+    """Raise `InputError` if a name ends in none of these."""
+    if path.suffix.lower() not in suffixes:
+        raise InputError(f"{path}: give a {kind} that ends in one of {', '.join(suffixes)}")
+
+
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield an empty file that replaces `path` on success and is deleted on failure (atomic write).

@@ -14,10 +14,9 @@ from support.command_line import run
 from support.optics import sensor_of
 
 import svwfs
-from app.commands.field import field
 from app.evaluation.frames import SimulatedFrames
 from app.gui import coefficients_panel
-from app.results.mode_coefficients import mode_names
+from app.results.coefficients import FieldMaps, mode_names
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.legendre import legendre_products
@@ -112,7 +111,7 @@ def test_unknown_names_are_refused(images: SimulatedFrames) -> None:
 
 
 def test_every_list_of_bases_is_the_same() -> None:
-    given = get_type_hints(field, include_extras=True)["basis"].__args__[0]
+    given = get_type_hints(FieldMaps, include_extras=True)["basis"].__args__[0]
     names_there = {**vars(svwfs), "Wavefront": object, "xr": xarray}
     of_python = get_type_hints(svwfs.field_coefficients, names_there)["basis"]
     for names in (get_args(PupilBasis), get_args(given), get_args(of_python), coefficients_panel._BASES):

@@ -20,8 +20,8 @@ from app.progress import Progress
 from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed, reprocess
+from app.results.coefficients import double_zernikes, table_of, zernikes_of_views
 from app.results.dataset import result_dataset, results_in_pieces
-from app.results.field_coefficients import double_zernikes, zernike_names, zernike_rows
 from app.results.replay import first_bench
 from app.results.result_file import write_pieces
 from reconstruction.arrays import Floats
@@ -212,12 +212,22 @@ def _write_results(
 def _write_zernike_table(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
     """Write one row of numbers for each frame with a wavefront, and view inside the field."""
     frames = _reconstructed(recording, chosen, progress)
-    found = ((frame.line.index, frame.wavefront) for frame in frames if frame.wavefront is not None)
-    first = next(found, None)
+    tables = (
+        (frame.line.index, *table_of(zernikes_of_views(frame.wavefront)))
+        for frame in frames
+        if frame.wavefront is not None
+    )
+    first = next(tables, None)
     if first is None:
         raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
-    names = zernike_names(first[1])
-    write_csv(out, names, chain.from_iterable(zernike_rows(*each, names) for each in chain([first], found)))
+
+    def rows() -> Iterator[list[float]]:
+        for index, names, of_frame in chain([first], tables):
+            if names != first[1]:
+                raise InputError(SETTINGS_CHANGED)
+            yield from ([index, *row] for row in of_frame)
+
+    write_csv(out, ["frame", *first[1]], rows())
 
 
 def _write_psf(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:

@@ -1,22 +1,92 @@
-"""Layers as a dataset with names and units (docs/layers.md), and its figure."""
+"""Layers of the sample (docs/layers.md): at which distances they are, and their phase."""
 
 import math
 from collections.abc import Callable, Iterable
-from typing import Literal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+import typer
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from app.bench.config import Bench
 from app.errors import InputError
+from app.progress import Progress
+from app.results.analysis import Analysis, Frame, From
 from app.results.result_file import about
+from app.results.sources import measured_frame
 from reconstruction.arrays import Floats
 from reconstruction.layers.layer_fit import Layer
-from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch
+from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch, find_layers
 
 Origin = Literal["lenslets", "mask"]
+_MOST = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layers(Analysis):
+    """Find at which distance the aberration originates.
+
+    A thin layer shifts over the wavefront from one field position to the next, in proportion to its distance. The
+    displacements of one frame give the distance of a layer, its phase map with error bars, and whether one layer, or
+    two, explain them. A recording is more accurate than a results file, which no longer holds the reference. See
+    docs/layers.md.
+
+    Example: svwfs layers run1 --out layers.nc --plot layers.png
+
+    Example: svwfs layers run1 --layers 2 --from mask --out layers.nc
+    """
+
+    file_help: ClassVar = "NetCDF file for distances, phase maps and misfit."
+
+    count: Annotated[int, typer.Option("--layers", min=1, max=_MOST, help="Number of layers to look for.")] = 1
+    distance: Annotated[
+        list[float] | None, typer.Option(metavar="M", help="Known distance of a layer (m); repeat it for two layers.")
+    ] = None
+    origin: From = "lenslets"
+    frame: Frame = 0
+
+    def __post_init__(self) -> None:
+        given = self.distance or ()
+        if len(given) > _MOST:
+            raise InputError("give at most two distances")
+        if len(set(given)) < len(given):
+            raise InputError("two layers need two different distances")
+        if self.count == _MOST and len(given) == 1:
+            raise InputError("two layers need two distances, or none")
+
+    def compute(self, source: Path, progress: Progress) -> tuple[Bench, xr.Dataset]:
+        """Return distances, phase maps and what explains the displacements."""
+        progress("reconstructing the frame", 0.0)
+        bench, equations = measured_frame(source, self.frame)
+        ratios = tuple(ratio_at(distance_m, self.origin, bench) for distance_m in self.distance or ())
+        progress("finding the layers", 0.3)
+        return bench, layers_dataset(find_layers(equations, self.count, at=ratios), bench, self.origin)
+
+    def draw(self, found: xr.Dataset) -> Figure:
+        """Draw the misfit over the distance, and phase and error of each layer."""
+        layers = found.sizes["layer"]
+        figure = Figure(figsize=(9.6, 3.2 + 3.6 * layers), layout="constrained")
+        (top,), (bottom,) = figure.subfigures(2, 1, squeeze=False, height_ratios=[1, 1.3 * layers])
+        _draw_curve(top.subplots(), found)
+        for layer, (phase, sigma) in enumerate(bottom.subplots(layers, 2, squeeze=False)):
+            of_layer = found.isel(layer=layer)
+            where = distance_in_words(float(of_layer["distance_m"]), np.nan, found.attrs["distances_from"])
+            values, limit = centred(of_layer["layer_phase"].values)
+            centred_phase = of_layer["layer_phase"].copy(data=values)
+            _draw_map(phase, centred_phase, f"phase (rad), {where}", "RdBu_r", (-limit, limit))
+            sigmas = of_layer["layer_phase_sigma"]
+            _draw_map(sigma, sigmas, "standard deviation (rad)", "viridis", (0, float(np.nanpercentile(sigmas, 98))))
+        return figure
+
+    def sentences(self, found: xr.Dataset) -> list[str]:
+        """Say the distances, and what explains the displacements."""
+        first, *others = layers_sentences(found)
+        return [f"frame {self.frame}: {first}", *others]
+
 
 MAP_POINTS = 129  # of a phase map along its longer axis
 _FARTHEST, _LEAST_SHOWN_M = 2.0, 0.3  # end of a distance axis, over the farthest distance found, and at least
@@ -167,23 +237,6 @@ def axis_label(origin: Origin) -> str:
 def from_where(origin: Origin) -> str:
     """Description of distances for a dataset."""
     return "distance from the mask" if origin == "mask" else "distance in front of the lenslets; negative behind them"
-
-
-def layers_figure(found: xr.Dataset) -> Figure:
-    """Return the figure: the curve on top, below it phase and error of each layer."""
-    layers = found.sizes["layer"]
-    figure = Figure(figsize=(9.6, 3.2 + 3.6 * layers), layout="constrained")
-    (top,), (bottom,) = figure.subfigures(2, 1, squeeze=False, height_ratios=[1, 1.3 * layers])
-    _draw_curve(top.subplots(), found)
-    for layer, (phase, sigma) in enumerate(bottom.subplots(layers, 2, squeeze=False)):
-        of_layer = found.isel(layer=layer)
-        where = distance_in_words(float(of_layer["distance_m"]), np.nan, found.attrs["distances_from"])
-        values, limit = centred(of_layer["layer_phase"].values)
-        centred_phase = of_layer["layer_phase"].copy(data=values)
-        _draw_map(phase, centred_phase, f"phase (rad), {where}", "RdBu_r", (-limit, limit))
-        sigmas = of_layer["layer_phase_sigma"]
-        _draw_map(sigma, sigmas, "standard deviation (rad)", "viridis", (0, float(np.nanpercentile(sigmas, 98))))
-    return figure
 
 
 def _draw_curve(axes: Axes, found: xr.Dataset) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from app.cache import kept_for_bench
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
-from app.results.mode_coefficients import ModeChoice, ModeCoefficients, mode_coefficients
+from app.results.coefficients import ModeChoice, ModeCoefficients, mode_coefficients
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError

@@ -12,7 +12,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from app.results.field_coefficients import coefficient_maps, draw_field, strongest
+from app.results.coefficients import coefficient_maps, draw_field, evenly_spread, strongest
 from app.results.figures import draw_maps, draw_structure, draw_transfer, place_of_view
 from app.results.report.facts import facts
 from app.results.report.summary import Residual, Statistics, Summary
@@ -251,7 +251,7 @@ def draw_over_field(figure: FigureBase, summary: Summary, stats: Statistics, fou
     frame = int(stats.frames[(len(stats.frames) - 1) // 2])
     below = f"strongest Zernike coefficients of frame {frame} over the field (mm), and their errors (rad)"
     write_title(title, TITLE_INCHES, summary.name, below)
-    dataset = coefficient_maps(found, stats.wavefront.field, _POSITIONS)
+    dataset = coefficient_maps(found, stats.wavefront.field, *[evenly_spread(_POSITIONS)] * 2)
     draw_field(maps, dataset, strongest(dataset, _MODES))
 
 

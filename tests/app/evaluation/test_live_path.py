@@ -37,7 +37,7 @@ from app.gui.coefficients_panel import CoefficientsPanel
 from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState
-from app.results.mode_coefficients import ModeCoefficients
+from app.results.coefficients import ModeCoefficients
 from app.timing import Stage, Timings
 from drivers.interface import Devices, Disconnected, Frame
 from simulated_devices.camera import SimulatedCamera

@@ -9,7 +9,7 @@ import pytest
 from support.gui_bench import FIELD, SENSOR
 from support.wavefronts import bowl, modal
 
-from app.results.mode_coefficients import ModeChoice, mode_coefficients, mode_names
+from app.results.coefficients import ModeChoice, mode_coefficients, mode_names
 from reconstruction.arrays import Floats
 from reconstruction.solve.modal_solution import ModalSolution
 
