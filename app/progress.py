@@ -28,6 +28,13 @@ def between(progress: Progress, first: float, last: float) -> Progress:
     return lambda text, fraction: progress(text, first + (last - first) * fraction)
 
 
+def counting(items: Iterable[T], count: int, progress: Progress, text: str) -> Iterator[T]:
+    """Yield `count` items, and report each when the next is asked for."""
+    for done, item in enumerate(items, 1):
+        yield item
+        progress(text, done / count)
+
+
 def counted(count: int, noun: str = "frame") -> str:
     """Return a count with its noun: "1 frame", "2 frames"."""
     return f"{count} {noun}{'s' * (count != 1)}"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 import tifffile
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from app.bench.config import write_bench
 from app.errors import SETTINGS_CHANGED, InputError, RunError
 from app.files import atomic_write, check_outputs, check_suffix, write_csv
-from app.progress import Progress
+from app.progress import Progress, counting
 from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed, reprocess
@@ -31,8 +31,6 @@ from reconstruction.quality.verdict import Quality
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
-
-T = TypeVar("T")
 
 Format = Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"]
 
@@ -55,8 +53,7 @@ def write_stack(
     """
     remaining = iter(images)
     first = next(remaining)
-    shape = (len(labels), *first.shape)
-    film: dict[str, Any] = {} if interval_s is None else {"finterval": interval_s}
+    shape, film = (len(labels), *first.shape), dict[str, Any]({} if interval_s is None else {"finterval": interval_s})
     tags = tifffile.imagej_metadata_tag({"Info": information, "Labels": list(labels)}, "<")
     with atomic_write(path) as temporary, tifffile.TiffWriter(temporary, bigtiff=True, byteorder="<") as writer:
         writer.write(
@@ -147,7 +144,7 @@ def _write_tiff(recording: Recording, chosen: range, out: Path, progress: Progre
     bench = first_bench(recording, chosen)
     write_stack(
         out,
-        _counted((recording.pixels(index) for index in chosen), len(chosen), progress, "writing frames"),
+        counting((recording.pixels(index) for index in chosen), len(chosen), progress, "writing frames"),
         labels=[
             f"frame {line.index}: t = {line.camera_time_s:.6f} s, exposure {line.exposure_s * 1e3:g} ms,"
             f" em gain {line.em_gain:g}"
@@ -250,13 +247,7 @@ def _views(recording: Recording, chosen: range, progress: Progress, text: str) -
 def _reconstructed(
     recording: Recording, chosen: range, progress: Progress, text: str = "reconstructing frames"
 ) -> Iterator[Reprocessed]:
-    return _counted(reprocess(recording, chosen), len(chosen), progress, text)
-
-
-def _counted(items: Iterable[T], count: int, progress: Progress, text: str) -> Iterator[T]:
-    for done, item in enumerate(items, 1):
-        yield item
-        progress(text, done / count)
+    return counting(reprocess(recording, chosen), len(chosen), progress, text)
 
 
 _FORMATS: dict[str, tuple[Any, ...]] = {  # what writes each, and its suffixes

@@ -1,7 +1,6 @@
 """Quality, samples, rotation and noise of several frames, in words; results in a recording's folder."""
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 from app.bench.config import Bench
 from app.images import write_image
 from app.measurement.assumptions import sample_sentence
-from app.progress import Progress, counted
+from app.progress import Progress, counted, counting
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed, reprocess
 from app.results.dataset import results_in_pieces, rotation_of
@@ -146,13 +145,13 @@ class Measured:
         """Samples that were assumed, in words."""
         return self.samples.sentence(self.bench.field)
 
-    def take(self, made: Reprocessed) -> None:
-        """Add one frame."""
+    def take(self, made: Reprocessed) -> Reprocessed:
+        """Add one frame, and return it."""
         self.recorded, self.lost = self.recorded + 1, self.lost + made.line.lost
         self.exposure_s, self.light_current_a = made.line.exposure_s, made.line.light_current_a
         if made.wavefront is None:
             self.problem = self.problem or made.problem
-            return
+            return made
         self.reconstructed += 1
         self.mask_note = made.mask_note
         self.quality.take(made.quality)
@@ -164,6 +163,7 @@ class Measured:
         self.square_rms_rad = self.square_rms_rad + (values**2 - self.square_rms_rad) / self.reconstructed
         noise = rms_noise(made.wavefront) ** 2
         self.square_noise_rad = self.square_noise_rad + (noise - self.square_noise_rad) / self.reconstructed
+        return made
 
 
 def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Measured:
@@ -174,9 +174,9 @@ def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Me
     shape = bench.field.view_rows, bench.field.view_columns
     measured = Measured(bench, *np.zeros((3, *shape)))
     _write_calibration(recording)
-    pieces = results_in_pieces((made, {}) for made in _counted(recording, measured, progress))
-    first = next(pieces, None)
-    if first is not None:
+    frames = counting(reprocess(recording), len(recording), progress, "writing the results")
+    pieces = results_in_pieces((measured.take(made), {}) for made in frames)
+    if (first := next(pieces, None)) is not None:
         names = {"dark": "dark.tif", "reference": "reference.tif"}
         write_pieces(recording.folder / _RESULTS, chain([first], pieces), bench=bench, inputs=names)
     return measured
@@ -189,11 +189,3 @@ def _write_calibration(recording: Recording) -> None:
         for name, average in (("dark", calibration.dark), ("reference", calibration.reference)):
             if average is not None:
                 write_image(recording.folder / f"{name}.tif", average.mean)
-
-
-def _counted(recording: Recording, measured: Measured, progress: Progress) -> Iterator[Reprocessed]:
-    """Reconstruct and count every frame."""
-    for made in reprocess(recording):
-        measured.take(made)
-        progress("writing the results", (made.line.index + 1) / len(recording))
-        yield made
