@@ -141,7 +141,11 @@ class ResultStore:
         names = [*self._names(), *unique_names((source.folder for source in new), self._names())]
         numbers |= {source.fingerprint: len(known) + index for index, source in enumerate(new)}
         frames = [*(record["frames"] for record in known), *(source.frames for source in new)]
-        self._resize(len(frames), max(frames, default=0))
+        for array in (*self._of_frames.values(), self._arrays[STATE]):
+            array.resize((len(frames), max(frames, default=0), *array.shape[2:]))
+        for name in (_RECORDING, _PROVENANCE, _FRAMES):
+            self._arrays[name].resize((len(frames),))
+        self._arrays[_FRAME].resize((max(frames, default=0),))
         self._arrays[_FRAME][:] = np.arange(max(frames, default=0))
         self._arrays[_FRAMES][:] = np.array(frames, np.int64)
         self._arrays[_RECORDING][:] = np.array(names, np.dtypes.StringDType())
@@ -227,13 +231,6 @@ class ResultStore:
 
     def _names(self) -> list[str]:
         return [str(name) for name in np.asarray(self._arrays[_RECORDING][:])][: len(self._known())]
-
-    def _resize(self, recordings: int, frames: int) -> None:
-        for array in (*self._of_frames.values(), self._arrays[STATE]):
-            array.resize((recordings, frames, *array.shape[2:]))
-        for name in (_RECORDING, _PROVENANCE, _FRAMES):
-            self._arrays[name].resize((recordings,))
-        self._arrays[_FRAME].resize((frames,))
 
 
 def _make(group: zarr.Group, name: Any, dims: Iterable[Any], attributes: Mapping[Any, Any], **array: Any) -> None:

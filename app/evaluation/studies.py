@@ -112,6 +112,9 @@ class _Part:
     bench: Bench
     seed: int
 
+    def measure(self) -> list[CaseResult]:
+        return list(self.study.measure(self.bench, range(self.seed, self.seed + 1), lambda *_: None))
+
 
 def run_studies(
     bench: Bench, studies: Sequence[Study], seeds: int, out: Path, progress: Progress, evaluate: Evaluate | None = None
@@ -159,7 +162,7 @@ def _shared(bench: Bench, studies: Sequence[Study], seeds: int, progress: Progre
     remaining = list(studies)
     progress(f"0 of {total} parts", 0.0)
     parts = (_Part(study, bench, seed) for study in studies for seed in range(seeds))
-    for done, (each, cases) in enumerate(evaluate(_measure, parts), 1):
+    for done, (each, cases) in enumerate(evaluate(_Part.measure, parts), 1):
         if isinstance(cases, Exception):
             raise cases
         found[each.study.name, each.seed] = cases
@@ -167,10 +170,6 @@ def _shared(bench: Bench, studies: Sequence[Study], seeds: int, progress: Progre
         while remaining and all((remaining[0].name, seed) in found for seed in range(seeds)):
             study = remaining.pop(0)
             yield study, [case for seed in range(seeds) for case in found.pop((study.name, seed))]
-
-
-def _measure(each: _Part) -> list[CaseResult]:
-    return list(each.study.measure(each.bench, range(each.seed, each.seed + 1), lambda *_: None))
 
 
 def files_of(studies: Iterable[Study], out: Path) -> list[Path]:

@@ -173,19 +173,14 @@ def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Me
     """
     shape = bench.field.view_rows, bench.field.view_columns
     measured = Measured(bench, *np.zeros((3, *shape)))
-    _write_calibration(recording)
+    if len(recording) and (number := recording.line(0).calibration) is not None:
+        calibration = recording.calibration(number)
+        for name, average in (("dark", calibration.dark), ("reference", calibration.reference)):
+            if average is not None:
+                write_image(recording.folder / f"{name}.tif", average.mean)
     frames = counting(reprocess(recording), len(recording), progress, "writing the results")
     pieces = results_in_pieces((measured.take(made), {}) for made in frames)
     if (first := next(pieces, None)) is not None:
         names = {"dark": "dark.tif", "reference": "reference.tif"}
         write_pieces(recording.folder / _RESULTS, chain([first], pieces), bench=bench, inputs=names)
     return measured
-
-
-def _write_calibration(recording: Recording) -> None:
-    """Write dark and reference of the first calibration as images."""
-    if len(recording) and (number := recording.line(0).calibration) is not None:
-        calibration = recording.calibration(number)
-        for name, average in (("dark", calibration.dark), ("reference", calibration.reference)):
-            if average is not None:
-                write_image(recording.folder / f"{name}.tif", average.mean)

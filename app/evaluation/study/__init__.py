@@ -22,7 +22,8 @@ def chosen_studies(names: Sequence[str], frames: Path | None = None) -> list[Stu
     The names after `mask` are those of masks, see `mask_study`. `frames` is a folder of reference frames for the
     calibration, see `calibration_trials`.
     """
-    names, masks = _split(names)
+    place = names.index("mask") if "mask" in names else len(names)
+    names, masks = names[:place], names[place + 1 :] if "mask" in names else None
     known: dict[str, Study] = {
         study.name: study
         for study in (*SWEEPS, calibration_trials(frames), EXPOSURE, DECONVOLUTION, CORRECTOR, DISTANCES)
@@ -36,11 +37,3 @@ def chosen_studies(names: Sequence[str], frames: Path | None = None) -> list[Stu
     if masks is not None:
         chosen.append(mask_study(masks))
     return chosen or [*SWEEPS]
-
-
-def _split(names: Sequence[str]) -> tuple[Sequence[str], Sequence[str] | None]:
-    """Names of studies, and of masks; None without the study of masks."""
-    if "mask" not in names:
-        return names, None
-    place = names.index("mask")
-    return names[:place], names[place + 1 :]

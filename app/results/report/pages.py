@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from app.results.coefficients import coefficient_maps, draw_field, evenly_spread, strongest
 from app.results.figures import draw_maps, draw_structure, draw_transfer, place_of_view
-from app.results.report.facts import facts
-from app.results.report.summary import Residual, Statistics, Summary
+from app.results.report.summary import Residual, Statistics, Summary, facts
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError

@@ -30,9 +30,8 @@ from app.recording.reader import Recording
 from app.results.export import export
 from app.results.replay import change_of
 from app.results.report import report_pages
-from app.results.report.facts import facts
 from app.results.report.pages import Page, draw_certainty, draw_comparison, draw_overview, one_page
-from app.results.report.summary import Summary, residual_of, summarise
+from app.results.report.summary import Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 
