@@ -13,8 +13,7 @@ from typing import Any
 
 import xarray as xr
 
-from app.batch.job import Job, Source, find_sources
-from app.batch.store import ResultStore, is_store, store_attributes
+from app.batch.store import Job, ResultStore, Source, find_sources, is_store, store_attributes
 from app.bench.config import write_bench
 from app.errors import InputError, Interrupted, RunError
 from app.files import check_writable, in_words, make_folder, remove_partial

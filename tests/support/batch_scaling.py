@@ -16,8 +16,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from app.batch.job import Job
 from app.batch.run import run_batch
+from app.batch.store import Job
 from app.batch.workers import workers
 from app.recording.reader import Recording
 from support.batches import files_of, one_by_one

@@ -11,8 +11,8 @@ import pytest
 import xarray as xr
 
 from app.batch import store
-from app.batch.job import Job
 from app.batch.run import Batch, run_batch
+from app.batch.store import Job
 from app.progress import Evaluate
 from app.recording import reprocess
 from app.recording.reader import Recording
