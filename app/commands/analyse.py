@@ -43,7 +43,6 @@ def command_of(kind: type[Analysis]) -> Callable[..., None]:
 
     def run(source: Path, out: Path, plot: Path | None = None, *, overwrite: bool, **chosen: Any) -> None:
         from app.progress import between
-        from app.results.figures import save_figure
         from reconstruction.errors import ReconstructionError
         from reconstruction.runtime.threads import one_blas_thread
 
@@ -59,6 +58,8 @@ def command_of(kind: type[Analysis]) -> Callable[..., None]:
                 progress("writing", 0.9)
                 analysis.write(found, bench, source, out)
                 if plot is not None:
+                    from app.results.figures import save_figure
+
                     save_figure(analysis.draw(found), plot, dpi=kind.picture_dpi)
         except ReconstructionError as error:
             raise InputError(f"{source}: {error}") from error
