@@ -45,11 +45,11 @@ def _common(
         raise typer.Exit
 
 
-_BEFORE = (live, measure, recover, replay, batch, export, report, "layers", "corrector", "field")
-_AFTER = (calibrate, simulate, devices, desktop, selftest, study, benchmark, reconstruct, "deconvolve")
-for each in (*_BEFORE, *_AFTER):  # in the order of the help
-    if isinstance(each, str):
-        cli.command(each, cls=AnalysisCommand, help=ANALYSES[each][1])(lambda: None)
-    else:
-        cli.command(cls=OnceCommand)(each)
+# in the order of the help
+for command in (live, measure, recover, replay, batch, export, report):
+    cli.command(cls=OnceCommand)(command)
+for name, (_, sentence) in ANALYSES.items():
+    cli.command(name, cls=AnalysisCommand, help=sentence)(lambda: None)
+for command in (calibrate, simulate, devices, desktop, selftest, study, benchmark, reconstruct):
+    cli.command(cls=OnceCommand)(command)
 cli.add_typer(paper, name="paper")
