@@ -50,6 +50,6 @@ for command in (live, measure, recover, replay, batch, export, report):
     cli.command(cls=OnceCommand)(command)
 for name, (_, sentence) in ANALYSES.items():
     cli.command(name, cls=AnalysisCommand, help=sentence)(lambda: None)
-for command in (calibrate, simulate, devices, desktop, selftest, study, benchmark, reconstruct):
-    cli.command(cls=OnceCommand)(command)
+for other in (calibrate, simulate, devices, desktop, selftest, study, benchmark, reconstruct):
+    cli.command(cls=OnceCommand)(other)
 cli.add_typer(paper, name="paper")

@@ -246,3 +246,31 @@ def write_phase(path: Path, phase_rad: Floats) -> None:
 def wrapped(phase_rad: Floats) -> NDArray[np.uint8]:
     """Grey levels of a phase for a modulator: 0 ... 255 for 0 ... 2 pi."""
     return np.asarray(np.rint(np.mod(phase_rad, 2 * math.pi) / (2 * math.pi) * _GREY) % _GREY, np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectorRequest(layers.Request):
+    """Asks what a corrector would leave of a measurement."""
+
+    corrector: Corrector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundCorrectors:
+    """Correctors at every distance, see `correction_dataset`, or the problem."""
+
+    request: CorrectorRequest
+    problem: str = ""
+    found: xr.Dataset | None = None
+
+
+def find_shown_correctors(request: CorrectorRequest) -> FoundCorrectors:
+    """Compare correctors at every distance."""
+    calibration, wavefront = request.measurement.calibration, request.measurement.wavefront
+    if calibration is None or wavefront is None:
+        return FoundCorrectors(request, layers.NO_WAVEFRONT)
+    try:
+        made = compare_correctors(wavefront.at, wavefront.sensor, wavefront.field, request.corrector)
+    except ValueError as error:
+        return FoundCorrectors(request, str(error))
+    return FoundCorrectors(request, found=correction_dataset(made, calibration.bench, request.origin))

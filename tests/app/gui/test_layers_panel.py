@@ -21,7 +21,7 @@ from app.gui.main_window import MainWindow
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.routines.averages import Average
-from app.results.shown_layers import FoundLayers, LayersRequest, find_shown_layers
+from app.results.layers import FoundLayers, LayersRequest, find_shown_layers
 from simulated_devices.sample import make_sample
 
 DISTANCE_M = 0.195  # of the screen in small_demo
