@@ -49,9 +49,10 @@ def command_of(kind: type[Analysis]) -> Callable[..., None]:
         analysis = kind(**chosen)
         reads, writes = analysis.more_files(source)
         reads = [*options.files_of_sources(source), *reads]
+        suffixes = () if kind.needs_suffix else kind.suffixes
+        options.check_files(out, *suffixes, reads=reads, plot=plot, more=writes, overwrite=overwrite)
         if kind.needs_suffix:
             require_suffix(out, *kind.suffixes)
-        options.check_files(out, *kind.suffixes, reads=reads, plot=plot, more=writes, overwrite=overwrite)
         try:
             with terminal.progress_bar() as progress, one_blas_thread():
                 bench, found = analysis.compute(source, between(progress, 0.0, 0.9))
