@@ -69,15 +69,9 @@ def _load(path: Path) -> Arrays | None:
 
 
 def _keep_newest(folder: Path) -> None:
-    for path in sorted(folder.glob("*.npz"), key=_age)[_KEPT:]:
-        path.unlink(missing_ok=True)
-
-
-def _age(path: Path) -> float:
-    try:
-        return -path.stat().st_mtime
-    except OSError:  # removed by another process
-        return 0.0
+    with suppress(OSError):  # one was removed by another process
+        for path in sorted(folder.glob("*.npz"), key=lambda path: -path.stat().st_mtime)[_KEPT:]:
+            path.unlink(missing_ok=True)
 
 
 _caches: list[Any] = []
