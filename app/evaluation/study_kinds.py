@@ -254,8 +254,9 @@ def trial(
     *, case: str, name: str, measured: Mapping[str, float], limits: Mapping[str, float], problem: str = ""
 ) -> CaseResult:
     """Return one trial: measured values and upper limits by quantity with its unit; at least one has a limit."""
-    limits_of_all = {f"{each}{_LIMIT}": limits.get(each, math.nan) for each in measured}
-    return CaseResult(at={"case": case}, values={**measured, **limits_of_all}, name=name, problem=problem)
+    values = {each: float(value) for each, value in measured.items()}
+    values |= {f"{each}{_LIMIT}": limits.get(each, math.nan) for each in measured}
+    return CaseResult(at={"case": case}, values=values, name=name, problem=problem)
 
 
 def quantities_of(data: pd.DataFrame) -> list[str]:
@@ -308,7 +309,7 @@ class ComparisonTable(Study):
         paper = {method: dict(zip(PAPER_NUMBERS, numbers, strict=True)) for method, numbers in self.paper.items()}
         ours: dict[str, dict[str, Row]] = {light: {} for light in LIGHTS}
         for row in known_rows(self.summary(data)):
-            ours[row.pop("light")][row.pop("method")] = row
+            ours[row["light"]][row["method"]] = row
         tree = {"paper": paper, "ours": ours["neglected"], "in_real_light": ours["real"], "problems": problems}
         lines = [
             {"method": method}
