@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from app.acquisition.session import LiveBench, live
     from app.bench.config import Bench
     from app.errors import InputError, Interrupted, RunError
-    from app.evaluation.simulated_frames import SimulatedFrames, simulate
+    from app.evaluation.frames import SimulatedFrames, simulate
     from app.measurement.bench_reconstructor import BenchReconstructor, find_lattice, reconstructor, refine
     from app.measurement.measurement import Measurement
     from app.results.opened_recording import OpenedRecording, open_recording
@@ -56,7 +56,7 @@ _ELSEWHERE = {
     "app.acquisition.session": "LiveBench live",
     "app.bench.config": "Bench",
     "app.errors": "InputError Interrupted RunError",
-    "app.evaluation.simulated_frames": "SimulatedFrames simulate",
+    "app.evaluation.frames": "SimulatedFrames simulate",
     "app.measurement.bench_reconstructor": "BenchReconstructor find_lattice reconstructor refine",
     "app.measurement.measurement": "Measurement",
     "app.results.opened_recording": "OpenedRecording open_recording",
@@ -273,7 +273,7 @@ def field_coefficients(
     >>> field["coefficient"].sel(mode=4)["name"].item()  # Noll's count
     'Z4 defocus'
     """
-    from app.results.field_coefficients import field_dataset
+    from app.results.coefficients import field_dataset
     from reconstruction.field_coefficients import ModalFit
     from reconstruction.field_coefficients import field_coefficients as coefficients
 
@@ -323,20 +323,13 @@ def deconvolve(
     >>> corrected.shape, bool(corrected.inside.any())
     ((240, 256), True)
     """
-    import xarray as xr
-
     from app.bench.config import as_bench
-    from app.commands.deconvolve import correct
     from app.measurement.bench_reconstructor import as_image
+    from app.results.deconvolution import correct
 
     phase_at, bench = _phase_at(source, bench), as_bench(bench)
     made = correct(as_image(image, "image"), phase_at, bench, method, iterations, lambda *_: None, name="image")
-    return xr.DataArray(
-        made.image,
-        dims=("row", "column"),
-        coords={"inside": (("row", "column"), made.inside)},
-        attrs={"units": "counts", "iterations": made.iterations, "chi_square": made.chi_square},
-    )
+    return made["image"].rename(None).assign_coords(inside=made["inside"]).assign_attrs(units="counts", **made.attrs)
 
 
 def to_dataset(wavefront: Wavefront) -> xr.Dataset:

@@ -1,12 +1,15 @@
-"""Disk cache for results that take long to compute."""
+"""Results that take long to compute, kept in memory for a bench or on disk for all, and the release of memory."""
 
 import atexit
+import ctypes
+import gc
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -66,12 +69,32 @@ def _load(path: Path) -> Arrays | None:
 
 
 def _keep_newest(folder: Path) -> None:
-    for path in sorted(folder.glob("*.npz"), key=_age)[_KEPT:]:
-        path.unlink(missing_ok=True)
+    with suppress(OSError):  # one was removed by another process
+        for path in sorted(folder.glob("*.npz"), key=lambda path: -path.stat().st_mtime)[_KEPT:]:
+            path.unlink(missing_ok=True)
 
 
-def _age(path: Path) -> float:
-    try:
-        return -path.stat().st_mtime
-    except OSError:  # removed by another process
-        return 0.0
+_caches: list[Any] = []
+
+
+def kept_for_bench(maxsize: int) -> Callable[[Any], Any]:
+    """Cache the last results of a function as `lru_cache` does, until `release_memory`."""
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        _caches.append(lru_cache(maxsize)(function))
+        return _caches[-1]
+
+    return decorate
+
+
+def release_memory() -> None:
+    """Free what nobody refers to any more, and return it to the system; takes some tenths of a second.
+
+    An acquisition refers to itself, and Python seldom looks for such objects. The GNU library keeps freed memory that
+    lies between pieces in use.
+    """
+    for cached in _caches:
+        cached.cache_clear()
+    gc.collect()
+    if sys.platform == "linux" and (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)):
+        trim(0)

@@ -1,4 +1,9 @@
-"""Errors that end a command: one sentence each, and an exit status for scripts."""
+"""What ends a command: errors of one sentence each with an exit status for scripts, and signals."""
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
 
 SHOWN = "shown in the window"  # note on an error that the user has seen there
 SETTINGS_CHANGED = "the settings changed between these frames: select frames with equal settings (--frames)"
@@ -17,3 +22,23 @@ class Interrupted(BaseException):
 
 class RunError(Exception):
     """Failure while running: a device, the disk. Exit status 1."""
+
+
+# Ctrl-C; kill and shutdown; a closed terminal or connection; on Windows that and Ctrl-Break
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+ENDING = tuple(signal.Signals[name] for name in _NAMES if name in signal.Signals.__members__)
+
+
+@contextmanager
+def ended_by(end: Callable[[int, FrameType | None], object]) -> Iterator[None]:
+    """Call `end` on each of these signals inside a `with`, except those that `nohup` ignores."""
+    before = {
+        number: signal.signal(number, end)
+        for number in ENDING
+        if number is signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,12 +1,13 @@
 """The one way to write any file: checked, atomic and durable."""
 
+import csv
 import os
 import re
 import secrets
 import shutil
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -115,6 +116,12 @@ def check_suffix(path: Path | None, *suffixes: str) -> None:
         raise InputError(f"{path}: the file will not be what its name says: end it with {suffixes[0]}")
 
 
+def require_suffix(path: Path, *suffixes: str, kind: str = "name") -> None:
+    """Raise `InputError` if a name ends in none of these."""
+    if path.suffix.lower() not in suffixes:
+        raise InputError(f"{path}: give a {kind} that ends in one of {', '.join(suffixes)}")
+
+
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield an empty file that replaces `path` on success and is deleted on failure (atomic write).
@@ -136,6 +143,14 @@ def atomic_write(path: Path) -> Iterator[Path]:
         sync(path.parent)
     except OSError as error:
         raise RunError(f"{path}: cannot be written: {in_words(error)}") from error
+
+
+def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write rows as CSV under the names of their columns, numbers with all digits (atomic)."""
+    with atomic_write(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(names)
+        writer.writerows(rows)
 
 
 def remove_partial(folder: Path) -> list[Path]:

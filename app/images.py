@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from app.errors import InputError
 from app.files import atomic_write, check_readable, in_words
+from reconstruction.arrays import Floats
 
 FORMATS = "TIFF, NPY, FITS, PNG, BMP or PGM"
 SUFFIXES = frozenset({".tif", ".tiff", ".npy", ".fits", ".fit", ".fts", ".png", ".bmp", ".pgm"})
@@ -162,3 +163,13 @@ def write_image(path: Path, image: NDArray[Any]) -> None:
     """Write an image (row, column) as TIFF."""
     with atomic_write(path) as temporary:
         tifffile.imwrite(temporary, image)
+
+
+def fits_file(image: Floats, unit: str) -> bytes:
+    """Return a FITS file of 32-bit floats, its first row first (FITS 4.0, sections 4 and 5)."""
+    rows, columns = image.shape
+    cards: dict[str, Any] = {"SIMPLE": "T", "BITPIX": -32, "NAXIS": 2, "NAXIS1": columns, "NAXIS2": rows}
+    lines = [f"{name:8}= {value:>20}" for name, value in cards.items()] + [f"BUNIT   = '{unit:8}'", "END"]
+    header = "".join(f"{line:{_FITS_CARD}}" for line in lines).encode("ascii")
+    parts = header.ljust(-(-len(header) // _FITS_BLOCK) * _FITS_BLOCK), image.astype(">f4").tobytes()
+    return b"".join(parts).ljust(-(-sum(map(len, parts)) // _FITS_BLOCK) * _FITS_BLOCK, b"\0")

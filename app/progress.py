@@ -1,6 +1,10 @@
-"""Progress callbacks of long work, and counts in words."""
+"""Long work: progress callbacks, counts in words, and independent tasks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from typing import Protocol, TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 LINES = "SVWFS_PROGRESS_LINES"  # environment variable: a command writes its progress as lines for a program
 LINE_START = "progress: "
@@ -24,6 +28,21 @@ def between(progress: Progress, first: float, last: float) -> Progress:
     return lambda text, fraction: progress(text, first + (last - first) * fraction)
 
 
+def counting(items: Iterable[T], count: int, progress: Progress, text: str) -> Iterator[T]:
+    """Yield `count` items, and report each when the next is asked for."""
+    for done, item in enumerate(items, 1):
+        yield item
+        progress(text, done / count)
+
+
 def counted(count: int, noun: str = "frame") -> str:
     """Return a count with its noun: "1 frame", "2 frames"."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+class Evaluate(Protocol):
+    """Calls a function with each item, and yields items with their results in any order."""
+
+    def __call__(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R | Exception]]:
+        """Yield each item with the result or the error; take items from the iterable as they are needed."""
+        ...

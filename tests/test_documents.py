@@ -18,6 +18,7 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 import pytest
 import typer.main
+from conftest import SMALL_TOML
 from packaging.version import Version
 from support.batches import Counting, batch
 from support.command_line import run
@@ -31,7 +32,6 @@ from app.bench.config import Bench
 from app.bench.device_kinds import DRIVERS
 from app.bench.presets import PRESETS
 from app.cli.application import cli
-from conftest import SMALL_TOML
 
 DOCUMENTS = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 # These have tests of their own, on a bench like theirs and with a program that sends.
@@ -175,7 +175,7 @@ def at_work(inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
 def test_commands_run(document: Path, at_work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PRESETS:
         monkeypatch.setitem(PRESETS, name, at_work / "bench.toml")
-    monkeypatch.setattr("app.evaluation.run_studies.run_studies", lambda *_: ())  # they have tests of their own
+    monkeypatch.setattr("app.evaluation.studies.run_studies", lambda *_: ())  # they have tests of their own
     monkeypatch.setattr("app.batch.workers.workers", lambda *_, **_options: nullcontext(Counting()))
     for command in commands(document):
         words = shlex.split(reduce(lambda text, change: text.replace(*change), QUICK.items(), command))

@@ -15,9 +15,9 @@ from support.command_line import run
 from support.optics import sensor_of
 
 import svwfs
-from app.commands.field import field
-from app.evaluation.simulated_frames import SimulatedFrames
+from app.evaluation.frames import SimulatedFrames
 from app.gui.coefficients_panel import CoefficientsPanel
+from app.results.coefficients import FieldMaps
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.polynomials import legendre_products, zernike_products
@@ -114,7 +114,7 @@ def test_every_list_of_bases_is_the_same(qtbot: QtBot) -> None:
     panel = CoefficientsPanel()
     qtbot.addWidget(panel)
     shown = [panel.basis.itemData(index) for index in range(panel.basis.count())]
-    given = get_type_hints(field, include_extras=True)["basis"].__args__[0]
+    given = get_type_hints(FieldMaps, include_extras=True)["basis"].__args__[0]
     names_there = {**vars(svwfs), "Wavefront": object, "xr": xarray, "PupilBasis": PupilBasis}
     of_python = get_type_hints(svwfs.field_coefficients, names_there)["basis"]
     for names in (get_args(PupilBasis), get_args(given), get_args(of_python), shown):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import svwfs
-from app.evaluation.simulated_frames import SimulatedFrames
+from app.evaluation.frames import SimulatedFrames
 from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.wavefront import Wavefront
 

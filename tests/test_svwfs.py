@@ -25,7 +25,7 @@ from support.python_examples import run_examples
 import svwfs
 from app.acquisition.start_up import knows_sample
 from app.bench.config import Bench
-from app.evaluation.simulated_frames import SimulatedFrames
+from app.evaluation.frames import SimulatedFrames
 from app.images import read_image
 from drivers.dcam import DcamSettings
 from drivers.interface import LightSource

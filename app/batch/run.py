@@ -1,23 +1,29 @@
-"""`svwfs batch`: reconstruct recordings into one store; what is there already is not done again."""
+"""`svwfs batch`: reconstruct recordings into one store, block by block; what is there already is not done again."""
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from itertools import repeat
 from pathlib import Path
 from typing import Any
 
-from app.batch.job import Job, Source, find_sources
-from app.batch.store import ResultStore, is_store, store_attributes
-from app.batch.work import Block, DoneBlock, first_result, reconstruct_block
+import xarray as xr
+
+from app.batch.store import Job, ResultStore, Source, find_sources, is_store, store_attributes
+from app.bench.config import write_bench
 from app.errors import InputError, Interrupted, RunError
 from app.files import check_writable, in_words, make_folder, remove_partial
-from app.progress import Progress
+from app.measurement.measurement import Measurement
+from app.progress import Evaluate, Progress
 from app.recording.folder import lock
-from app.tasks import Evaluate
+from app.recording.reader import Recording
+from app.recording.reprocess import BLOCK_FRAMES, Reprocessing
+from app.results.dataset import results_in_pieces
+from app.run_facts import software_facts
 
 
 @dataclass(slots=True)
@@ -34,12 +40,30 @@ class Batch:
     copies: dict[Path, Path] = field(default_factory=dict)  # identical recordings with the one that was reconstructed
 
 
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """A block of frames of a recording."""
+
+    source: Source
+    number: int  # of the recording in the store
+    frames: range
+
+
+@dataclass(frozen=True, slots=True)
+class _DoneBlock:
+    """Facts about a block whose results are in the store."""
+
+    problem: str  # of the first frame without a wavefront
+    damaged: tuple[str, ...]  # a sentence for each frame that cannot be read
+    facts: dict[str, Any]  # bench in force, software and computer
+
+
 def check_store(folders: Sequence[Path], out: Path, job: Job) -> None:
     """Raise `InputError` if `out` cannot be the store of this job; no worker is needed to tell."""
     for folder in folders:
         if out.resolve().is_relative_to(folder.resolve()):
             raise InputError(f"{out}: lies in the recording {folder}: give the results another place")
-    check_free(out)
+    _check_free(out)
     if is_store(out):
         ResultStore(out).check(job)
 
@@ -56,10 +80,10 @@ def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, 
     batch = Batch(len(sources) + len(failed), failed=failed, copies=copies)
     if not sources:
         raise InputError("; ".join(dict.fromkeys(failed.values())))
-    with only_writer(out):
+    with _only_writer(out):
         store = _opened(out, job, sources, evaluate, progress)
         numbered, changed = store.register(sources)
-        batch.failed |= changed
+        failed |= changed
         filling = _Filling(store, numbered, batch)
 
         def state() -> str:
@@ -77,7 +101,10 @@ def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, 
         except Interrupted:
             raise Interrupted(f"interrupted: {state()} are in {out}, the same command does the rest") from None
         remove_partial(out)  # of workers that were killed
-        filling.count()
+        for number, source in numbered:
+            if source.folder not in failed:
+                batch.frames += len(source.chosen)
+                batch.wavefronts += store.count(number, source)
     return batch
 
 
@@ -104,46 +131,35 @@ class _Filling:
 
     def __init__(self, store: ResultStore, numbered: Sequence[tuple[int, Source]], batch: Batch) -> None:
         self._store, self._numbered, self._batch = store, numbered, batch
-        self._missing: dict[int, int] = {}  # blocks
-        self._facts: dict[int, dict[str, Any]] = {}
-        self.frames = self.done = sum(len(source.chosen) for _, source in numbered)
-        for number, source in numbered:
-            missing = store.missing(number, source)
-            self._missing[number] = len(missing)
-            self.done -= sum(map(len, missing))
+        self._missing = {number: store.missing(number, source) for number, source in numbered}
+        self._undone = {number: len(blocks) for number, blocks in self._missing.items()}
+        self.frames = sum(len(source.chosen) for _, source in numbered)
+        self.done = self.frames - sum(len(frames) for blocks in self._missing.values() for frames in blocks)
 
-    def blocks(self) -> Iterator[Block]:
+    def blocks(self) -> Iterator[_Block]:
         """Yield the missing blocks, recording by recording; the rest of a failed one is left out."""
         for number, source in self._numbered:
-            for frames in self._store.missing(number, source):
+            for frames in self._missing[number]:
                 if source.folder in self._batch.failed:
                     break
-                yield Block(source, number, frames)
+                yield _Block(source, number, frames)
 
-    def take(self, block: Block, result: DoneBlock | Exception) -> None:
+    def take(self, block: _Block, result: _DoneBlock | Exception) -> None:
         """Count a block, and write the provenance of a recording that is done or has failed."""
         number, source, failed = block.number, block.source, self._batch.failed
-        if isinstance(result, DoneBlock):
+        if isinstance(result, _DoneBlock):
             self.done += len(block.frames)
             self._batch.computed += len(block.frames)
             self._batch.problem = self._batch.problem or result.problem
             if result.damaged:
                 self._batch.damaged.setdefault(source.folder, []).extend(result.damaged)
-            self._missing[number] -= 1
-            self._facts[number] = result.facts
+            self._undone[number] -= 1
         else:
             failed.setdefault(source.folder, _reason(result))
         if source.folder in failed:
             self._store.write_provenance(number, source, {"failed": failed[source.folder]})
-        elif not self._missing[number]:
-            self._store.write_provenance(number, source, self._facts.pop(number))
-
-    def count(self) -> None:
-        """Count frames and wavefronts of the recordings that are done."""
-        for number, source in self._numbered:
-            if source.folder not in self._batch.failed:
-                self._batch.frames += len(source.chosen)
-                self._batch.wavefronts += self._store.count(number, source)
+        elif isinstance(result, _DoneBlock) and not self._undone[number]:
+            self._store.write_provenance(number, source, result.facts)
 
 
 def _reason(error: Exception) -> str:
@@ -152,9 +168,8 @@ def _reason(error: Exception) -> str:
 
 
 @contextmanager
-def only_writer(folder: Path) -> Iterator[None]:
-    """Check the folder of a store, and keep other runs out; `InputError` if one writes into it already."""
-    check_free(folder)
+def _only_writer(folder: Path) -> Iterator[None]:
+    """Keep other runs out of the folder of a store; `InputError` if one writes into it already."""
     make_folder(folder.parent)
     with folder.with_name(f".{folder.name}.lock").open("ab") as file:
         try:
@@ -164,7 +179,7 @@ def only_writer(folder: Path) -> Iterator[None]:
         yield
 
 
-def check_free(folder: Path) -> None:
+def _check_free(folder: Path) -> None:
     """Raise `InputError` if a folder cannot hold a store."""
     try:
         if folder.exists() and not folder.is_dir():
@@ -174,3 +189,54 @@ def check_free(folder: Path) -> None:
         check_writable(folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be used: {in_words(error)}") from error
+
+
+def reconstruct_block(store: Path, job: Job, block: _Block) -> _DoneBlock:
+    """Reconstruct a block and write its results into the store."""
+    _check_software(job)
+    problem, bench = "", ""
+    damaged: dict[int, str] = {}
+
+    def noted() -> Iterator[tuple[Measurement, dict[str, Any]]]:
+        nonlocal problem, bench
+        for made in _prepared(block.source, job)(block.frames, damaged.__setitem__):
+            problem = problem or made.problem
+            if made.calibration is not None and not bench:
+                bench = write_bench(made.calibration.bench)
+            yield made, {}
+
+    ResultStore(store).write(block.number, block.frames, results_in_pieces(noted()), damaged)
+    reasons = tuple(damaged.values())
+    return _DoneBlock(problem or "".join(reasons[:1]), reasons, {"bench": bench, **software_facts()})
+
+
+def first_result(job: Job, source: Source) -> xr.Dataset | None:
+    """Return the first result of a recording as a piece of one frame; None if its first block has no wavefront."""
+    _check_software(job)
+    made = _prepared(source, job)(source.chosen[:BLOCK_FRAMES], lambda *_: None)
+    first = next((each for each in made if each.wavefront is not None), None)
+    return None if first is None else next(results_in_pieces([(first, {})]))
+
+
+def _check_software(job: Job) -> None:
+    if not job.is_of_this_software:
+        raise RunError(f"a worker runs another version than {job.software}: install the same everywhere")
+
+
+@lru_cache(maxsize=1)  # blocks come in the order of the recordings; a reconstructor takes tens of megabytes
+def _prepared(source: Source, job: Job) -> Reprocessing:
+    recording = Recording(source.folder)
+    if len(recording) < source.chosen.stop:
+        raise InputError(
+            f"{source.folder}: {source.frames - len(recording)} of {source.frames} frames have no line; svwfs recover"
+            " lists them"
+        )
+    return Reprocessing(recording, job.change, rounds=job.rounds)
+
+
+def dask_setup(_worker: object) -> None:
+    """Ignore Ctrl-C, which a terminal sends to all processes: Dask calls this as a worker process starts.
+
+    The command stops its workers. They load this module while they start, rather than with the first block.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,16 +1,18 @@
-"""The store of a batch: one Zarr group of results (recording, frame, ...) that xarray opens as one dataset.
+"""The store of a batch and its job: one Zarr group of results (recording, frame, ...) that xarray opens as a dataset.
 
 A chunk holds one block of frames of one recording, and every file is written atomically, so workers need no lock. The
-chunk of `state` is written last: a block whose chunk exists is done.
+chunk of `state` is written last: a block whose chunk exists is done. Recordings are identified by `run.json` alone.
 """
 
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import json
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +24,15 @@ from zarr.core.buffer import Buffer
 from zarr.errors import ZarrUserWarning
 from zarr.storage import LocalStore
 
-from app.batch.job import Job, Source, unique_names
+from app.bench.config import parse_bench
 from app.errors import InputError
 from app.files import atomic_write, in_words
+from app.measurement.calibration import Calibration
+from app.recording.folder import RUN, read_run, recorded_frames
 from app.recording.frame_array import METADATA
-from app.recording.reprocess import BLOCK_FRAMES
+from app.recording.reader import selected
+from app.recording.reprocess import BLOCK_FRAMES, Change
+from app.results.replay import change_of
 from app.results.result_file import about
 
 FORMAT = "svwfs batch 1"
@@ -74,27 +80,31 @@ class ResultStore:
         """Make an empty store for results like these of some frames of one recording."""
         group = zarr.open_group(_DurableStore(folder), mode="a", zarr_format=3)
         group.attrs.update({"format": FORMAT})
-        for name, variable in template.variables.items():
-            attributes = {
-                key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in variable.attrs.items()
-            }
-            if variable.dims[:1] == (_FRAME,):
-                if name != "recording_index":  # it is the position along `frame`
-                    _make(group, str(name), variable.dtype, variable.dims[1:], variable.shape[1:], attributes)
-            else:
-                values = (
-                    variable.values if variable.dtype.kind != "U" else variable.values.astype(np.dtypes.StringDType())
-                )
-                group.create_array(
-                    str(name),
-                    data=values,
-                    dimension_names=[*map(str, variable.dims)],
-                    attributes=attributes,
-                    overwrite=True,
-                )
         words = "not_done wavefront no_wavefront damaged"
         meanings = {"flag_values": [0, WAVEFRONT, NO_WAVEFRONT, DAMAGED], "flag_meanings": words}
-        _make(group, STATE, np.dtype(np.uint8), (), (), about("1", "whether the frame has a wavefront") | meanings)
+        state = about("1", "whether the frame has a wavefront") | meanings
+        of_frames: list[tuple[Any, xr.Variable]] = []
+        for name, variable in template.variables.items():
+            if variable.dims[:1] == (_FRAME,):
+                of_frames.append((name, variable))
+            else:
+                is_text = variable.dtype.kind == "U"
+                values = variable.values.astype(np.dtypes.StringDType()) if is_text else variable.values
+                _make(group, name, variable.dims, variable.attrs, data=values)
+        of_frames.append((STATE, xr.Variable((_FRAME,), np.zeros(1, np.uint8), state)))
+        for name, variable in of_frames:
+            if name != "recording_index":  # it is the position along `frame`
+                kind, shape = variable.dtype.kind, variable.shape[1:]
+                _make(
+                    group,
+                    name,
+                    (_RECORDING, *variable.dims),
+                    variable.attrs,
+                    shape=(0, 0, *shape),
+                    chunks=(1, BLOCK_FRAMES, *shape),  # a block of frames
+                    dtype=variable.dtype,
+                    fill_value=np.nan if kind == "f" else -1 if kind == "i" else 0,
+                )
         text: Any = np.dtypes.StringDType()
         for name, dtype, along, chunk, long_name in (
             (_RECORDING, text, _RECORDING, _NAMES_CHUNK, "name of the recording"),
@@ -102,16 +112,7 @@ class ResultStore:
             (_FRAMES, np.int64, _RECORDING, _NAMES_CHUNK, "number of recorded frames"),
             (_FRAME, np.int64, _FRAME, _FRAME_CHUNK, "the frame's index in the recording"),
         ):
-            attributes = {"long_name": long_name}
-            group.create_array(
-                name,
-                shape=(0,),
-                chunks=(chunk,),
-                dtype=dtype,
-                dimension_names=(along,),
-                attributes=attributes,
-                overwrite=True,
-            )
+            _make(group, name, (along,), {"long_name": long_name}, shape=(0,), chunks=(chunk,), dtype=dtype)
         more = [str(name) for name in template.coords if name not in template.dims and name != "recording_index"]
         coordinates = " ".join(dict.fromkeys((*more, *_COORDINATES)))
         # the job is written last: a store without it is not whole
@@ -146,7 +147,11 @@ class ResultStore:
         names = [*self._names(), *unique_names((source.folder for source in new), self._names())]
         numbers |= {source.fingerprint: len(known) + index for index, source in enumerate(new)}
         frames = [*(record["frames"] for record in known), *(source.frames for source in new)]
-        self._resize(len(frames), max(frames, default=0))
+        for array in (*self._of_frames.values(), self._arrays[STATE]):
+            array.resize((len(frames), max(frames, default=0), *array.shape[2:]))
+        for name in (_RECORDING, _PROVENANCE, _FRAMES):
+            self._arrays[name].resize((len(frames),))
+        self._arrays[_FRAME].resize((max(frames, default=0),))
         self._arrays[_FRAME][:] = np.arange(max(frames, default=0))
         self._arrays[_FRAMES][:] = np.array(frames, np.int64)
         self._arrays[_RECORDING][:] = np.array(names, np.dtypes.StringDType())
@@ -233,33 +238,12 @@ class ResultStore:
     def _names(self) -> list[str]:
         return [str(name) for name in np.asarray(self._arrays[_RECORDING][:])][: len(self._known())]
 
-    def _resize(self, recordings: int, frames: int) -> None:
-        for array in (*self._of_frames.values(), self._arrays[STATE]):
-            array.resize((recordings, frames, *array.shape[2:]))
-        for name in (_RECORDING, _PROVENANCE, _FRAMES):
-            self._arrays[name].resize((recordings,))
-        self._arrays[_FRAME].resize((frames,))
 
-
-def _make(
-    group: zarr.Group,
-    name: str,
-    dtype: np.dtype[Any],
-    dims: Sequence[Any],
-    shape: Sequence[int],
-    attributes: dict[str, Any],
-) -> None:
-    """Make an array (recording, frame, *dims), whose chunk is a block of frames."""
-    group.create_array(
-        name,
-        shape=(0, 0, *shape),
-        chunks=(1, BLOCK_FRAMES, *shape),
-        dtype=dtype,
-        fill_value=np.nan if dtype.kind == "f" else -1 if dtype.kind == "i" else 0,
-        dimension_names=(_RECORDING, _FRAME, *dims),
-        attributes=attributes,
-        overwrite=True,
-    )
+def _make(group: zarr.Group, name: Any, dims: Iterable[Any], attributes: Mapping[Any, Any], **array: Any) -> None:
+    """Make an array."""
+    simple = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in attributes.items()}
+    names = [str(each) for each in dims]
+    group.create_array(str(name), dimension_names=names, attributes=simple, overwrite=True, **array)
 
 
 def _dimensions(array: zarr.Array[Any]) -> tuple[str, ...]:
@@ -289,3 +273,98 @@ def open_store(folder: Path) -> xr.Dataset:
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{folder}: cannot be read as results of svwfs batch: {in_words(error)}") from error
     return results
+
+
+def _software() -> str:
+    return f"svwfs {version('svwfs')}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """How each recording is reconstructed. Another version of the software may compute other bits."""
+
+    bench: str = ""  # TOML text of another bench; empty: each recording's own
+    settings: tuple[str, ...] = ()  # changes of the recorded benches
+    rounds: int = 0  # of refinement, at most
+    frames: str = ""  # of each recording, FIRST:END; empty: all
+    software: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "software", self.software or _software())
+
+    @property
+    def is_of_this_software(self) -> bool:
+        """True if this process runs the same version of svwfs."""
+        return self.software == _software()
+
+    @property
+    def change(self) -> Change:
+        """The change of a recorded calibration; it registers in one thread, as each worker has one core."""
+        other = change_of(parse_bench(self.bench, "the bench") if self.bench else None, self.settings)
+
+        def change(calibration: Calibration) -> Calibration:
+            changed = calibration if other is None else other(calibration)
+            registration = replace(changed.bench.registration, threads=1)
+            return replace(changed, bench=replace(changed.bench, registration=registration))
+
+        return change
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A complete recording."""
+
+    folder: Path  # absolute
+    fingerprint: str  # of run.json, which holds the time, the counts and the bench: the same for a copy
+    frames: int
+    chosen: range  # of the frames
+
+
+def find_sources(folders: Iterable[Path], frames: str = "") -> tuple[list[Source], dict[Path, str], dict[Path, Path]]:
+    """Check recordings; return the complete ones, each once, the reason for each other folder, and copies of which.
+
+    `frames` as FIRST:END chooses some of each; empty: all.
+    """
+    found: dict[str, Source] = {}
+    problems: dict[Path, str] = {}
+    copies: dict[Path, Path] = {}
+    for folder in folders:
+        try:
+            source = _source(folder, frames)
+            first = found.setdefault(source.fingerprint, source)
+            if first.folder != source.folder:
+                copies[folder] = first.folder
+        except InputError as error:
+            problems[folder] = str(error)
+    return list(found.values()), problems, copies
+
+
+def _source(folder: Path, chosen: str) -> Source:
+    run = read_run(folder)
+    if not run["complete"]:
+        raise InputError(f"{folder}: is not complete: it still grows, or svwfs recover finishes it")
+    frames = recorded_frames(run)
+    if frames is None:
+        raise InputError(f"{folder / RUN}: does not tell the number of frames; svwfs recover counts them")
+    if not frames:
+        raise InputError(f"{folder}: holds no frame")
+    fingerprint = hashlib.sha256((folder / RUN).read_bytes()).hexdigest()[:16]
+    return Source(folder.absolute(), fingerprint, frames, selected(chosen or None, frames, folder))
+
+
+def unique_names(folders: Iterable[Path], taken: Iterable[str]) -> list[str]:
+    """Name each folder by the fewest last parts of its path that no other name has; numbered where paths are equal."""
+    known = set(taken)
+    names: list[str] = []
+    for folder in folders:
+        parts = folder.parts[1:]
+        candidates = ["/".join(parts[-count:]) for count in range(1, len(parts) + 1)]
+        free = (name for name in candidates if name not in known)
+        name = next(free, None) or next(
+            f"{candidates[0]}-{number}"
+            for number in range(2, len(known) + 3)
+            if f"{candidates[0]}-{number}" not in known
+        )
+        known.add(name)
+        names.append(name)
+    return names

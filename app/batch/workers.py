@@ -32,7 +32,7 @@ _NO_PAGES: dict[str, list[str]] = {f"distributed.{each}.http.routes": [] for eac
 
 
 class Workers:
-    """Evaluates tasks on the workers of a scheduler; see `app.tasks.Evaluate`."""
+    """Evaluates tasks on the workers of a scheduler; see `app.progress.Evaluate`."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -117,7 +117,7 @@ def workers(count: int | None, scheduler: str | None, *, dashboard: bool = False
                 dashboard_address="127.0.0.1:0",
                 scheduler_kwargs={"dashboard": dashboard},
                 silence_logs=logging.CRITICAL,
-                preload="app.batch.work",
+                preload="app.batch.run",
             )
             stack.callback(_close, cluster)
         try:

@@ -4,8 +4,7 @@ import sys
 from typing import NoReturn
 
 from app.commands.terminal import printable
-from app.errors import InputError, Interrupted, RunError
-from app.signals import ended_by
+from app.errors import InputError, Interrupted, RunError, ended_by
 
 
 def main() -> None:

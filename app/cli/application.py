@@ -7,16 +7,13 @@ from typing import Annotated
 
 import typer
 
+from app.commands.analyse import AnalysisCommand
 from app.commands.batch import batch
 from app.commands.benchmark import benchmark
 from app.commands.calibrate import calibrate
-from app.commands.corrector import corrector
-from app.commands.deconvolve import deconvolve
 from app.commands.desktop import desktop
 from app.commands.devices import devices
 from app.commands.export import export
-from app.commands.field import field
-from app.commands.layers import layers
 from app.commands.live import live
 from app.commands.measure import measure
 from app.commands.options import OnceCommand
@@ -26,6 +23,7 @@ from app.commands.replay import replay
 from app.commands.report import report
 from app.commands.simulate import simulate
 from app.commands.study import paper, selftest, study
+from app.results.analysis import ANALYSES
 
 cli = typer.Typer(
     help="Live space-variant Shack-Hartmann wavefront sensing: the wavefront at every position of the field.",
@@ -48,9 +46,10 @@ def _common(
 
 
 # in the order of the help
-_BENCH = (live, measure, recover, replay, batch, export, report)
-_ANSWERS = (layers, corrector, field)
-_OTHERS = (calibrate, simulate, devices, desktop, selftest, study, benchmark, reconstruct, deconvolve)
-for command in (*_BENCH, *_ANSWERS, *_OTHERS):
+for command in (live, measure, recover, replay, batch, export, report):
     cli.command(cls=OnceCommand)(command)
+for name, (_, sentence) in ANALYSES.items():
+    cli.command(name, cls=AnalysisCommand, help=sentence)(lambda: None)
+for other in (calibrate, simulate, devices, desktop, selftest, study, benchmark, reconstruct):
+    cli.command(cls=OnceCommand)(other)
 cli.add_typer(paper, name="paper")

@@ -44,8 +44,8 @@ def batch(
 
     Example: svwfs batch run1 --refine 3 --scheduler tcp://node1:8786 --out refined.zarr
     """
-    from app.batch.job import Job
     from app.batch.run import check_store, run_batch
+    from app.batch.store import Job
     from app.batch.workers import workers as start
     from app.bench.config import load_bench, write_bench
 

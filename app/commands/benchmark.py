@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 from tempfile import gettempdir
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from app.evaluation.benchmark.live_path.figures import LiveFigures
     from app.evaluation.benchmark.live_path.plan import LivePlan
     from app.gui.main_window import MainWindow
+    from app.timing import StageTimes
 
 _LIVE_BENCH = "live_demo"
 _LIVE_EXPOSURE_S = 0.014286  # 70 frames/s
@@ -77,16 +79,14 @@ def benchmark(
         raise InputError(
             "--bench, --set, --record-in, --no-record and --panels are only for the live benchmark: add --live SECONDS"
         )
-    from app.evaluation.benchmark.baseline import load_baseline, worsened
-    from app.evaluation.benchmark.benchmark_table import print_benchmark
-    from app.evaluation.benchmark.run_benchmark import BenchmarkPlan, run_benchmark
-    from app.evaluation.study_files import write_json
+    from app.evaluation.benchmark import BenchmarkPlan, load_baseline, run_benchmark, worsened
+    from app.run_facts import write_record
 
     plan = BenchmarkPlan(bench=options.load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
     with terminal.progress_bar() as progress:
         result = run_benchmark(plan, progress)
     if json is not None:
-        write_json(json, result)
+        write_record(json, result)
     print_benchmark(result)
     if check and (slower := worsened(result["ratios"], load_baseline())):
         raise RunError("slower relative to the peers than the baseline: " + "; ".join(slower))
@@ -96,16 +96,15 @@ def _benchmark_live(
     bench: Bench, seconds: float, record_in: Path | None, *, with_panels: bool, json: Path | None, check: bool
 ) -> None:
     """Measure the live path, print and write the figures; with `check`, raise if a limit is missed."""
-    from app.evaluation.benchmark.live_path.figures import print_figures
     from app.evaluation.benchmark.live_path.plan import LivePlan
-    from app.evaluation.study_files import write_json
+    from app.run_facts import write_record
 
     plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in, with_panels=with_panels)
     with terminal.progress_bar() as progress:
         figures = benchmark_acquisition(plan, progress)
     print_figures(figures)
     if json is not None:
-        write_json(json, figures.tree())
+        write_record(json, figures.tree())
     if check and (failed := figures.missed()):
         raise RunError("missed: " + "; ".join(failed))
 
@@ -171,3 +170,109 @@ def _run(course: Course) -> None:
             time.sleep(_POLL_S)
     finally:
         course.acquisition.close()
+
+
+def print_benchmark(result: dict[str, Any]) -> None:
+    """Print times and residuals of all contestants, and the growth."""
+    from app.evaluation.benchmark.contestants import OURS
+
+    machine, zonal, forward = result["machine"], result["zonal"], result["forward"]
+    terminal.print_sentence(f"{machine['processor']}, {machine['cores']} cores; the same noisy frame for all")
+    headings, lines = ["one frame", "median, ms", "best, ms", "over ours", "residual, rad", "noise-free"], []
+    ours_s = result["times"][OURS]["median_s"]
+    for name, times in result["times"].items():
+        numbers = (times["median_s"] * 1e3, times["best_s"] * 1e3, times["median_s"] / ours_s)
+        residuals = (result["residuals_rad"][kind].get(name, math.nan) for kind in ("noisy", "noise_free"))
+        lines.append([name, *(f"{number:.2f}" for number in numbers), *(f"{number:.3f}" for number in residuals)])
+    terminal.print_table(None, headings, lines)
+    for name, problem in result["missing"].items():
+        terminal.print_sentence(f"missing: {name}: {problem}")
+    terminal.print_sentence(f"{result['frames_per_s']:.0f} frames/s in a loop (quadratic, warm)")
+    ours_ms, scipy_ms = zonal["ours_s"] * 1e3, zonal["scipy_splu_s"] * 1e3
+    terminal.print_sentence(f"zonal solve of all views {ours_ms:.3f} ms, bare SciPy splu {scipy_ms:.3f} ms")
+    layer = result["layer"]
+    terminal.print_sentence(
+        f"one layer at a known distance {layer['known_s'] * 1e3:.1f} ms, search for layers {layer['search_s']:.2f} s"
+    )
+    hcipy = f", HCIPy {forward['hcipy_s_per_point'] * 1e3:.1f} ms" if "hcipy_s_per_point" in forward else ""
+    terminal.print_sentence(f"forward model {forward['ours_s_per_point'] * 1e3:.2f} ms per object point{hcipy}")
+    headings = ["lenslets", "Q", "px", "register", "zonal", "modal", "all, ms", "each, us", "prepare, s", "peak, MB"]
+    lines = [
+        [
+            f"{size['lenslets']} x {size['lenslets']}",
+            f"{size['field_modes']}",
+            f"{size['frame_px']}",
+            *(f"{size[f'{stage}_s'] * 1e3:.2f}" for stage in ("register", "zonal", "modal", "frame")),
+            f"{size['per_lenslet_us']:.1f}",
+            f"{size['prepare_s']:.1f}",
+            f"{size.get('peak_memory_mb', math.nan):.0f}",
+        ]
+        for size in (*result["growth"], *([result["four_k"]] if "four_k" in result else []))
+    ]
+    terminal.print_table(None, headings, lines)
+
+
+def print_figures(figures: LiveFigures) -> None:
+    """Print every figure beside its limit."""
+    from app.run_facts import machine_facts
+
+    machine, recording, span = machine_facts(), figures.recording, figures.window
+    camera, sensor = figures.plan.bench.camera_model, figures.plan.bench.sensor
+    terminal.print_sentence(f"{machine['processor'] or machine['system']}, {machine['cores']} cores")
+    terminal.print_sentence(
+        f"{camera.rows} x {camera.columns} pixels, {sensor.lenslet_rows} x {sensor.lenslet_columns} lenslets,"
+        f" {1 / camera.exposure_s:.1f} frames/s, {'recorded' if recording else 'not recorded'},"
+        f" {span.seconds:.0f} s after a warm-up"
+    )
+    terminal.print_sentence(
+        "the window was on a display" if figures.is_seen else "no display: the window was drawn offscreen"
+    )
+    checks = figures.checks()
+    lines = []
+    for name, measured, limit in _lines(figures):
+        check = checks.get(limit)
+        colour = "[green]met[/]" if check and check.is_met else "[red]missed[/]"
+        lines.append([name, measured, *((check.asked, colour) if check else ("", ""))])
+    terminal.print_table(None, ("live", "measured", "asked", ""), lines)
+    terminal.print_sentence("Times are median / 99 % / longest.")
+    if recording is not None and recording.problem:
+        terminal.print_sentence(f"The recording ended early: {recording.problem}")
+
+
+def _lines(figures: LiveFigures) -> list[tuple[str, str, str]]:
+    """Name, measured value and name of the limit of each line of the table."""
+    window, bare, recording = figures.window, figures.bare, figures.recording
+    frames, times = window.frames, window.timings.summary()
+    recorded = []
+    if recording is not None:
+        recorded.append(("frame written to the disk", _milliseconds(times["record"]), "record_p99_s"))
+        recorded.append(("recorded, with warm-up", f"{recording.frames}", "recording_problems"))
+    return [
+        ("frames acquired", f"{frames.acquired}", ""),
+        ("reconstructed", f"{frames.reconstructed}: {100 * frames.share:.2f} %", "share"),
+        ("lost by the camera", f"{frames.lost}", "lost"),
+        ("skipped for a newer one", f"{frames.passed_over}", ""),
+        ("without a wavefront", f"{frames.failed}", ""),
+        ("camera to result", _milliseconds(times["to_result"]), "to_result_p99_s"),
+        ("camera to screen", _milliseconds(times["to_screen"]), ""),
+        ("window redrawn", f"{window.redrawn_hz:.1f} /s", "redrawn_hz"),
+        ("redraw, with panels" if figures.plan.with_panels else "redraw", _milliseconds(times["draw"]), "draw_p50_s"),
+        *recorded,
+        (f"memory, last {figures.plan.memory_s:.0f} s", _memory(figures), "memory_growth"),
+        (f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s", ""),
+        ("rate with it", f"{window.rate_hz:.2f} /s: {100 * figures.rate_ratio:.1f} %", "rate_ratio"),
+        ("first wavefront after", f"{window.first_wavefront_s:.1f} s", "first_wavefront_s"),
+    ]
+
+
+def _milliseconds(times: StageTimes) -> str:
+    if not times.count:
+        return "none"
+    return " / ".join(f"{1e3 * seconds:.1f}" for seconds in (times.p50_s, times.p99_s, times.max_s)) + " ms"
+
+
+def _memory(figures: LiveFigures) -> str:
+    begin_mb, end_mb = figures.window.memory_mb
+    if figures.memory_growth is None:
+        return "unknown on this system"
+    return f"{begin_mb:.0f} > {end_mb:.0f} MB, {100 * figures.memory_growth:+.2f} %"

@@ -39,10 +39,14 @@ def desktop(
 
     Example: svwfs desktop --bench bench.toml
     """
-    if remove:
-        remove_entry()
-    else:
+    if not remove:
         typer.echo(f"entry: {add_entry(bench)}")
+        return
+    entry, icon = _files()
+    if not entry.exists():
+        raise InputError(f"{entry}: no such entry")
+    for path in (entry, icon):
+        path.unlink(missing_ok=True)
 
 
 def add_entry(bench: str | None) -> Path:
@@ -69,15 +73,6 @@ def add_entry(bench: str | None) -> Path:
     with atomic_write(entry) as temporary:
         temporary.write_text(_ENTRY.format(command=" ".join(map(_quoted, words))), "utf-8")
     return entry
-
-
-def remove_entry() -> None:
-    """Remove the entry and its icon; `InputError` if there is none."""
-    entry, icon = _files()
-    if not entry.exists():
-        raise InputError(f"{entry}: no such entry")
-    for path in (entry, icon):
-        path.unlink(missing_ok=True)
 
 
 def _files() -> tuple[Path, Path]:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperOption
 
 from app.bench.presets import PRESETS
-from app.errors import InputError
-from app.files import check_outputs, check_readable, check_suffix
+from app.files import check_outputs, check_readable, check_suffix, require_suffix
+from app.results import analysis
 
 if TYPE_CHECKING:
     from app.bench import config
@@ -23,20 +23,9 @@ PICTURES = (".png", ".pdf", ".svg")  # Matplotlib writes others, some by program
 Bench = Annotated[
     str, typer.Option("--bench", "-b", metavar="TOML", help=f"Bench TOML file, or a preset: {', '.join(PRESETS)}.")
 ]
-Set = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the bench, as registration.warp=affine."),
-]
-Frames = Annotated[
-    str | None, typer.Option(metavar="FIRST:END", help="Only these frames, counted from 0; END is excluded.")
-]
-Frame = Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")]
+Set = analysis.Set
+Frames = analysis.Frames
 Recording = Annotated[Path, typer.Argument(help="Folder of a recording.")]
-Source = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]
-Origin = Annotated[
-    Literal["lenslets", "mask"],
-    typer.Option("--from", help="Where distances are measured from: lenslets, in the collimated beam, or mask."),
-]
 Plot = Annotated[Path | None, typer.Option(help="Picture of the result: PNG, PDF or SVG.")]
 Seeds = Annotated[int, typer.Option(min=1, max=1000, help="Number of screens, starting at the bench's seed.")]
 
@@ -89,24 +78,18 @@ def check_files(
     *suffixes: str,
     reads: Iterable[Path | None],
     plot: Path | None = None,
-    more: Path | None = None,
+    more: Iterable[Path] = (),
     overwrite: bool,
 ) -> None:
     """Check the files of a command before its work: `out` in a format with these suffixes, `plot` a picture.
 
-    `reads` are its inputs, `more` another output. `InputError` says what is wrong.
+    `reads` are its inputs, `more` other outputs. `InputError` says what is wrong.
     """
-    check_outputs([out, plot, more], inputs=reads, overwrite=overwrite)
+    check_outputs([out, plot, *more], inputs=reads, overwrite=overwrite)
     if suffixes:
         check_suffix(out, *suffixes)
     if plot is not None:
         require_suffix(plot, *PICTURES, kind="picture's name")
-
-
-def require_suffix(path: Path, *suffixes: str, kind: str = "name") -> None:
-    """Raise `InputError` if a name ends in none of these."""
-    if path.suffix.lower() not in suffixes:
-        raise InputError(f"{path}: give a {kind} that ends in one of {', '.join(suffixes)}")
 
 
 class OnceCommand(TyperCommand):

@@ -14,8 +14,8 @@ from app.files import check_outputs
 
 if TYPE_CHECKING:
     from app.bench.config import Bench
-    from app.evaluation.study_kinds import Study
-    from app.tasks import Evaluate
+    from app.evaluation.studies import Study, StudyResult
+    from app.progress import Evaluate
 
 
 def selftest() -> None:
@@ -78,7 +78,7 @@ def study(
 
     Example: svwfs study mask ring.png circle --seeds 1 --out study
     """
-    from app.evaluation.study.catalogue import chosen_studies
+    from app.evaluation.study import chosen_studies
 
     studies = chosen_studies(names or [], frames)
     loaded = options.load(bench, setting)
@@ -105,14 +105,26 @@ def _run(
     evaluate: Evaluate | None = None,
 ) -> None:
     """Run studies under a progress bar and print their results."""
-    from app.evaluation.run_studies import run_studies
-    from app.evaluation.study_files import files_of
-    from app.evaluation.study_tables import print_results
+    from app.evaluation.studies import files_of, run_studies
 
     check_outputs(files_of(studies, out), inputs=[*inputs, *bench.files], overwrite=overwrite)
     with terminal.progress_bar() as progress:
         results = run_studies(bench, studies, seeds, out, progress, evaluate)
     print_results(results)
+
+
+def print_results(results: Sequence[StudyResult]) -> None:
+    """Print a table for each study, the sweeps first."""
+    from app.evaluation.study_kinds import Sweep, sweeps_of
+
+    sweeps = sweeps_of(results)
+    for sweep, data in sweeps:
+        terminal.print_table(*sweep.printed(data))
+    if sweeps:
+        terminal.print_sentence(Sweep.legend)
+    for each in results:
+        if not isinstance(each.study, Sweep):
+            terminal.print_table(*each.study.printed(each.data))
 
 
 paper = typer.Typer(
@@ -138,9 +150,9 @@ def table1(
 
     Example: svwfs paper table1 --out paper
     """
-    from app.evaluation.paper import paper_tables
+    from app.evaluation import paper as tables
 
-    _run([paper_tables.table1(peers=peers)], options.load(bench, setting), seeds, out, overwrite=overwrite)
+    _run([tables.table1(peers=peers)], options.load(bench, setting), seeds, out, overwrite=overwrite)
 
 
 @paper.command(cls=options.OnceCommand)
@@ -157,9 +169,9 @@ def table2(
 
     Example: svwfs paper table2 --seeds 3 --out paper
     """
-    from app.evaluation.paper import paper_tables
+    from app.evaluation import paper as tables
 
-    _run([paper_tables.table2(peers=peers)], options.load(bench, setting), seeds, out, overwrite=overwrite)
+    _run([tables.table2(peers=peers)], options.load(bench, setting), seeds, out, overwrite=overwrite)
 
 
 @paper.command(cls=options.OnceCommand)
@@ -175,6 +187,6 @@ def sources(
 
     Example: svwfs paper sources --out paper
     """
-    from app.evaluation.paper import paper_tables
+    from app.evaluation import paper as tables
 
-    _run([paper_tables.sources()], options.load(bench, setting), seeds, out, overwrite=overwrite)
+    _run([tables.sources()], options.load(bench, setting), seeds, out, overwrite=overwrite)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from reconstruction.geometry import Field
     from reconstruction.registration.circulation import Circulation
 
+_LEAST_WIDTH = 200  # characters of a table
 LIGHT_BY_HAND = "the light is manual: make sure that it is off"
 
 
@@ -55,6 +56,24 @@ def print_warning(sentence: str) -> None:
     from rich.markup import escape
 
     Console().print(f"[yellow]warning:[/] {escape(printable(sentence))}", highlight=False, soft_wrap=True)
+
+
+def print_table(
+    title: str | None, headings: Sequence[str], lines: Iterable[Sequence[str]], notes: Iterable[str] = ()
+) -> None:
+    """Print lines of cells under headings, never so narrow that a pipe cuts a number, and notes below them."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, box=box.SIMPLE, padding=(0, 1), pad_edge=False)
+    for index, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if index else "left", no_wrap=True)
+    for line in lines:
+        table.add_row(*line)
+    Console(width=max(Console().width, _LEAST_WIDTH)).print(table)
+    for note in notes:
+        print_sentence(note)
 
 
 def print_by_view(field: Field, title: str, cells: Iterable[Iterable[str]]) -> None:

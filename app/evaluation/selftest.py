@@ -99,6 +99,7 @@ def run_checks() -> Iterator[Check]:
         reconstruction=ReconstructionSettings(pupil_modes=6),
     )
     reconstructor = Calibration.of_images(bench, model.irradiance(source), lattice=LATTICE).reconstructor()
+    v, u = np.meshgrid(SENSOR.pupil_y_m, SENSOR.pupil_x_m, indexing="ij")  # of the lenslet centres
     sample_x_m, sample_y_m = model.sample_x_m[None, :], model.sample_y_m[:, None]
     for name, known in KNOWN.items():
         amplitude = np.sqrt(known.intensity(sample_x_m, sample_y_m))
@@ -108,19 +109,11 @@ def run_checks() -> Iterator[Check]:
         ) -> NDArray[np.complex64]:
             return np.asarray(amplitude * np.exp(1j * known.phase(sample_x_m, sample_y_m, x_m, y_m)), np.complex64)
 
-        yield _compare(name, _truth(known.phase), reconstructor(model.irradiance(source, of_point)).views)
-
-
-def _truth(phase: Phase) -> Floats:
-    """The phase at the lenslet centres for every view, without piston."""
-    v, u = np.meshgrid(SENSOR.pupil_y_m, SENSOR.pupil_x_m, indexing="ij")
-    return without_piston(np.array([[phase(u, v, x, y) for x in FIELD.view_x_m] for y in FIELD.view_y_m]))
-
-
-def _compare(name: str, truth: Floats, measured: Floats) -> Check:
-    return Check(
-        name=name,
-        rms_rad=float(np.sqrt(np.mean(truth**2))),
-        scale=float(np.sum(truth * measured) / np.sum(truth**2)),
-        residual_rad=float(np.sqrt(np.mean(rms(measured - truth) ** 2))),
-    )
+        at_views = [[known.phase(u, v, x_m, y_m) for x_m in FIELD.view_x_m] for y_m in FIELD.view_y_m]
+        truth, measured = without_piston(np.array(at_views)), reconstructor(model.irradiance(source, of_point)).views
+        yield Check(
+            name=name,
+            rms_rad=float(np.sqrt(np.mean(truth**2))),
+            scale=float(np.sum(truth * measured) / np.sum(truth**2)),
+            residual_rad=float(np.sqrt(np.mean(rms(measured - truth) ** 2))),
+        )

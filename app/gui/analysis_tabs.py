@@ -13,7 +13,7 @@ from app.gui.lenslet_panel import LensletPanel
 from app.gui.wavefront_panel import WavefrontPanel
 from app.measurement.measurement import Measurement
 from app.results.history import History, sample
-from app.results.shown_layers import FoundLayers
+from app.results.layers import FoundLayers
 from app.results.view_analysis import Analysis
 
 

@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QApplication
 from app.acquisition.session import FirstWavefront
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
-from app.errors import SHOWN, Interrupted, RunError
+from app.errors import SHOWN, Interrupted, RunError, ended_by
 from app.gui.controller import CLOSING_S
 from app.gui.main_window import MainWindow
 from app.gui.preferences import apply_preferences
@@ -20,7 +20,6 @@ from app.gui.tour import offer_tour
 from app.gui.window_layout import WINDOW_SIZE
 from app.gui.window_state import settings_file
 from app.gui.wording import left_behind
-from app.signals import ended_by
 
 _FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run
 

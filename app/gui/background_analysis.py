@@ -10,7 +10,8 @@ from app.gui.analysis_thread import AnalysisThread
 from app.gui.guard import Guard
 from app.gui.wavefront_panel import WavefrontPanel
 from app.measurement.measurement import Measurement
-from app.results.shown_layers import FoundLayers, LayersRequest, find_shown_correctors, find_shown_layers
+from app.results.corrector import find_shown_correctors
+from app.results.layers import FoundLayers, LayersRequest, find_shown_layers
 from app.results.view_analysis import AnalysisRequest, Quantity, analyse
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import Wavefront

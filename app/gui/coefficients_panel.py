@@ -14,7 +14,7 @@ from app.gui.plot import Plot
 from app.gui.presentation import signed, with_error
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import Choice, column, row, toggle
-from app.results.mode_coefficients import ModeChoice, ModeCoefficients
+from app.results.coefficients import ModeChoice, ModeCoefficients
 from app.results.shown_wavefront import Unit
 from reconstruction.modes.pupil_modes import BASES
 

@@ -15,6 +15,7 @@ from PyQt6.QtGui import QPixmap
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.worker import Acquisition
 from app.bench.config import write_bench
+from app.cache import release_memory
 from app.errors import InputError, RunError
 from app.files import atomic_write
 from app.gui.calibration_guide import CalibrationGuide
@@ -30,7 +31,6 @@ from app.gui.settings_control import SettingsControl
 from app.gui.wording import area_taken, exposure_found, lattice_found, recording_ended
 from app.measurement.averages import BackgroundCheck
 from app.measurement.sensor_region import SensorArea, in_steps, region_around
-from app.memory import release_memory
 from app.recording.recorder import Limit
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey

@@ -8,9 +8,8 @@ from app.gui.layers_panel import origin_choice
 from app.gui.plot import Plot
 from app.gui.widgets import Choice, ElidedLabel, column, row
 from app.measurement.measurement import Measurement
-from app.results.corrector import correction_sentence
+from app.results.corrector import CorrectorRequest, FoundCorrectors, correction_sentence
 from app.results.layers import axis_label, shown_range_m
-from app.results.shown_layers import CorrectorRequest, FoundCorrectors
 from reconstruction.layers.corrector import Corrector
 
 _CORRECTORS = (

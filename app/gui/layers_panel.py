@@ -17,6 +17,8 @@ from app.gui.view_grid import Caption, Maps, ViewGrid
 from app.gui.widgets import Choice, ElidedLabel, column, row
 from app.measurement.measurement import Measurement
 from app.results.layers import (
+    FoundLayers,
+    LayersRequest,
     Origin,
     axis_label,
     distance_in_words,
@@ -26,7 +28,6 @@ from app.results.layers import (
     ratio_at,
     shown_range_m,
 )
-from app.results.shown_layers import FoundLayers, LayersRequest
 from app.results.shown_wavefront import Unit
 from drivers.interface import Range
 from reconstruction.layers.layer_search import LayerSearch

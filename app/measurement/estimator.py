@@ -9,10 +9,10 @@ from functools import cached_property
 from typing import TypeAlias
 
 from app.bench.imaging_model import BenchModel
+from app.cache import kept_for_bench
 from app.measurement.averages import Average
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.measurement import Assumptions, Measurement
-from app.memory import kept_for_bench
 from app.timing import Timings
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement

@@ -1,28 +1,137 @@
-"""Correctors at every distance: dataset with names and units (docs/layers.md), figure, and files of a phase."""
+"""What one corrector could do, at every distance (docs/layers.md), and its best command."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, ClassVar, Literal
 
 import cv2
 import numpy as np
+import typer
 import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
-from app.files import atomic_write
+from app.errors import InputError
+from app.files import atomic_write, require_suffix
+from app.images import fits_file
+from app.progress import Progress, between
 from app.results import layers
+from app.results.analysis import Analysis, Frames, From
 from app.results.result_file import about
+from app.results.sources import mean_wavefront, read_bench_of
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
 from reconstruction.wavefront import rms
 
+PHASE_FORMATS = (".npy", ".fits", ".png")
 _SHARES = np.linspace(-0.95, 0.95, 77)  # ratio / (1 + |ratio|) of the correctors compared
+_GREY = 256  # levels of a wrapped phase
 _REFINED = 0.02  # about the best of them
+
+
+_READING = 0.7  # share of the work
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BestCorrector(Analysis):
+    """Tell what one corrector could do, over its distance.
+
+    A corrector conjugate to some distance adds the same phase to every ray that meets it there. For each distance its
+    best command is found, and what it leaves over the field. The mean wavefront of the frames is corrected. See
+    docs/layers.md.
+
+    Example: svwfs corrector run1 --out corrector.nc --plot corrector.png
+
+    Example: svwfs corrector result.nc --distance 0.195 --out c.nc --command slm.png --pixels 1024
+    """
+
+    file_help: ClassVar = "NetCDF file for residuals and command."
+
+    modes: Annotated[
+        Literal["legendre", "zernike", "actuators"], typer.Option(help="Shapes that the corrector can take.")
+    ] = "zernike"
+    count: Annotated[int, typer.Option(min=2, help="Number of modes with the piston, or of actuators.")] = 45
+    distance: Annotated[
+        float | None, typer.Option(metavar="M", help="Distance of the corrector (m); the best one if omitted.")
+    ] = None
+    origin: From = "lenslets"
+    command: Annotated[
+        Path | None,
+        typer.Option(help="Phase map of the best command: .npy or .fits in rad, or .png wrapped at 2 pi, 8 bit."),
+    ] = None
+    pixels: Annotated[int, typer.Option(min=2, max=8192, help="Pixels of the map's longer side.")] = 512
+    frames: Frames = None
+
+    def __post_init__(self) -> None:
+        try:
+            Corrector(self.modes, self.count)
+        except ValueError as error:
+            raise InputError(f"--count: {error}") from error
+
+    def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:  # noqa: ARG002 - as in `Analysis`
+        """Return the file of the command as output."""
+        if self.command is None:
+            return (), ()
+        require_suffix(self.command, *PHASE_FORMATS)
+        return (), (self.command,)
+
+    def compute(self, source: Path, progress: Progress) -> tuple[Bench, xr.Dataset]:
+        """Return residuals over the distance, and the command of the chosen corrector."""
+        bench = read_bench_of(source)
+        ratio = None if self.distance is None else layers.ratio_at(self.distance, self.origin, bench)
+        phase_at = mean_wavefront(source, bench, self.frames, between(progress, 0, _READING))
+        try:
+            made = compare_correctors(phase_at, bench.sensor, bench.field, Corrector(self.modes, self.count), ratio)
+        except ValueError as error:
+            raise InputError(f"{source}: {error}") from error
+        found = correction_dataset(made, bench, self.origin)
+        if self.command is not None:  # for `write`
+            found = found.assign(map=(("row", "column"), made.chosen.phase_map(self.pixels)[2]))
+        return bench, found
+
+    def draw(self, found: xr.Dataset) -> Figure:
+        """Draw the residual over the distance, and over the field."""
+        figure = Figure(figsize=(10.5, 4.2), layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=[1.5, 1])
+        left.plot(found["distance"] * 1e3, found["residual"], color="#35739f", marker=".")
+        origin, at_m = found.attrs["distances_from"], float(found["corrector_distance_m"])
+        residual = float(found["corrector_residual"])
+        label = f"{layers.distance_in_words(at_m, np.nan, origin)}: {residual:.2g} rad"
+        left.plot([at_m * 1e3], [residual], "o", color="#d1495b", label=label)
+        uncorrected = float(found["uncorrected"])
+        left.axhline(
+            uncorrected, color="0.5", linewidth=0.8, linestyle="--", label=f"uncorrected: {uncorrected:.2g} rad"
+        )
+        low_m, high_m = layers.shown_range_m(found["corrector_distance_m"].values, found["distance"].values, origin)
+        left.set(
+            xlim=(1e3 * low_m, 1e3 * high_m),
+            ylim=(0, None),
+            xlabel=layers.axis_label(origin),
+            ylabel="residual over the field (rad RMS)",
+            title=f"Best command of {found.attrs['shapes']} {found.attrs['influence']} shapes",
+        )
+        left.legend()
+        shown = right.scatter(
+            found["field_x"] * 1e3, found["field_y"] * 1e3, c=found["field_residual"], s=160, marker="s", vmin=0
+        )
+        right.set(xlabel="field x (mm)", ylabel="field y (mm)", aspect="equal", title="Residual (rad RMS)")
+        right.invert_yaxis()  # +y down, as on the camera
+        figure.colorbar(shown, ax=right)
+        return figure
+
+    def sentences(self, found: xr.Dataset) -> list[str]:
+        """Say what correctors leave."""
+        return [correction_sentence(found)]
+
+    def write(self, found: xr.Dataset, bench: Bench, source: Path, out: Path) -> None:
+        """Write the results, and the phase map of the command."""
+        Analysis.write(self, found.drop_vars("map", errors="ignore"), bench, source, out)
+        if self.command is not None:
+            write_phase(self.command, found["map"].values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,40 +231,6 @@ def correction_sentence(found: xr.Dataset) -> str:
     )
 
 
-def correction_figure(found: xr.Dataset) -> Figure:
-    """Return the figure: residual over the distance, and over the field."""
-    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=[1.5, 1])
-    left.plot(found["distance"] * 1e3, found["residual"], color="#35739f", marker=".")
-    origin, at_m = found.attrs["distances_from"], float(found["corrector_distance_m"])
-    residual = float(found["corrector_residual"])
-    label = f"{layers.distance_in_words(at_m, np.nan, origin)}: {residual:.2g} rad"
-    left.plot([at_m * 1e3], [residual], "o", color="#d1495b", label=label)
-    uncorrected = float(found["uncorrected"])
-    left.axhline(uncorrected, color="0.5", linewidth=0.8, linestyle="--", label=f"uncorrected: {uncorrected:.2g} rad")
-    low_m, high_m = layers.shown_range_m(found["corrector_distance_m"].values, found["distance"].values, origin)
-    left.set(
-        xlim=(1e3 * low_m, 1e3 * high_m),
-        ylim=(0, None),
-        xlabel=layers.axis_label(origin),
-        ylabel="residual over the field (rad RMS)",
-        title=f"Best command of {found.attrs['shapes']} {found.attrs['influence']} shapes",
-    )
-    left.legend()
-    shown = right.scatter(
-        found["field_x"] * 1e3, found["field_y"] * 1e3, c=found["field_residual"], s=160, marker="s", vmin=0
-    )
-    right.set(xlabel="field x (mm)", ylabel="field y (mm)", aspect="equal", title="Residual (rad RMS)")
-    right.invert_yaxis()  # +y down, as on the camera
-    figure.colorbar(shown, ax=right)
-    return figure
-
-
-PHASE_FORMATS = (".npy", ".fits", ".png")
-_GREY = 256  # levels of a wrapped phase
-_FITS_BLOCK = 2880  # bytes
-
-
 def write_phase(path: Path, phase_rad: Floats) -> None:
     """Write a phase map: NPY or FITS in rad, or an 8-bit PNG wrapped at 2 pi, 256 levels to a wave."""
     suffix = path.suffix.lower()
@@ -163,7 +238,7 @@ def write_phase(path: Path, phase_rad: Floats) -> None:
         if suffix == ".npy":
             np.save(file, phase_rad.astype(np.float32))
         elif suffix == ".fits":
-            file.write(_fits(phase_rad))
+            file.write(fits_file(phase_rad, unit="rad"))
         else:
             file.write(cv2.imencode(".png", wrapped(phase_rad))[1].tobytes())
 
@@ -173,13 +248,29 @@ def wrapped(phase_rad: Floats) -> NDArray[np.uint8]:
     return np.asarray(np.rint(np.mod(phase_rad, 2 * math.pi) / (2 * math.pi) * _GREY) % _GREY, np.uint8)
 
 
-def _fits(phase_rad: Floats) -> bytes:
-    """Primary HDU of 32-bit floats (FITS 4.0, sections 4 and 5)."""
-    rows, columns = phase_rad.shape
-    cards: dict[str, Any] = {"SIMPLE": "T", "BITPIX": -32, "NAXIS": 2, "NAXIS1": columns, "NAXIS2": rows}
-    lines = [f"{name:8}= {value:>20}" for name, value in cards.items()] + ["BUNIT   = 'rad     '", "END"]
-    header = "".join(f"{line:80}" for line in lines).encode("ascii")
-    pixels = phase_rad.astype(">f4").tobytes()
-    return header.ljust(-(-len(header) // _FITS_BLOCK) * _FITS_BLOCK) + pixels.ljust(
-        -(-len(pixels) // _FITS_BLOCK) * _FITS_BLOCK, b"\0"
-    )
+@dataclass(frozen=True, slots=True)
+class CorrectorRequest(layers.Request):
+    """Asks what a corrector would leave of a measurement."""
+
+    corrector: Corrector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundCorrectors:
+    """Correctors at every distance, see `correction_dataset`, or the problem."""
+
+    request: CorrectorRequest
+    problem: str = ""
+    found: xr.Dataset | None = None
+
+
+def find_shown_correctors(request: CorrectorRequest) -> FoundCorrectors:
+    """Compare correctors at every distance."""
+    calibration, wavefront = request.measurement.calibration, request.measurement.wavefront
+    if calibration is None or wavefront is None:
+        return FoundCorrectors(request, layers.NO_WAVEFRONT)
+    try:
+        made = compare_correctors(wavefront.at, wavefront.sensor, wavefront.field, request.corrector)
+    except ValueError as error:
+        return FoundCorrectors(request, str(error))
+    return FoundCorrectors(request, found=correction_dataset(made, calibration.bench, request.origin))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 import tifffile
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from app.bench.config import write_bench
 from app.errors import SETTINGS_CHANGED, InputError, RunError
-from app.files import atomic_write, check_outputs, check_suffix
+from app.files import atomic_write, check_outputs, check_suffix, write_csv
 from app.measurement.measurement import Measurement
-from app.progress import Progress
+from app.progress import Progress, counting
 from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
+from app.results.coefficients import double_zernikes, table_of, zernikes_of_views
 from app.results.dataset import result_dataset, results_in_pieces
-from app.results.field_coefficients import double_zernikes, write_table, zernike_names, zernike_rows
 from app.results.replay import first_bench
 from app.results.result_file import write_pieces
 from reconstruction.arrays import Floats
@@ -32,8 +32,6 @@ from reconstruction.quality.verdict import Quality
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
-
-T = TypeVar("T")
 
 Format = Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"]
 
@@ -56,8 +54,7 @@ def write_stack(
     """
     remaining = iter(images)
     first = next(remaining)
-    shape = (len(labels), *first.shape)
-    film: dict[str, Any] = {} if interval_s is None else {"finterval": interval_s}
+    shape, film = (len(labels), *first.shape), dict[str, Any]({} if interval_s is None else {"finterval": interval_s})
     tags = tifffile.imagej_metadata_tag({"Info": information, "Labels": list(labels)}, "<")
     with atomic_write(path) as temporary, tifffile.TiffWriter(temporary, bigtiff=True, byteorder="<") as writer:
         writer.write(
@@ -148,7 +145,7 @@ def _write_tiff(recording: Recording, chosen: range, out: Path, progress: Progre
     bench = first_bench(recording, chosen)
     write_stack(
         out,
-        _counted((recording.pixels(index) for index in chosen), len(chosen), progress, "writing frames"),
+        counting((recording.pixels(index) for index in chosen), len(chosen), progress, "writing frames"),
         labels=[
             f"frame {line.index}: t = {line.camera_time_s:.6f} s, exposure {line.exposure_s * 1e3:g} ms,"
             f" em gain {line.em_gain:g}"
@@ -176,7 +173,7 @@ def _write_csv(recording: Recording, chosen: range, out: Path, progress: Progres
         raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
     names = list(_values(frame.wavefront))
     first = ("frame", "camera_frame", "time_s", "exposure_s", "em_gain", "valid_lenslets")
-    write_table(out, [*first, *names], (_row(each, names) for each in chain(before, remaining)))
+    write_csv(out, [*first, *names], (_row(each, names) for each in chain(before, remaining)))
 
 
 def _row(frame: Measurement, names: list[str]) -> list[float]:
@@ -214,12 +211,20 @@ def _write_results(
 def _write_zernike_table(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
     """Write one row of numbers for each frame with a wavefront, and view inside the field."""
     frames = _reconstructed(recording, chosen, progress)
-    found = ((frame.index, frame.wavefront) for frame in frames if frame.wavefront is not None)
-    first = next(found, None)
+    tables = (
+        (frame.index, *table_of(zernikes_of_views(frame.wavefront))) for frame in frames if frame.wavefront is not None
+    )
+    first = next(tables, None)
     if first is None:
         raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
-    names = zernike_names(first[1])
-    write_table(out, names, chain.from_iterable(zernike_rows(*each, names) for each in chain([first], found)))
+
+    def rows() -> Iterator[list[float]]:
+        for index, names, of_frame in chain([first], tables):
+            if names != first[1]:
+                raise InputError(SETTINGS_CHANGED)
+            yield from ([index, *row] for row in of_frame)
+
+    write_csv(out, ["frame", *first[1]], rows())
 
 
 def _write_psf(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
@@ -242,13 +247,7 @@ def _views(recording: Recording, chosen: range, progress: Progress, text: str) -
 def _reconstructed(
     recording: Recording, chosen: range, progress: Progress, text: str = "reconstructing frames"
 ) -> Iterator[Measurement]:
-    return _counted(reprocess(recording, chosen), len(chosen), progress, text)
-
-
-def _counted(items: Iterable[T], count: int, progress: Progress, text: str) -> Iterator[T]:
-    for done, item in enumerate(items, 1):
-        yield item
-        progress(text, done / count)
+    return counting(reprocess(recording, chosen), len(chosen), progress, text)
 
 
 _FORMATS: dict[str, tuple[Any, ...]] = {  # what writes each, and its suffixes

@@ -1,7 +1,6 @@
 """Quality, samples, rotation and noise of several frames, in words; results in a recording's folder."""
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 from app.bench.config import Bench
 from app.images import write_image
 from app.measurement.measurement import Measurement, sample_sentence
-from app.progress import Progress, counted
+from app.progress import Progress, counted, counting
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessing
 from app.results.dataset import results_in_pieces, rotation_of
@@ -146,14 +145,14 @@ class Measured:
         """Samples that were assumed, in words."""
         return self.samples.sentence(self.bench.field)
 
-    def take(self, made: Measurement, mask_note: str) -> None:
-        """Add one frame."""
+    def take(self, made: Measurement, mask_note: str) -> Measurement:
+        """Add one frame, and return it."""
         self.recorded, self.lost = self.recorded + 1, self.lost + made.lost
         self.exposure_s = made.frame.exposure_s
         self.light_current_a = None if made.light is None else made.light.current_a
         if made.wavefront is None:
             self.problem = self.problem or made.problem
-            return
+            return made
         self.reconstructed += 1
         self.mask_note = mask_note
         self.quality.take(made.quality)
@@ -165,6 +164,7 @@ class Measured:
         self.square_rms_rad = self.square_rms_rad + (values**2 - self.square_rms_rad) / self.reconstructed
         noise = rms_noise(made.wavefront) ** 2
         self.square_noise_rad = self.square_noise_rad + (noise - self.square_noise_rad) / self.reconstructed
+        return made
 
 
 def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Measured:
@@ -174,28 +174,15 @@ def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Me
     """
     shape = bench.field.view_rows, bench.field.view_columns
     measured = Measured(bench, *np.zeros((3, *shape)))
-    _write_calibration(recording)
-    pieces = results_in_pieces((made, {}) for made in _counted(recording, measured, progress))
-    first = next(pieces, None)
-    if first is not None:
-        names = {"dark": "dark.tif", "reference": "reference.tif"}
-        write_pieces(recording.folder / _RESULTS, chain([first], pieces), bench=bench, inputs=names)
-    return measured
-
-
-def _write_calibration(recording: Recording) -> None:
-    """Write dark and reference of the first calibration as images."""
     if len(recording) and (number := recording.line(0).calibration) is not None:
         calibration = recording.calibration(number)
         for name, average in (("dark", calibration.dark), ("reference", calibration.reference)):
             if average is not None:
                 write_image(recording.folder / f"{name}.tif", average.mean)
-
-
-def _counted(recording: Recording, measured: Measured, progress: Progress) -> Iterator[Measurement]:
-    """Reconstruct and count every frame."""
     reprocessing = Reprocessing(recording)
-    for made in reprocessing():
-        measured.take(made, reprocessing.mask_sentence(made))
-        progress("writing the results", (made.index + 1) / len(recording))
-        yield made
+    frames = counting(reprocessing(), len(recording), progress, "writing the results")
+    pieces = results_in_pieces((measured.take(made, reprocessing.mask_sentence(made)), {}) for made in frames)
+    if (first := next(pieces, None)) is not None:
+        names = {"dark": "dark.tif", "reference": "reference.tif"}
+        write_pieces(recording.folder / _RESULTS, chain([first], pieces), bench=bench, inputs=names)
+    return measured

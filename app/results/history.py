@@ -1,6 +1,5 @@
 """History of a running measurement: named series on a common time axis, bounded in memory."""
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from app.files import atomic_write
+from app.files import write_csv
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import Wavefront, rms
@@ -68,12 +67,9 @@ class History:
         at = np.arange(max(self._count - self._capacity, 0), self._count) % self._capacity
         time_s = self._time_s[at] - self._time_s[at[:1]]
         columns = [time_s, *(series[at] for series in self._series.values())]
-        with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-            lines = csv.writer(file)
-            lines.writerow(["time (s)", *(f"{name} ({UNITS.get(name, 'rad')})" for name in self._series)])
-            lines.writerows(
-                [f"{value:.7g}" if np.isfinite(value) else "" for value in line] for line in np.c_[*columns]
-            )
+        names = ["time (s)", *(f"{name} ({UNITS.get(name, 'rad')})" for name in self._series)]
+        lines = ([f"{value:.7g}" if np.isfinite(value) else "" for value in line] for line in np.c_[*columns])
+        write_csv(path, names, lines)
 
     def forget(self, name: str) -> None:
         """Drop a series."""

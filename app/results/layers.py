@@ -1,22 +1,102 @@
-"""Layers as a dataset with names and units (docs/layers.md), and its figure."""
+"""Layers of the sample (docs/layers.md): at which distances they are, and their phase."""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
+import typer
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from app.bench.config import Bench
+from app.cache import kept_for_bench
 from app.errors import InputError
+from app.progress import Progress
+from app.results.analysis import Analysis, Frame, From
 from app.results.result_file import about
+from app.results.sources import measured_frame
 from reconstruction.arrays import Floats
-from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch
-from reconstruction.layers.layer_solver import Layer
+from reconstruction.errors import ReconstructionError
+from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch, find_layers
+from reconstruction.layers.layer_solver import Layer, LayerFit
+
+if TYPE_CHECKING:
+    from app.measurement.calibration import Calibration
+    from app.measurement.measurement import Measurement
+    from reconstruction.pipeline import Reconstructor
 
 Origin = Literal["lenslets", "mask"]
+_MOST = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layers(Analysis):
+    """Find at which distance the aberration originates.
+
+    A thin layer shifts over the wavefront from one field position to the next, in proportion to its distance. The
+    displacements of one frame give the distance of a layer, its phase map with error bars, and whether one layer, or
+    two, explain them. A recording is more accurate than a results file, which no longer holds the reference. See
+    docs/layers.md.
+
+    Example: svwfs layers run1 --out layers.nc --plot layers.png
+
+    Example: svwfs layers run1 --layers 2 --from mask --out layers.nc
+    """
+
+    file_help: ClassVar = "NetCDF file for distances, phase maps and misfit."
+
+    count: Annotated[int, typer.Option("--layers", min=1, max=_MOST, help="Number of layers to look for.")] = 1
+    distance: Annotated[
+        list[float] | None, typer.Option(metavar="M", help="Known distance of a layer (m); repeat it for two layers.")
+    ] = None
+    origin: From = "lenslets"
+    frame: Frame = 0
+
+    def __post_init__(self) -> None:
+        given = self.distance or ()
+        if len(given) > _MOST:
+            raise InputError("give at most two distances")
+        if len(set(given)) < len(given):
+            raise InputError("two layers need two different distances")
+        if self.count == _MOST and len(given) == 1:
+            raise InputError("two layers need two distances, or none")
+
+    def compute(self, source: Path, progress: Progress) -> tuple[Bench, xr.Dataset]:
+        """Return distances, phase maps and what explains the displacements."""
+        progress("reconstructing the frame", 0.0)
+        bench, equations = measured_frame(source, self.frame)
+        ratios = tuple(ratio_at(distance_m, self.origin, bench) for distance_m in self.distance or ())
+        progress("finding the layers", 0.3)
+        return bench, layers_dataset(find_layers(equations, self.count, at=ratios), bench, self.origin)
+
+    def draw(self, found: xr.Dataset) -> Figure:
+        """Draw the misfit over the distance, and phase and error of each layer."""
+        layers = found.sizes["layer"]
+        figure = Figure(figsize=(9.6, 3.2 + 3.6 * layers), layout="constrained")
+        (top,), (bottom,) = figure.subfigures(2, 1, squeeze=False, height_ratios=[1, 1.3 * layers])
+        _draw_curve(top.subplots(), found)
+        for layer, (phase, sigma) in enumerate(bottom.subplots(layers, 2, squeeze=False)):
+            of_layer = found.isel(layer=layer)
+            where = distance_in_words(float(of_layer["distance_m"]), np.nan, found.attrs["distances_from"])
+            values, limit = centred(of_layer["layer_phase"].values)
+            centred_phase = of_layer["layer_phase"].copy(data=values)
+            _draw_map(phase, centred_phase, f"phase (rad), {where}", "RdBu_r", (-limit, limit))
+            sigmas = of_layer["layer_phase_sigma"]
+            _draw_map(sigma, sigmas, "standard deviation (rad)", "viridis", (0, float(np.nanpercentile(sigmas, 98))))
+        return figure
+
+    def sentences(self, found: xr.Dataset) -> list[str]:
+        """Say the distances, and what explains the displacements."""
+        first, *others = layers_sentences(found)
+        return [f"frame {self.frame}: {first}", *others]
+
 
 MAP_POINTS = 129  # of a phase map along its longer axis
 _FARTHEST, _LEAST_SHOWN_M = 2.0, 0.3  # end of a distance axis, over the farthest distance found, and at least
@@ -169,23 +249,6 @@ def from_where(origin: Origin) -> str:
     return "distance from the mask" if origin == "mask" else "distance in front of the lenslets; negative behind them"
 
 
-def layers_figure(found: xr.Dataset) -> Figure:
-    """Return the figure: the curve on top, below it phase and error of each layer."""
-    layers = found.sizes["layer"]
-    figure = Figure(figsize=(9.6, 3.2 + 3.6 * layers), layout="constrained")
-    (top,), (bottom,) = figure.subfigures(2, 1, squeeze=False, height_ratios=[1, 1.3 * layers])
-    _draw_curve(top.subplots(), found)
-    for layer, (phase, sigma) in enumerate(bottom.subplots(layers, 2, squeeze=False)):
-        of_layer = found.isel(layer=layer)
-        where = distance_in_words(float(of_layer["distance_m"]), np.nan, found.attrs["distances_from"])
-        values, limit = centred(of_layer["layer_phase"].values)
-        centred_phase = of_layer["layer_phase"].copy(data=values)
-        _draw_map(phase, centred_phase, f"phase (rad), {where}", "RdBu_r", (-limit, limit))
-        sigmas = of_layer["layer_phase_sigma"]
-        _draw_map(sigma, sigmas, "standard deviation (rad)", "viridis", (0, float(np.nanpercentile(sigmas, 98))))
-    return figure
-
-
 def _draw_curve(axes: Axes, found: xr.Dataset) -> None:
     """Unexplained share of the displacements over the distance of a single layer."""
     axes.plot(found["distance"] * 1e3, found["misfit"], color="#35739f", marker=".", label="a single layer there")
@@ -233,3 +296,88 @@ def layers_sentences(found: xr.Dataset) -> list[str]:
         lines.append(f"{name}: {share:g} % of the displacements unexplained, reduced chi-square {reduced}")
     lines.append("; but ".join(filter(None, (f"verdict: {found.attrs['verdict']}", found.attrs["doubt"]))))
     return lines
+
+
+_SHOWN_POINTS = 65  # along each side of a map in the window
+NO_WAVEFRONT = "there is no wavefront"
+_none = partial(np.zeros, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A measurement and what to answer about it."""
+
+    measurement: Measurement
+    origin: Origin  # of distances
+    interval_s: float
+
+    def follows(self, other: Self) -> bool:
+        """Return whether only the measurement differs."""
+        return replace(self, measurement=other.measurement) == other
+
+
+@dataclass(frozen=True, slots=True)
+class LayersRequest(Request):
+    """Asks which layers are in a measurement."""
+
+    count: int  # of layers to search for; 0 for one that is known
+    ratio: float | None  # of field to pupil position at the known layer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundLayers:
+    """Layers found in a measurement, or the problem."""
+
+    request: LayersRequest
+    problem: str = ""  # why there are none
+    origin: Origin = "lenslets"  # of the distances, see `possible_origin`
+    ratios: tuple[float, ...] = ()  # of the layers
+    distances_m: Floats = field(default_factory=_none)  # (layer,)
+    sigma_m: Floats = field(default_factory=_none)  # (layer,); NaN for a known distance
+    half_width_m: tuple[float, float] = (0.0, 0.0)  # of the maps, x and y
+    maps: Floats = field(default_factory=_none)  # phase, rad, (layer, y, x), see `centred`; NaN where no ray meets it
+    limit_rad: float = 0.0  # that nearly all values lie within
+    misfit: float = math.nan  # unexplained share of the displacements
+    search: LayerSearch | None = None
+    curve_m: Floats = field(default_factory=_none)  # distances tried; NaN where `origin` has none
+
+
+def find_shown_layers(request: LayersRequest, check: Callable[[], None]) -> FoundLayers:
+    """Search for layers, or fit one at the known distance; an exception of `check` ends the search."""
+    calibration, wavefront = request.measurement.calibration, request.measurement.wavefront
+    if calibration is None or wavefront is None:
+        return FoundLayers(request, NO_WAVEFRONT)
+    try:
+        reconstructor = _reconstructor(calibration)
+        if request.ratio is not None:
+            return _shown(request, calibration, reconstructor.layers(wavefront.displacement).fit(request.ratio))
+        search = find_layers(reconstructor.layers(wavefront.displacement), request.count, check=check)
+    except ReconstructionError as error:
+        return FoundLayers(request, str(error))
+    found = _shown(request, calibration, search.fit)
+    return replace(found, search=search, curve_m=distance_m(search.ratios, found.origin, calibration.bench))
+
+
+def _shown(request: LayersRequest, calibration: Calibration, fit: LayerFit) -> FoundLayers:
+    ratios = tuple(layer.ratio for layer in fit.layers)
+    origin = possible_origin(request.origin, ratios)
+    distances_m, sigma_m = distances_and_sigma_m(fit.layers, origin, calibration.bench)
+    x_m, y_m, maps = layer_maps(fit.layers, origin, Layer.phase, _SHOWN_POINTS)
+    phases, limits_rad = zip(*map(centred, maps), strict=True)
+    return FoundLayers(
+        request,
+        origin=origin,
+        ratios=ratios,
+        distances_m=distances_m,
+        sigma_m=sigma_m,
+        half_width_m=(float(x_m[-1]), float(y_m[-1])),
+        maps=np.array(phases),
+        limit_rad=max(limits_rad),
+        misfit=fit.quality.misfit,
+    )
+
+
+@kept_for_bench(maxsize=1)
+def _reconstructor(calibration: Calibration) -> Reconstructor:
+    """Another reconstructor than that of the acquisition, because measurements do not carry it."""
+    return calibration.reconstructor()

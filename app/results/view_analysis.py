@@ -9,10 +9,10 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from app.cache import kept_for_bench
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
-from app.memory import kept_for_bench
-from app.results.mode_coefficients import ModeChoice, ModeCoefficients, mode_coefficients
+from app.results.coefficients import ModeChoice, ModeCoefficients, mode_coefficients
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError

@@ -14,8 +14,8 @@ import xarray as xr
 from app.bench.config import Bench, load_bench
 from app.cli import main
 from app.errors import InputError
-from app.evaluation.run_studies import run_studies
-from app.evaluation.simulated_frames import simulate
+from app.evaluation.frames import simulate
+from app.evaluation.studies import run_studies
 from app.measurement.calibration import Calibration
 from reconstruction.geometry import nominal_lattice
 from reconstruction.wavefront import rms

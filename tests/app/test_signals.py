@@ -13,7 +13,7 @@ from support.patience import HANG_S
 from support.wires.dc4100 import DC4100Wire
 from support.wires.pseudo_terminal import PtyServer
 
-from app.signals import ENDING, ended_by
+from app.errors import ENDING, ended_by
 
 # A command that keeps the light on; it runs as any other, but its terminal closes early.
 LIT = """

@@ -15,7 +15,7 @@ import hashlib
 import numpy as np
 
 from app.bench.config import load_bench
-from app.evaluation.noise_free import NoiseFreeFrames
+from app.evaluation.frames import NoiseFreeFrames
 
 bench = load_bench("small_demo")
 frames, noise, made = NoiseFreeFrames(bench), np.random.default_rng(0), hashlib.sha256()

@@ -16,12 +16,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from app.batch.job import Job
 from app.batch.run import run_batch
+from app.batch.store import Job
 from app.batch.workers import workers
 from app.recording.reader import Recording
-from app.tasks import one_by_one
-from support.batches import files_of
+from support.batches import files_of, one_by_one
 from support.recordings import record
 
 

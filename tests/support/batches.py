@@ -11,12 +11,12 @@ import pytest
 import xarray as xr
 
 from app.batch import store
-from app.batch.job import Job
 from app.batch.run import Batch, run_batch
+from app.batch.store import Job
+from app.progress import Evaluate
 from app.recording import reprocess
 from app.recording.reader import Recording
 from app.results.replay import replay
-from app.tasks import Evaluate, one_by_one
 
 QUICK = ("registration.warp=affine", "reconstruction.response=false")  # a reconstructor is prepared at once
 
@@ -28,6 +28,15 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
     """Make blocks of a few frames."""
     monkeypatch.setattr(store, "BLOCK_FRAMES", frames)
     monkeypatch.setattr(reprocess, "BLOCK_FRAMES", frames)
+
+
+def one_by_one(function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R | Exception]]:
+    """Call a function with each item in this process; see `Evaluate`."""
+    for item in items:
+        try:
+            yield item, function(item)
+        except Exception as error:  # noqa: BLE001 - the caller decides
+            yield item, error
 
 
 def batch(out: Path, *recordings: Recording | Path, job: Job | None = None, evaluate: Evaluate = one_by_one) -> Batch:

@@ -17,7 +17,7 @@ import numpy as np
 
 from app.bench.config import load_bench
 from app.errors import InputError
-from app.evaluation.noise_free import NoiseFreeFrames
+from app.evaluation.frames import NoiseFreeFrames
 from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError

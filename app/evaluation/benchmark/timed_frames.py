@@ -1,5 +1,7 @@
-"""Frames for timing: noise-free or noisy frames of the simulated bench, and larger ones tiled from them."""
+"""Timing: calls in turn, and frames of the simulated bench for them, also larger ones tiled from it."""
 
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -7,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
-from app.evaluation.noise_free import NoiseFreeFrames
+from app.evaluation.frames import NoiseFreeFrames
 from app.measurement.calibration import Calibration, KnownNoise
+from app.progress import Progress
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Field, Lattice, Sensor
@@ -60,7 +63,7 @@ def noise_free(bench: Bench) -> TimedFrames:
     screen = replace(bench.simulation.screen, drift_x_m_per_s=_DRIFT_M)
     simulation = replace(bench.simulation, screen=screen, drifting_states=2, state_duration_s=1.0)
     rendered = NoiseFreeFrames(replace(bench, simulation=simulation))
-    reference, newest = rendered.reference("square"), rendered.frame("square", 0)
+    reference, newest = rendered.reference("square"), rendered.frame("square")
     return TimedFrames(
         bench=bench,
         lattice=bench.design_lattice(*reference.shape),
@@ -122,3 +125,38 @@ def tiled(frames: TimedFrames, lenslets: int, *, margin_px: int = 0) -> TimedFra
         frame=repeated(frames.frame, round(offset)),
         truth=None,
     )
+
+
+_TURN_S = 0.02  # minimum duration of a turn; quicker calls are repeated
+_LEAST_CALLS = 3
+
+
+def side_by_side(
+    calls: Mapping[str, Callable[[], Any]], budget_s: float, progress: Progress = lambda *_: None
+) -> dict[str, list[float]]:
+    """Time calls in turn until each has had `budget_s` and three calls, so that other load slows all of them alike.
+
+    Returns the seconds of each call by contestant; its first call may compile or load something and is not timed.
+    """
+    seconds: dict[str, list[float]] = {name: [] for name in calls}
+    for index, (name, call) in enumerate(calls.items()):
+        progress(name, index / len(calls) / 2)
+        call()
+    waiting = dict(calls)
+    while waiting:
+        for name, call in list(waiting.items()):
+            progress(name, 1 - len(waiting) / len(calls) / 2)
+            turn_s = 0.0
+            while turn_s < _TURN_S:
+                start_s = time.perf_counter()
+                call()
+                seconds[name].append(time.perf_counter() - start_s)
+                turn_s += seconds[name][-1]
+            if sum(seconds[name]) >= budget_s and len(seconds[name]) >= _LEAST_CALLS:
+                del waiting[name]
+    return seconds
+
+
+def medians_s(calls: Mapping[str, Callable[[], Any]], budget_s: float) -> dict[str, float]:
+    """Time calls in turn; return the median time, s, of each."""
+    return {name: float(np.median(seconds)) for name, seconds in side_by_side(calls, budget_s).items()}

@@ -1,1 +1,315 @@
-"""The tables of the paper: its numbers beside ours."""
+"""The tables of `svwfs paper`: table 1, table 2 and the sources of the supplement; results are cached."""
+
+import hashlib
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+
+import reconstruction
+from app.acquisition.devices import simulated_bench
+from app.bench.config import Bench, write_bench
+from app.cache import Arrays, cached
+from app.errors import InputError
+from app.evaluation.frames import NoiseFreeFrames, seeded
+from app.evaluation.paper import nonrigid_methods
+from app.evaluation.studies import CaseResult
+from app.evaluation.study_kinds import LIGHTS, ComparisonTable
+from app.measurement.calibration import Calibration
+from app.progress import Progress, part
+from drivers.interface import BadValue
+from reconstruction.arrays import Floats, Image
+from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import nominal_lattice
+from reconstruction.pipeline import OwnMethods, OwnRegistration
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings
+from reconstruction.wavefront import rms
+from simulated_devices.camera import SimulatedCamera
+from simulated_devices.clock import ManualClock
+
+Mask = Literal["square", "stars"]
+
+_CROP, _RESIZED = 469, 465  # px; the paper's frames end with 31 pixels per lenslet
+_DARKS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FramePair:
+    """Reference and frame of one mask, counts or photons above the dark, (row, column)."""
+
+    reference: Image
+    frame: Image
+
+
+def noise_free_frames(bench: Bench, masks: tuple[str, ...]) -> tuple[dict[str, FramePair], Floats]:
+    """Return mean photons of reference and frame for each mask, and the true wavefronts of the views."""
+    rendered = NoiseFreeFrames(bench)
+    with_sample = {mask: rendered.frame(mask) for mask in masks}
+    frames = {mask: FramePair(rendered.reference(mask), frame.photons) for mask, frame in with_sample.items()}
+    return frames, with_sample[masks[0]].truth
+
+
+def exposed_frames(
+    bench: Bench, exposures_s: Mapping[Mask, float], progress: Callable[[float], None]
+) -> tuple[dict[str, FramePair], Floats]:
+    """Return frames of the noisy camera above the dark for each mask and its exposure, and the true wavefronts."""
+    frames: dict[str, FramePair] = {}
+    with closing(simulated_bench(bench, progress, ManualClock())) as simulated, SimulatedCamera(simulated) as camera:
+        for mask, exposure_s in exposures_s.items():
+            try:
+                camera.set_exposure(exposure_s)
+            except BadValue as error:
+                raise InputError(f"camera: the {mask} need another amplifier or readout_speed: {error}") from error
+            simulated.change(mask=mask, is_light_on=False, is_sample_in=False)
+            dark = np.mean([_photograph(camera) for _ in range(_DARKS)], axis=0)
+            simulated.change(is_light_on=True)
+            reference = _photograph(camera) - dark
+            simulated.change(is_sample_in=True)
+            frames[mask] = FramePair(reference.astype(np.float32), (_photograph(camera) - dark).astype(np.float32))
+        return frames, simulated.truth_wavefront(0)
+
+
+def _photograph(camera: SimulatedCamera) -> Image:
+    camera.start()
+    pixels = camera.read(2 * camera.exposure_s).pixels
+    camera.stop()
+    return pixels.astype(np.float32)
+
+
+def resized(bench: Bench, frames: Mapping[str, FramePair]) -> tuple[Bench, dict[str, FramePair]]:
+    """Crop the middle 469 x 469 pixels and resize them to 465 x 465, bicubically, as in the paper.
+
+    Returns the bench with the geometry of the resized frames, and these.
+    """
+    sensor = replace(bench.sensor, pixel_pitch_m=bench.sensor.lenslet_pitch_m / 31)
+    lattice = nominal_lattice(sensor, _RESIZED, _RESIZED)
+    return replace(bench, sensor=sensor, lattice=lattice), {
+        mask: FramePair(_crop_and_resize(pair.reference), _crop_and_resize(pair.frame)) for mask, pair in frames.items()
+    }
+
+
+def _crop_and_resize(image: Image) -> Image:
+    top, left = ((length - _CROP) // 2 for length in image.shape)
+    middle = image[top : top + _CROP, left : left + _CROP]
+    return np.asarray(cv2.resize(middle, (_RESIZED, _RESIZED), interpolation=cv2.INTER_CUBIC), np.float32)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Method:
+    """One row of a table."""
+
+    mask: Mask = "square"
+    registration: RegistrationSettings = RegistrationSettings()
+    own: OwnRegistration | None = None  # in place of that of the settings
+    reconstruction: ReconstructionSettings
+
+    @property
+    def is_peer(self) -> bool:
+        """True if it needs the extra `svwfs[peers]`."""
+        return self.registration.method == "itk_affine" or self.own in {
+            nonrigid_methods.Demons,
+            nonrigid_methods.FreeForm,
+        }
+
+
+ZONAL = ReconstructionSettings(method="zonal")
+MODAL = ReconstructionSettings(method="modal", pupil_modes=45)  # the paper's
+MODAL_MANY = ReconstructionSettings(method="modal", pupil_modes=91)
+_ITK = RegistrationSettings(method="itk_affine")
+_AFFINE = RegistrationSettings(warp="affine", rotation=True)  # the paper's, with six parameters
+_GRADIENT_AFFINE = RegistrationSettings(warp="affine")  # with five: subimages do not rotate
+_QUADRATIC = RegistrationSettings(warp="quadratic")
+_CUBIC = RegistrationSettings(warp="cubic")
+
+METHODS: dict[str, Method] = {
+    "stars_zonal": Method(mask="stars", registration=RegistrationSettings(method="centroids"), reconstruction=ZONAL),
+    "correlation_zonal": Method(registration=RegistrationSettings(method="correlation"), reconstruction=ZONAL),
+    "itk_affine_zonal": Method(registration=_ITK, reconstruction=ZONAL),
+    "itk_affine_modal": Method(registration=_ITK, reconstruction=MODAL),
+    "block_flow_zonal": Method(own=nonrigid_methods.BlockFlow, reconstruction=ZONAL),
+    "demons_zonal": Method(own=nonrigid_methods.Demons, reconstruction=ZONAL),
+    "ffd_zonal": Method(own=nonrigid_methods.FreeForm, reconstruction=ZONAL),
+    "affine_zonal": Method(registration=_AFFINE, reconstruction=ZONAL),
+    "affine_modal": Method(registration=_AFFINE, reconstruction=MODAL),
+    "affine_gradient_zonal": Method(registration=_GRADIENT_AFFINE, reconstruction=ZONAL),
+    "affine_gradient_modal": Method(registration=_GRADIENT_AFFINE, reconstruction=MODAL),
+    "quadratic_zonal": Method(registration=_QUADRATIC, reconstruction=ZONAL),
+    "quadratic_modal": Method(registration=_QUADRATIC, reconstruction=MODAL_MANY),
+    "cubic_zonal": Method(registration=_CUBIC, reconstruction=ZONAL),
+    "cubic_modal": Method(registration=_CUBIC, reconstruction=MODAL_MANY),
+    "automatic": Method(registration=RegistrationSettings(), reconstruction=ReconstructionSettings()),
+}
+
+# Minimum, maximum and mean over the views in the paper's tables, rad.
+PAPER_TABLE_1 = {
+    "stars_zonal": (0.108, 0.197, 0.147),
+    "itk_affine_zonal": (0.275, 0.589, 0.421),
+    "itk_affine_modal": (0.383, 0.465, 0.417),
+    "correlation_zonal": (0.511, 1.260, 0.830),
+}
+PAPER_TABLE_2 = {
+    "itk_affine_zonal": (0.558, 2.450, 1.378),
+    "itk_affine_modal": (0.617, 2.449, 1.461),
+    "correlation_zonal": (1.850, 10.228, 5.984),
+}
+
+
+def reconstructed(bench: Bench, frames: Mapping[str, FramePair], method: Method) -> Arrays:
+    """Reconstruct the frame of the method's mask; a changed frame, setting or reconstruction package recomputes.
+
+    Returns the wavefronts `views`, rad, (view_row, view_column, lenslet_row, lenslet_column), the number of lenslets
+    `lost`, and `seconds` for the frame, without preparing the reference.
+    """
+    pair, stars = frames[method.mask], bench.simulation.source
+    registration = replace(
+        method.registration,
+        star_rows=stars.star_rows,
+        star_columns=stars.star_columns,
+        star_spacing_m=stars.star_spacing_m,
+    )
+    bench = replace(bench, registration=registration, reconstruction=method.reconstruction)
+    own = OwnMethods(method.own)
+    digest = hashlib.sha256(f"{write_bench(bench)}{own}".encode())
+    for part_of_it in (_source_code(), pair.reference.tobytes(), pair.frame.tobytes()):
+        digest.update(part_of_it)
+    return cached("paper", digest.hexdigest(), lambda: _reconstruct(bench, own, pair))
+
+
+def _reconstruct(bench: Bench, own: OwnMethods, pair: FramePair) -> Arrays:
+    lattice = bench.design_lattice(*pair.reference.shape)
+    dark = np.zeros_like(pair.reference)
+    reconstructor = Calibration.of_images(bench, pair.reference, dark=dark, lattice=lattice, own=own).reconstructor()
+    start_s = time.perf_counter()
+    wavefront = reconstructor(pair.frame)
+    seconds = time.perf_counter() - start_s
+    lost = np.count_nonzero(~wavefront.displacement.valid)
+    return {"views": wavefront.views, "lost": np.array(lost), "seconds": np.array(seconds)}
+
+
+@cache
+def _source_code() -> bytes:
+    """The source code of `reconstruction` and of the paper's non-rigid methods."""
+    folder = Path(str(reconstruction.__file__)).parent
+    return b"".join(path.read_bytes() for path in (*sorted(folder.rglob("*.py")), Path(nonrigid_methods.__file__)))
+
+
+EXPOSURES_S: dict[Mask, float] = {"stars": 3.8, "square": 0.15}  # the paper's
+SOURCES = ("square", "circle", "ellipse", "octagon", "peaks")
+
+
+def table1(*, peers: bool) -> ComparisonTable:
+    """Declare table 1, the paper's simulation: every method on noise-free frames, compared to the truth."""
+    methods = {name: each for name, each in METHODS.items() if peers or not each.is_peer}
+    return ComparisonTable(
+        name="table1",
+        title="Simulation: residual RMS (rad) against the truth",
+        measure=_in_both_lights(partial(_table1, methods)),
+        paper=PAPER_TABLE_1,
+        compared_to="truth",
+    )
+
+
+def table2(*, peers: bool) -> ComparisonTable:
+    """Declare table 2, the paper's experiment: noisy frames with both exposures, compared to the stars.
+
+    Every method runs on windows at the true sub-pixel centres and (`_resized`) on frames that are cropped and resized
+    as in the paper. `against_truth` compares the stars with the true wavefronts.
+    """
+    methods = {name: each for name, each in METHODS.items() if each.mask == "square" and (peers or not each.is_peer)}
+    return ComparisonTable(
+        name="table2",
+        title="Experiment: residual RMS (rad) against the stars",
+        measure=_in_both_lights(partial(_table2, methods)),
+        paper=PAPER_TABLE_2,
+        compared_to="stars",
+    )
+
+
+def sources() -> ComparisonTable:
+    """Declare the robustness study of the paper's supplement: the same screens with sources of other shapes."""
+    return ComparisonTable(
+        name="sources",
+        title="Other sources: residual RMS (rad) against the truth",
+        measure=_in_both_lights(_sources),
+        paper={},
+        compared_to="truth",
+    )
+
+
+def _in_both_lights(
+    measure: Callable[[Bench, range, Progress], Iterator[CaseResult]],
+) -> Callable[[Bench, range, Progress], Iterator[CaseResult]]:
+    """Measure with propagation neglected, as the paper simulates it, and in real light."""
+
+    def in_both(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+        for index, (light, neglect) in enumerate(LIGHTS.items()):
+            lit = replace(bench, field=replace(bench.field, neglect_propagation=neglect))
+            for case in measure(lit, seeds, part(progress, index, len(LIGHTS))):
+                yield replace(case, at={**case.at, "light": light})
+
+    return in_both
+
+
+def _table1(methods: Mapping[str, Method], bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+    for index, screen in enumerate(seeded(bench, seeds)):
+        step = part(progress, index, len(seeds))
+        step("rendering", 0.0)
+        frames, truth = noise_free_frames(screen, ("square", "stars"))
+        yield from _all_compared(screen, frames, truth, methods, step)
+
+
+def _table2(methods: Mapping[str, Method], bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+    for index, screen in enumerate(seeded(bench, seeds)):
+        step = part(progress, index, len(seeds))
+        step("rendering and exposing", 0.0)
+        frames, truth = exposed_frames(screen, EXPOSURES_S, lambda _: None)
+        small_bench, small_frames = resized(screen, frames)
+        for half, (suffix, each, its_frames) in enumerate(
+            (("", screen, frames), ("_resized", small_bench, small_frames))
+        ):
+            try:  # what the experiment takes for the truth
+                stars = reconstructed(each, its_frames, METHODS["stars_zonal"])
+            except ReconstructionError as error:
+                raise InputError(f"the stars cannot be measured on this bench: {error}") from error
+            yield _compared(f"stars_zonal{suffix}_against_truth", bench, stars, truth)
+            named = {f"{name}{suffix}": method for name, method in methods.items()}
+            yield from _all_compared(each, its_frames, stars["views"], named, part(step, half, 2))
+
+
+def _sources(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+    kinds = [f"{warp}_{solve}" for warp in ("affine", "affine_gradient", "quadratic") for solve in ("zonal", "modal")]
+    for index, screen in enumerate(seeded(bench, seeds)):
+        step = part(progress, index, len(seeds))
+        step("rendering", 0.0)
+        frames, truth = noise_free_frames(screen, SOURCES)
+        for source in SOURCES:
+            methods = {f"{source}_{kind}": METHODS[kind] for kind in kinds}
+            yield from _all_compared(screen, {"square": frames[source]}, truth, methods, step)
+
+
+def _all_compared(
+    bench: Bench, frames: Mapping[str, FramePair], truth: Floats, methods: Mapping[str, Method], progress: Progress
+) -> Iterator[CaseResult]:
+    for done, (name, method) in enumerate(methods.items()):
+        progress(name, done / len(methods))
+        try:
+            yield _compared(name, bench, reconstructed(bench, frames, method), truth)
+        except ReconstructionError as error:
+            yield CaseResult(at={"method": name}, values={}, problem=str(error))
+
+
+def _compared(name: str, bench: Bench, made: Arrays, truth: Floats) -> CaseResult:
+    """Return the wavefronts beside the truth; a result with an unknown view of the field has no residual."""
+    x, y = bench.field.view_x_m, bench.field.view_y_m
+    is_inside = bench.field.contains(x / bench.field.half_width_m, y[:, None] / bench.field.half_width_m)
+    if np.isnan(rms(made["views"] - truth)[is_inside]).any():
+        problem = f"{made['lost']} lenslets are lost: a view is unknown"
+        return CaseResult(at={"method": name}, values={}, problem=problem)
+    scalars = {name: float(made[name]) for name in ("lost", "seconds")}
+    return CaseResult(at={"method": name}, values={"views": made["views"], "truth": truth, **scalars})

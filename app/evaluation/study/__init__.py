@@ -1,1 +1,39 @@
-"""Studies of the estimator and of the routines, for `svwfs study`."""
+"""All sweeps and trials of `svwfs study`, by name."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from app.errors import InputError
+from app.evaluation.studies import Study
+from app.evaluation.study.deconvolution import DECONVOLUTION
+from app.evaluation.study.exposure_trials import EXPOSURE
+from app.evaluation.study.lattice_trials import calibration_trials
+from app.evaluation.study.layers import CORRECTOR, DISTANCES
+from app.evaluation.study.mask import mask_study
+from app.evaluation.study.noise import EM_GAIN, PHOTONS
+from app.evaluation.study.sweeps import DEAD, ENSEMBLES, EXPERIMENT, FOCAL_LENGTH, LATTICE, ROUGHNESS, SIZE, SOURCE
+
+SWEEPS = (ENSEMBLES, ROUGHNESS, SIZE, EXPERIMENT, PHOTONS, EM_GAIN, SOURCE, LATTICE, FOCAL_LENGTH, DEAD)
+
+
+def chosen_studies(names: Sequence[str], frames: Path | None = None) -> list[Study]:
+    """Return the studies with these names, each once; without names all sweeps.
+
+    The names after `mask` are those of masks, see `mask_study`. `frames` is a folder of reference frames for the
+    calibration, see `calibration_trials`.
+    """
+    place = names.index("mask") if "mask" in names else len(names)
+    names, masks = names[:place], names[place + 1 :] if "mask" in names else None
+    known: dict[str, Study] = {
+        study.name: study
+        for study in (*SWEEPS, calibration_trials(frames), EXPOSURE, DECONVOLUTION, CORRECTOR, DISTANCES)
+    }
+    for name in names:
+        if name not in known:
+            raise InputError(f"no sweep is called {name}; there are {', '.join(known)}, mask")
+    if frames is not None and "calibration" not in names:
+        raise InputError("--frames is only for the calibration study: add the name calibration")
+    chosen = [known[name] for name in dict.fromkeys(names)]
+    if masks is not None:
+        chosen.append(mask_study(masks))
+    return chosen or [*SWEEPS]

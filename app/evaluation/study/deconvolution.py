@@ -3,14 +3,13 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from app.bench.config import Bench
-from app.evaluation.cases import CaseResult
-from app.evaluation.noise_free import NoiseFreeFrames, seeded
-from app.evaluation.simulated_frames import simulate
+from app.evaluation.frames import NoiseFreeFrames, seeded, simulate, with_screen
+from app.evaluation.studies import CaseResult
 from app.evaluation.study_kinds import PhotographStudy
 from app.measurement.bench_reconstructor import BenchReconstructor
 from app.progress import Progress
@@ -23,7 +22,7 @@ from simulated_devices.optics.photograph import PupilField, cells, photographs, 
 from simulated_devices.sample import Sample
 
 # 20 mm behind the mask, so that the point-spread functions of the field have little in common
-_SCREEN = {
+_SCREEN: dict[str, Any] = {
     "placement": "source",
     "distance_m": 0.02,
     "correlation_length_m": 0.6e-3,
@@ -40,13 +39,8 @@ _WIDER_PX = 10  # reach of the true point-spread functions beyond that of ours
 
 
 def _measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
-    screen = replace(bench.simulation.screen, **_SCREEN)  # type: ignore[arg-type] # each has its own type
-    bench = replace(
-        bench,
-        registration=RegistrationSettings(),
-        reconstruction=ReconstructionSettings(),
-        simulation=replace(bench.simulation, screen=screen),
-    )
+    bench = with_screen(bench, **_SCREEN)
+    bench = replace(bench, registration=RegistrationSettings(), reconstruction=ReconstructionSettings())
     for done, each in enumerate(seeded(bench, seeds)):
         progress(f"seed {each.simulation.seed}", done / len(seeds))
         yield from _Photographs(each).results()
@@ -73,9 +67,8 @@ class _Photographs:
         for name, truth, mean in zip(objects, truths, self._photographed(truths), strict=True):
             photograph = generator.poisson(mean).astype(np.float64)
             for way, image in self._restored(photograph, truth):
-                picture = xr.DataArray(image / truth.max(), dims=("row", "column"))
                 psnr_db = np.nan if way == "object" else self._psnr_db(image, truth)
-                values: dict[str, float | xr.DataArray] = {"psnr_db": psnr_db, "image": picture}
+                values: dict[str, float | Floats] = {"psnr_db": psnr_db, "image": image / truth.max()}
                 yield CaseResult(at={"object": name, "way": way}, values=values, name=f"seed {seed}")
 
     def _restored(self, photograph: Floats, truth: Floats) -> Iterator[tuple[str, Floats]]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
-from app.evaluation.cases import CaseResult, Position
+from app.evaluation.studies import CaseResult, Position
 from app.measurement.calibration import Calibration, KnownNoise
 from app.measurement.estimator import Estimator
 from reconstruction.arrays import Floats, Image, Mask

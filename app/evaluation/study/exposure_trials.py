@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from app.bench.config import Bench
-from app.evaluation.cases import CaseResult
+from app.evaluation.studies import CaseResult
 from app.evaluation.study_kinds import TrialStudy, trial
 from app.measurement.auto_exposure import FILL, MOST_FRAMES, TOLERANCE, auto_expose
 from app.measurement.routines import RoutineError

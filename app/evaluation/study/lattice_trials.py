@@ -15,9 +15,9 @@ import numpy as np
 from app.bench.config import Bench, load_bench
 from app.bench.imaging_model import by_pixel
 from app.errors import InputError
-from app.evaluation.cases import CaseResult
-from app.evaluation.noise_free import NoiseFreeFrames
-from app.evaluation.study.camera_noise import camera
+from app.evaluation.frames import NoiseFreeFrames, simulating
+from app.evaluation.studies import CaseResult
+from app.evaluation.study.noise import camera
 from app.evaluation.study_kinds import TrialStudy, trial
 from app.images import read_image
 from app.progress import Progress
@@ -32,7 +32,6 @@ _FAINT_FACTOR = 2.0  # on the limits
 _LONGEST_S, _TIMED_PIXELS = 2.0, 512 * 512
 _CLEAN_PEAK, _FAINT_PEAK_E, _DEAD_SHARE = 1e4, 200.0, 0.1
 _DIMMEST = 0.4  # share of the light in the dimmest corner
-_SLOWEST_READOUT = 1
 
 _MASKS: tuple[Mask, ...] = ("square", "stars")
 _BORDER = 1  # rings of lenslets that the frame's edge cuts
@@ -99,12 +98,8 @@ def _random(bench: Bench, seed: int) -> Iterator[_Reference]:
             pitch_px=pitch_px * (1 + rng.uniform(-_PITCH, _PITCH)),
             rotation_rad=rng.uniform(-_ROTATION_RAD, _ROTATION_RAD),
         )
-        changed = replace(
-            bench,
-            lattice=lattice,
-            camera=replace(bench.camera_model, rows=rows, columns=columns),
-            simulation=replace(bench.simulation, border_lenslets=_BORDER),
-        )
+        changed = simulating(bench, border_lenslets=_BORDER)
+        changed = replace(changed, lattice=lattice, camera=replace(bench.camera_model, rows=rows, columns=columns))
         light = NoiseFreeFrames(changed).reference(mask)
         yield _Reference(f"random lattices, {mask}", f"seed {seed}", light, lattice, changed, seed)
 
@@ -117,8 +112,7 @@ def _faint(reference: _Reference) -> tuple[Image, Floats]:
     uneven = np.add.outer(*(np.linspace(0.5, _DIMMEST / 2, count) for count in shape))
     light = reference.light * by_pixel(alive * uneven, reference.lattice, *reference.light.shape)
     electrons = light * (_FAINT_PEAK_E / light.max())
-    counts = camera(reference.bench, _SLOWEST_READOUT, 1.0).exposed(electrons, reference.seed, 0)
-    return counts, alive[ring:-ring, ring:-ring]
+    return camera(reference.bench).exposed(electrons, reference.seed, 0), alive[ring:-ring, ring:-ring]
 
 
 def _trial(reference: _Reference, light: Image, alive: Floats | None) -> CaseResult:

@@ -20,12 +20,11 @@ import numpy as np
 
 from app.bench.config import Bench
 from app.errors import InputError
-from app.evaluation.cases import CaseResult
-from app.evaluation.noise_free import NoiseFreeFrames, seeded
-from app.evaluation.study.camera_noise import camera
+from app.evaluation.frames import NoiseFreeFrames, seeded, with_source
+from app.evaluation.studies import CaseResult
 from app.evaluation.study.estimators import WarpEstimator, compared, with_rms
-from app.evaluation.study.noise_limit import bound_rad, error_bar_rad, scatter_of, true_lenslet, without_prior
-from app.evaluation.study.sources import lit_views
+from app.evaluation.study.noise import bound_rad, camera, error_bar_rad, scatter_of, true_lenslet, without_prior
+from app.evaluation.study.sweeps import lit_views
 from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
@@ -42,7 +41,6 @@ from simulated_devices.settings import MASKS
 _PEAKS_E = (300.0, 1e3, 1e4)  # electrons in the brightest pixel of the reference
 _SIMULATED_E = 1e3  # light of the simulated noise
 _DRAWS = 40
-_SPEED, _EM_GAIN = 1, 1.0  # low read noise
 _WARP: Warp = "cubic"
 _DEGREE = 5  # of the wavefronts over a lenslet, and over the field
 _NODES = 8  # of Gauss-Legendre quadrature
@@ -86,9 +84,8 @@ def _measure(
 ) -> Iterator[CaseResult]:
     square = NoiseFreeFrames(bench).reference("square")
     for index, (name, changes) in enumerate(sources.items()):
-        source = replace(bench.simulation.source, **changes)  # type: ignore[arg-type] # checked by `_changes`
         try:
-            study = _MaskStudy(replace(bench, simulation=replace(bench.simulation, source=source)), square)
+            study = _MaskStudy(with_source(bench, **changes), square)
             at = f"{name} ({study.light:.2f}; {study.hidden})"
             progress(f"{name}, residual", index / len(sources))
             yield from study.residuals(seeds, at)
@@ -103,11 +100,11 @@ class _MaskStudy:
     """One mask on a bench; `square` is the reference with the square, for the exposure."""
 
     def __init__(self, bench: Bench, square: Image) -> None:
-        self._bench, self._mask = bench, bench.simulation.source.mask
+        self._bench = bench
         self._views = lit_views(bench)
         if not self._views.any():
             raise InputError("no view lies inside it: check [field] view_spacing_m")
-        self._reference = NoiseFreeFrames(bench).reference(self._mask)
+        self._reference = NoiseFreeFrames(bench).reference()
         self._square_peak = float(square.max())
         self._estimator = WarpEstimator(bench, self._reference, None)
         self.hidden = self._estimator.reconstructor.hidden
@@ -119,7 +116,7 @@ class _MaskStudy:
         predict = LinearPass(self._bench, self._estimator, self._reference)
         for screen in seeded(self._bench, seeds):
             frames = NoiseFreeFrames(screen)
-            frame = frames.frame(self._mask)
+            frame = frames.frame()
             found = {"predicted": predict(frames.sample), "simulated": reconstructor.register(frame.photons)}
             for way, displacement in found.items():
                 samples = {"any wavefront": FREE, "layers": reconstructor.find_sample(displacement)}
@@ -129,7 +126,7 @@ class _MaskStudy:
 
     def noise(self, at: str) -> Iterator[CaseResult]:
         """Noise of 45 modes with the bench's screen, at equal peak, and at the exposure that gives the square it."""
-        frame = NoiseFreeFrames(self._bench).frame(self._mask).photons
+        frame = NoiseFreeFrames(self._bench).frame().photons
         for label, own_peak in (("", float(self._reference.max())), (" in the square", self._square_peak)):
             for peak_e in _PEAKS_E:
                 scale = np.float32(peak_e / own_peak)
@@ -138,13 +135,12 @@ class _MaskStudy:
     def _noise(
         self, at: str, curve: str, electrons: Image, electrons_per_photon: np.float32, peak_e: float
     ) -> Iterator[CaseResult]:
-        seen = camera(self._bench, _SPEED, _EM_GAIN)
-        settings, known = without_prior(self._bench), seen.counts(self._reference * electrons_per_photon)
-        estimator = WarpEstimator(self._bench, known, _WARP, reconstruction=settings, noise=seen.noise)
-        reconstructor = estimator.reconstructor
+        seen, reference_e = camera(self._bench), self._reference * electrons_per_photon
+        modes = without_prior(self._bench)
+        reconstructor = seen.reconstructor(self._bench, reference_e, _WARP, reconstruction=modes)
         without = reconstructor(seen.counts(electrons))
         try:
-            bound = bound_rad(self._bench, self._mask, reconstructor, without.displacement.modes.count, self._views)
+            bound = bound_rad(self._bench, reconstructor, without.displacement.modes.count, self._views)
         except ReconstructionError:  # the mask shows nothing of some wavefronts
             bound = math.nan
         yield with_rms(f"{curve}: bound", at, without, bound)
@@ -165,7 +161,7 @@ class LinearPass:
         registration = self._reconstructor.registration_for(reference)
         if not isinstance(registration, GaussNewton):
             raise TypeError("only the Gauss-Newton registration has a response")
-        model = true_lenslet(bench, bench.simulation.source.mask, self._reconstructor.subimages.width)
+        model = true_lenslet(bench, self._reconstructor.subimages.width)
         self._modes = LegendreModes((_DEGREE + 1) * (_DEGREE + 2) // 2)
         x, y = model.position.T
         derivatives = model.derivatives(_DEGREE, self._modes.values(x, y), self._modes.gradients(x, y))

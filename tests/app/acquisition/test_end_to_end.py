@@ -14,7 +14,7 @@ from app.acquisition.instrument import Instrument
 from app.acquisition.start_up import knows_sample, start_up
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import load_bench
-from app.evaluation.noise_free import NoiseFreeFrames
+from app.evaluation.frames import NoiseFreeFrames
 from reconstruction.wavefront import Wavefront, rms
 from simulated_devices.camera import SimulatedCamera
 

@@ -15,7 +15,7 @@ from support.recordings import edit_line, record, replace_pixels
 
 import svwfs
 from app import files
-from app.batch.job import Job, unique_names
+from app.batch.store import Job, unique_names
 from app.bench.config import load_bench, write_bench
 from app.bench.imaging_model import BenchModel
 from app.commands.batch import print_batch

@@ -17,7 +17,6 @@ from urllib.error import HTTPError
 from urllib.request import urlopen
 
 import pytest
-import xarray as xr
 from distributed import Security
 from distributed.comm.core import connect
 from support.batches import batch, files_of, small_blocks
@@ -29,7 +28,7 @@ from app.batch import workers as workers_module
 from app.batch.workers import Workers, workers
 from app.bench.config import load_bench
 from app.errors import InputError, RunError
-from app.evaluation.run_studies import run_studies
+from app.evaluation.studies import run_studies
 from app.evaluation.study.lattice_trials import calibration_trials
 from app.recording.reader import Recording
 
@@ -368,6 +367,6 @@ def test_studies_are_shared_among_workers(two_workers: Workers, small_toml: Path
     bench, study = load_bench(small_toml), calibration_trials()
     (whole,) = run_studies(bench, [study], 2, tmp_path / "whole", lambda *_: None)
     (shared,) = run_studies(bench, [study], 2, tmp_path / "shared", lambda *_: None, two_workers)
-    measured = [data["measured"].sel(quantity="centre (px)") for data in (shared.data, whole.data)]
-    assert measured[0].size >= 8
-    xr.testing.assert_identical(*measured)
+    measured = [each.data["centre (px)"].tolist() for each in (shared, whole)]
+    assert len(measured[0]) >= 8
+    assert measured[0] == measured[1]

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from conftest import SMALL_TOML
 from matplotlib.figure import Figure
 from support.command_line import run
 from support.gui_bench import FakeCamera, opener
@@ -23,7 +24,6 @@ from app.errors import Interrupted
 from app.recording.reader import Recording
 from drivers.stage import ManualStage
 from simulated_devices.settings import exposure_range_s
-from conftest import SMALL_TOML
 
 TEXT = (DOCS / "experiment.md").read_text("utf-8")
 SMALL = SMALL_TOML.replace("em_gain = 8.0", "readout_speed = 2").replace("exposure_s = 0.02", "exposure_s = 0.03")
@@ -64,7 +64,7 @@ def test_every_documented_command_runs(
         is_refused = after.startswith("svwfs: ")
         words = shlex.split(command if is_refused else quick(command))
         if command.startswith("report") and "--set" in command:  # drawn before already
-            monkeypatch.setattr("app.results.report.pages.one_page", lambda _: Figure())
+            monkeypatch.setattr("app.results.report.one_page", lambda _: Figure())
         assert run(monkeypatch, *words) == (2 if is_refused else 0), command
         shown = capsys.readouterr()
         if is_refused:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from app.bench.config import load_bench
-from app.evaluation.simulated_frames import simulate
-from app.evaluation.study.corrector import predicted_and_simulated
+from app.evaluation.frames import simulate
+from app.evaluation.study.layers import predicted_and_simulated
 from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.arrays import Floats
 from reconstruction.geometry import centered_steps

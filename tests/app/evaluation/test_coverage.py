@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from app.bench.config import load_bench
-from app.evaluation.noise_free import NoiseFreeFrames
-from app.evaluation.study.camera_noise import camera
+from app.evaluation.frames import NoiseFreeFrames
 from app.evaluation.study.estimators import WARPS, WarpEstimator
-from app.evaluation.study.noise_limit import without_prior
+from app.evaluation.study.noise import camera, without_prior
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
 from reconstruction.wavefront import Wavefront, without_piston

@@ -29,18 +29,17 @@ from app.acquisition.devices import open_devices
 from app.acquisition.session import FirstWavefront
 from app.bench.config import Bench, load_bench
 from app.bench.device_kinds import RecordingSettings
-from app.commands.benchmark import benchmark_acquisition
-from app.errors import InputError, Interrupted, RunError
+from app.commands.benchmark import benchmark_acquisition, print_figures
+from app.errors import InputError, Interrupted, RunError, ended_by
 from app.evaluation.benchmark.live_path.course import Course, Span
-from app.evaluation.benchmark.live_path.figures import LiveFigures, print_figures
+from app.evaluation.benchmark.live_path.figures import LiveFigures
 from app.evaluation.benchmark.live_path.plan import LivePlan, recording_folder
 from app.evaluation.benchmark.live_path.tally import FrameCounts, Tally, resident_mb
 from app.gui.coefficients_panel import CoefficientsPanel
 from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState
-from app.results.mode_coefficients import ModeCoefficients
-from app.signals import ended_by
+from app.results.coefficients import ModeCoefficients
 from app.timing import Stage, Timings
 from drivers.interface import Devices, Disconnected, Frame
 from simulated_devices.camera import SimulatedCamera

@@ -13,10 +13,10 @@ from support.command_line import run
 
 from app.bench.config import load_bench
 from app.errors import InputError
-from app.evaluation.noise_free import NoiseFreeFrames
+from app.evaluation.frames import NoiseFreeFrames
 from app.evaluation.study.estimators import WarpEstimator, mean_rms
 from app.evaluation.study.mask import LinearPass, local_screen
-from app.evaluation.study.sources import lit_views
+from app.evaluation.study.sweeps import lit_views
 from reconstruction.modes.field_modes import LegendreModes
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.optics.screen_light import RayMap, ScreenLight

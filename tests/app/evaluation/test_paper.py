@@ -14,8 +14,7 @@ from support.command_line import run
 from support.pictures import assert_drawn
 
 from app.bench.config import load_bench
-from app.evaluation.paper.compared_methods import METHODS
-from app.evaluation.paper.frame_pairs import FramePair, resized
+from app.evaluation.paper import METHODS, FramePair, resized
 
 COARSE = ("simulation.object_samples=13", "simulation.pupil_samples=10")
 

@@ -7,20 +7,19 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
-import xarray as xr
+from support.batches import one_by_one
 
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
-from app.evaluation.cases import CaseResult
-from app.evaluation.noise_free import seeded
-from app.evaluation.run_studies import run_studies
-from app.evaluation.study import camera_noise
-from app.evaluation.study.camera_noise import PHOTONS
+from app.evaluation.frames import seeded
+from app.evaluation.studies import CaseResult, Study, run_studies
+from app.evaluation.study import noise
 from app.evaluation.study.lattice_trials import calibration_trials
-from app.evaluation.study_kinds import Study, Sweep
+from app.evaluation.study.noise import PHOTONS
+from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
-from app.tasks import one_by_one
 
 
 def _made_up(bench: Bench, seeds: range, _progress: Progress) -> Iterator[CaseResult]:
@@ -34,9 +33,8 @@ def made_up(name: str) -> Sweep:
     return Sweep(name=name, title="", axis="", measure=_made_up)
 
 
-def without_times(data: xr.Dataset) -> xr.Dataset:
-    data = data.drop_vars("seconds", errors="ignore")
-    return data.sel(quantity=data["quantity"] != "CPU time (s)") if "quantity" in data.dims else data
+def without_times(data: pd.DataFrame) -> pd.DataFrame:
+    return data.drop(columns=["seconds", "CPU time (s)"], errors="ignore")
 
 
 @pytest.mark.parametrize(
@@ -47,13 +45,13 @@ def without_times(data: xr.Dataset) -> xr.Dataset:
 def test_shared_seeds_give_the_same_results(
     study: Study, small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(camera_noise, "_PEAKS_E", (1e3,))
-    monkeypatch.setattr(camera_noise, "_NOISE_DRAWS", 2)
+    monkeypatch.setattr(noise, "_PEAKS_E", (1e3,))
+    monkeypatch.setattr(noise, "_NOISE_DRAWS", 2)
     bench = load_bench(small_toml)
     (whole,) = run_studies(bench, [study], 2, tmp_path / "whole", lambda *_: None)
     (shared,) = run_studies(bench, [study], 2, tmp_path / "shared", lambda *_: None, one_by_one)
-    xr.testing.assert_identical(without_times(shared.data), without_times(whole.data))
-    assert shared.data.sizes["repeat"] >= 2
+    pd.testing.assert_frame_equal(without_times(shared.data), without_times(whole.data), check_exact=True)
+    assert shared.data.groupby([*study.dims], observed=True).size().max() >= 2
 
 
 def test_studies_keep_their_order_whichever_ends_first(small_toml: Path, tmp_path: Path) -> None:
@@ -65,7 +63,8 @@ def test_studies_keep_their_order_whichever_ends_first(small_toml: Path, tmp_pat
     results = run_studies(bench, studies, 3, tmp_path, lambda *_: None, backwards)
     assert [result.study.name for result in results] == ["first", "second"]
     seeds = [screen.simulation.seed for screen in seeded(bench, range(3))]
-    assert results[0].data["rms_rad"].sel(curve="only", at=2.0).to_numpy().tolist() == [2.0 * seed for seed in seeds]
+    data = results[0].data
+    assert data.loc[data["at"] == 2.0, "rms_rad"].tolist() == [2.0 * seed for seed in seeds]
 
 
 def test_failure_of_a_seed_is_that_of_the_study(small_toml: Path, tmp_path: Path) -> None:

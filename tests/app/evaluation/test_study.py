@@ -19,11 +19,11 @@ from support.pictures import assert_drawn
 import app.cache
 from app.bench.config import Bench, load_bench
 from app.cache import cache_folder, cached
-from app.evaluation.cases import CaseResult, collect, rows
-from app.evaluation.noise_free import NoiseFreeFrames
-from app.evaluation.study import catalogue
-from app.evaluation.study.camera_noise import camera
+from app.evaluation import study
+from app.evaluation.frames import NoiseFreeFrames
+from app.evaluation.studies import CaseResult, collect, known_rows
 from app.evaluation.study.estimators import mean_rms
+from app.evaluation.study.noise import camera
 from app.evaluation.study_kinds import Sweep
 from app.progress import Progress, named, part
 
@@ -87,7 +87,7 @@ def test_interrupt_keeps_finished_sweeps(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sweeps = tuple(Sweep(name=each.__name__, title="", axis="", measure=each) for each in (_finished, _interrupted))
-    monkeypatch.setattr(catalogue, "SWEEPS", sweeps)
+    monkeypatch.setattr(study, "SWEEPS", sweeps)
     assert run(monkeypatch, "study", "--out", str(tmp_path)) == 130
     assert capsys.readouterr().err.strip().endswith(f"interrupted: 1 of 2 studies are in {tmp_path}")
     assert list(json.loads((tmp_path / "study.json").read_text())["sweeps"]) == ["_finished"]
@@ -97,25 +97,22 @@ def test_interrupt_keeps_finished_sweeps(
 def test_summary_is_mean_and_spread_of_known_results() -> None:
     sweep = Sweep(name="", title="", axis="", measure=_finished, limits_rad={"affine": {"here": 0.3}})
     results = [sampled(1.0), sampled(2.0, lost=3), sampled(math.nan, lost=9), sampled(4.0, at="there")]
-    here, there = rows(sweep.summary(collect(sweep.dims, results)), sweep.dims)
+    here, there = known_rows(sweep.summary(collect(sweep.dims, results)))
     assert (here["mean_rad"], here["observations"], here["lost_lenslets"], here["asked_rad"]) == (1.5, 2, 4.0, 0.3)
     assert here["spread_rad"] == pytest.approx(math.sqrt(0.5))
     assert (there["mean_rad"], there["observations"], there["spread_rad"]) == (4.0, 1, 0.0)
     assert "asked_rad" not in there
 
 
-def test_collect_arranges_results_by_position_and_repeat() -> None:
-    results = [
-        CaseResult(at={"curve": curve, "at": at}, values={"x": x})
-        for curve, at, x in (("a", 2.0, 1), ("b", 1.0, 2), ("a", 2.0, 3))
-    ]
+def test_collect_sorts_results_by_positions_as_they_first_occur() -> None:
+    found = (("a", 2.0, 1), ("b", 1.0, 2), ("a", 1.0, math.nan), ("a", 2.0, 3))
+    results = [CaseResult(at={"curve": curve, "at": at}, values={"x": x}) for curve, at, x in found]
     data = collect(("curve", "at"), results)
-    assert data["x"].dims == ("curve", "at", "repeat")
-    assert (data["curve"].values.tolist(), data["at"].values.tolist()) == (["a", "b"], [2.0, 1.0])
-    assert data["x"].sel(curve="a", at=2.0).values.tolist() == [1, 3]
-    assert list(rows(data[["x"]].mean("repeat"), ("curve", "at"))) == [
-        {"curve": "a", "at": 2.0, "x": 2.0},
-        {"curve": "b", "at": 1.0, "x": 2.0},
+    assert known_rows(data[["curve", "at", "x"]]) == [
+        {"curve": "a", "at": 2.0, "x": 1},
+        {"curve": "a", "at": 2.0, "x": 3},
+        {"curve": "a", "at": 1.0},
+        {"curve": "b", "at": 1.0, "x": 2},
     ]
 
 

@@ -16,12 +16,12 @@ from support.patience import wait_until
 from support.window_tools import MakeWindow, click, press, tab
 
 from app.bench.config import load_bench
-from app.evaluation.simulated_frames import simulate
+from app.evaluation.frames import simulate
 from app.gui.main_window import MainWindow
 from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement
-from app.results.shown_layers import FoundLayers, LayersRequest, find_shown_layers
+from app.results.layers import FoundLayers, LayersRequest, find_shown_layers
 from simulated_devices.sample import make_sample
 
 DISTANCE_M = 0.195  # of the screen in small_demo

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from app.bench.config import load_bench
-from app.evaluation.noise_free import NoiseFreeFrames
+from app.evaluation.frames import NoiseFreeFrames
 from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.bench.config import load_bench
-from app.evaluation.simulated_frames import simulate
+from app.evaluation.frames import simulate
 from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.quality.verdict import Fault, Quality
 

@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from conftest import SMALL_TOML
 from hypothesis import strategies as st
 from hypothesis.stateful import precondition, rule
 from support.camera_storm import CameraStorm
@@ -20,7 +21,6 @@ from app.recording.reader import Recording
 from app.recording.recorded_devices import RecordedCamera
 from drivers.interface import Camera, Disconnected
 from simulated_devices.clock import ManualClock
-from conftest import SMALL_TOML
 
 FRAMES = 6
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,23 +16,24 @@ from support.command_line import run
 
 from app.bench.config import load_bench
 from app.errors import InputError
-from app.evaluation.simulated_frames import simulate
+from app.evaluation.frames import simulate
 from app.measurement.bench_reconstructor import BenchReconstructor
+from app.results.analysis import ANALYSES, load
 from app.results.corrector import (
+    BestCorrector,
     compare_correctors,
     correction_dataset,
-    correction_figure,
     correction_sentence,
     wrapped,
     write_phase,
 )
 from app.results.layers import (
+    Layers,
     Origin,
     centred,
     distance_m,
     distances_and_sigma_m,
     layers_dataset,
-    layers_figure,
     layers_sentences,
     ratio_at,
     shown_range_m,
@@ -101,7 +103,7 @@ def test_distances_from_the_mask_and_given_ones(
         assert np.isnan(found["distance_sigma_m"].item())
         # s = u d / f1 + x (1 - d / f1)
         assert found.x.max().item() == pytest.approx(0.5 * 1.75e-3 + 0.5 * 0.6e-3)
-        figure = layers_figure(found)
+        figure = Layers().draw(found)
     assert len(figure.axes) == 5
 
 
@@ -139,7 +141,7 @@ def test_layer_behind_the_lenslets_has_no_distance_from_the_mask() -> None:
     assert found.attrs["distances_from"] == "lenslets"
     assert found["distance_m"].item() == pytest.approx(-0.1, rel=0.1)
     assert layers_sentences(found)[0].endswith(" mm behind the lenslets")
-    low_mm, high_mm = layers_figure(found).axes[0].get_xlim()
+    low_mm, high_mm = Layers().draw(found).axes[0].get_xlim()
     assert (low_mm, high_mm) == pytest.approx((-300, 150))
     made = compare_correctors(wavefront.at, bench.sensor, bench.field, Corrector("zernike", 45))
     corrector = correction_dataset(made, bench, "mask")
@@ -165,7 +167,7 @@ def test_best_corrector_lies_in_the_screen(recording: Path, tmp_path: Path, monk
         chosen = found["residual"].sel(distance=found["corrector_distance_m"].item())
         assert chosen.item() == found["corrector_residual"].item() == found["residual"].min().item()
         assert len(np.unique(found["distance"])) == found["distance"].size
-        curve, *lines = correction_figure(found).axes[0].lines
+        curve, *lines = BestCorrector().draw(found).axes[0].lines
         assert {tuple(np.unique(line.get_ydata())) for line in lines} == {
             (found["corrector_residual"].item(),),
             (found["uncorrected"].item(),),
@@ -313,3 +315,8 @@ def test_corrector_needs_a_wavefront_that_changes_over_the_field() -> None:
     same = np.add.outer(np.arange(bench.sensor.lenslet_rows), np.arange(bench.sensor.lenslet_columns)) ** 2.0
     with pytest.raises(ValueError, match="the same at every field position"):
         compare_correctors(lambda _x, _y: same, bench.sensor, bench.field, Corrector("zernike", 10))
+
+
+def test_first_sentence_of_the_help_is_that_of_the_file() -> None:
+    for name, (_, sentence) in ANALYSES.items():
+        assert inspect.getdoc(load(name)).startswith(f"{sentence}\n\n")  # type: ignore[union-attr] # it has one

@@ -9,7 +9,7 @@ import pytest
 from support.gui_bench import FIELD, SENSOR
 from support.wavefronts import bowl, modal
 
-from app.results.mode_coefficients import ModeChoice, mode_coefficients
+from app.results.coefficients import ModeChoice, mode_coefficients
 from reconstruction.arrays import Floats
 from reconstruction.modes.pupil_modes import BASES
 from reconstruction.solve.modal import ModalSolution

@@ -29,10 +29,8 @@ from app.errors import InputError, RunError
 from app.recording.reader import Recording
 from app.results.export import export
 from app.results.replay import change_of
-from app.results.report import report_pages
-from app.results.report.facts import facts
-from app.results.report.pages import Page, draw_certainty, draw_comparison, draw_overview, one_page
-from app.results.report.summary import Summary, residual_of, summarise
+from app.results.report import Page, draw_certainty, draw_comparison, draw_overview, one_page, report_pages
+from app.results.report_summary import Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 
@@ -242,7 +240,7 @@ def test_text_on_every_page_is_legible(recording: Recording, settings: tuple[str
 
 
 def test_many_frames_are_sampled(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.results.report.summary._SAMPLED_FRAMES", 2)
+    monkeypatch.setattr("app.results.report_summary._SAMPLED_FRAMES", 2)
     summary = summarise(recording, None, lambda *_: None)
     assert summary.statistics is not None
     assert summary.statistics.frames.tolist() == [0, 3]
@@ -311,7 +309,7 @@ def test_report_is_written_atomically_and_replaces_only_on_request(
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("app.results.report.pages.draw_certainty", fail)
+    monkeypatch.setattr("app.results.report.draw_certainty", fail)
     with pytest.raises(RunError, match="No space left"):
         reported(recording.folder, out, overwrite=True)
     assert out.read_bytes() == first

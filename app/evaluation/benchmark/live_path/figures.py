@@ -9,10 +9,8 @@ from typing import Any
 from app.bench.config import write_bench
 from app.evaluation.benchmark.live_path.course import Span
 from app.evaluation.benchmark.live_path.plan import LivePlan
-from app.evaluation.study_tables import print_line, print_table
 from app.recording.recorder import RecordingState
 from app.run_facts import machine_facts, timing_facts, versions
-from app.timing import StageTimes
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,68 +91,6 @@ class LiveFigures:
             },
         }
         return {"live": live, "machine": machine_facts(), "versions": versions()}
-
-
-def print_figures(figures: LiveFigures) -> None:
-    """Print every figure beside its limit."""
-    machine, recording, span = machine_facts(), figures.recording, figures.window
-    camera, sensor = figures.plan.bench.camera_model, figures.plan.bench.sensor
-    print_line(f"{machine['processor'] or machine['system']}, {machine['cores']} cores")
-    print_line(
-        f"{camera.rows} x {camera.columns} pixels, {sensor.lenslet_rows} x {sensor.lenslet_columns} lenslets,"
-        f" {1 / camera.exposure_s:.1f} frames/s, {'recorded' if recording else 'not recorded'},"
-        f" {span.seconds:.0f} s after a warm-up"
-    )
-    print_line("the window was on a display" if figures.is_seen else "no display: the window was drawn offscreen")
-    checks = figures.checks()
-    lines = []
-    for name, measured, limit in _lines(figures):
-        check = checks.get(limit)
-        colour = "[green]met[/]" if check and check.is_met else "[red]missed[/]"
-        lines.append([name, measured, *((check.asked, colour) if check else ("", ""))])
-    print_table(None, ("live", "measured", "asked", ""), lines, width=80)
-    print_line("Times are median / 99 % / longest.")
-    if recording is not None and recording.problem:
-        print_line(f"The recording ended early: {recording.problem}")
-
-
-def _lines(figures: LiveFigures) -> list[tuple[str, str, str]]:
-    """Name, measured value and name of the limit of each line of the table."""
-    window, bare, recording = figures.window, figures.bare, figures.recording
-    frames, times = window.frames, window.timings.summary()
-    recorded = []
-    if recording is not None:
-        recorded.append(("frame written to the disk", _milliseconds(times["record"]), "record_p99_s"))
-        recorded.append(("recorded, with warm-up", f"{recording.frames}", "recording_problems"))
-    return [
-        ("frames acquired", f"{frames.acquired}", ""),
-        ("reconstructed", f"{frames.reconstructed}: {100 * frames.share:.2f} %", "share"),
-        ("lost by the camera", f"{frames.lost}", "lost"),
-        ("skipped for a newer one", f"{frames.passed_over}", ""),
-        ("without a wavefront", f"{frames.failed}", ""),
-        ("camera to result", _milliseconds(times["to_result"]), "to_result_p99_s"),
-        ("camera to screen", _milliseconds(times["to_screen"]), ""),
-        ("window redrawn", f"{window.redrawn_hz:.1f} /s", "redrawn_hz"),
-        ("redraw, with panels" if figures.plan.with_panels else "redraw", _milliseconds(times["draw"]), "draw_p50_s"),
-        *recorded,
-        (f"memory, last {figures.plan.memory_s:.0f} s", _memory(figures), "memory_growth"),
-        (f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s", ""),
-        ("rate with it", f"{window.rate_hz:.2f} /s: {100 * figures.rate_ratio:.1f} %", "rate_ratio"),
-        ("first wavefront after", f"{window.first_wavefront_s:.1f} s", "first_wavefront_s"),
-    ]
-
-
-def _milliseconds(times: StageTimes) -> str:
-    if not times.count:
-        return "none"
-    return " / ".join(f"{1e3 * seconds:.1f}" for seconds in (times.p50_s, times.p99_s, times.max_s)) + " ms"
-
-
-def _memory(figures: LiveFigures) -> str:
-    begin_mb, end_mb = figures.window.memory_mb
-    if figures.memory_growth is None:
-        return "unknown on this system"
-    return f"{begin_mb:.0f} > {end_mb:.0f} MB, {100 * figures.memory_growth:+.2f} %"
 
 
 def _span_tree(span: Span) -> dict[str, Any]:

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.bench.config import Bench
-from app.errors import InputError
+from app.errors import InputError, ended_by
 from app.progress import Progress
 from app.recording.recorder import RECENT_S
-from app.signals import ended_by
 from reconstruction.settings import FIELD_MODES
 
 LEAST_S, MOST_S = 1.0, 3600.0

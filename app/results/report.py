@@ -1,21 +1,29 @@
-"""Pages of a report: facts and mean wavefronts, certainty, coefficients over the field, comparison."""
+"""Report of a recording as PDF or PNG: pages of facts and mean wavefronts, certainty, coefficients, comparison."""
 
 import textwrap
 from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure, FigureBase, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from app.results.field_coefficients import coefficient_maps, draw_field, strongest
+from app.errors import InputError
+from app.files import atomic_write, check_outputs
+from app.progress import Progress, between, part
+from app.recording.folder import parts_of
+from app.recording.reader import Recording
+from app.results.coefficients import coefficient_maps, draw_field, evenly_spread, strongest
 from app.results.figures import draw_maps, draw_structure, draw_transfer, place_of_view
-from app.results.report.facts import facts
-from app.results.report.summary import Residual, Statistics, Summary
+from app.results.replay import change_of
+from app.results.report_summary import Residual, Statistics, Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
@@ -47,8 +55,8 @@ def all_pages(pages: Sequence[Page]) -> Figure:
     """Return a figure with all pages, one below the other."""
     width, height = PAGE_INCHES
     figure = Figure(figsize=(width, height * len(pages)), layout=_spaced())
-    for page, part in zip(pages, figure.subfigures(len(pages), 1, squeeze=False)[:, 0], strict=True):
-        page(part)
+    for page, place in zip(pages, figure.subfigures(len(pages), 1, squeeze=False)[:, 0], strict=True):
+        page(place)
     return figure
 
 
@@ -215,8 +223,8 @@ def _draw_lost(axis: Axes, stats: Statistics) -> None:
     for outcome, colour in _COLOURS.items():
         where = stats.reason == outcome
         if where.any():
-            part = 0.3 + 0.7 * stats.lost[where, None]
-            colours[where] = part * np.array(to_rgb(colour)) + (1 - part) * _VALID
+            share = 0.3 + 0.7 * stats.lost[where, None]
+            colours[where] = share * np.array(to_rgb(colour)) + (1 - share) * _VALID
             handles.append(Patch(color=colour, label=f"{outcome.reason}: {where.sum()}"))
     axis.imshow(colours)
     rows, columns = stats.lost.shape
@@ -251,7 +259,7 @@ def draw_over_field(figure: FigureBase, summary: Summary, stats: Statistics, fou
     frame = int(stats.frames[(len(stats.frames) - 1) // 2])
     below = f"strongest Zernike coefficients of frame {frame} over the field (mm), and their errors (rad)"
     write_title(title, TITLE_INCHES, summary.name, below)
-    dataset = coefficient_maps(found, stats.wavefront.field, _POSITIONS)
+    dataset = coefficient_maps(found, stats.wavefront.field, *[evenly_spread(_POSITIONS)] * 2)
     draw_field(maps, dataset, strongest(dataset, _MODES))
 
 
@@ -265,3 +273,57 @@ def draw_comparison(figure: FigureBase, residual: Residual) -> None:
     draw_views(own, residual.mean, residual.field, "the first", limit=limit, with_places=False)
     draw_views(other, residual.other_mean, residual.field, "the second", limit=limit, with_places=False)
     draw_views(below, residual.views, residual.field, "the first minus the second")
+
+
+_PNG_DPI = 110
+_RECONSTRUCTED = 0.8  # share of the work that comes before the pages
+
+
+def report_pages(
+    folder: Path,
+    out: Path,
+    *,
+    beside: Path | None,
+    settings: tuple[str, ...],
+    frames: str | None,
+    overwrite: bool,
+    progress: Progress,
+) -> tuple[Summary, Residual | None]:
+    """Write the report of a recording as PDF, or as one PNG.
+
+    The mean wavefronts of another recording `beside` are subtracted, if it is given; `frames` FIRST:END and changed
+    `settings` are those of the first recording.
+    """
+    if out.suffix.lower() not in {".pdf", ".png"}:
+        raise InputError(f"{out}: a report is a PDF or a PNG: give a name that ends in .pdf or .png")
+    folders = [folder, *([] if beside is None else [beside])]
+    check_outputs([out], inputs=[file for each in folders for file in parts_of(each)], overwrite=overwrite)
+    recordings = [Recording(each) for each in folders]
+    parts = [part(between(progress, 0, _RECONSTRUCTED), index, len(recordings)) for index in range(len(recordings))]
+    summary = summarise(recordings[0], frames, parts[0], change=change_of(None, settings))
+    residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, parts[1]))
+    write_pages(out, _pages(summary, residual), between(progress, _RECONSTRUCTED, 1))
+    return summary, residual
+
+
+def write_pages(out: Path, drawn: list[Page], progress: Progress = lambda *_: None) -> None:
+    """Write pages as PDF, or one below the other as PNG (atomic)."""
+    with atomic_write(out) as temporary:
+        if out.suffix.lower() == ".png":
+            all_pages(drawn).savefig(temporary, dpi=_PNG_DPI)
+            return
+        with PdfPages(temporary) as file:
+            for index, page in enumerate(drawn):
+                progress("drawing the pages", index / len(drawn))
+                file.savefig(one_page(page))
+
+
+def _pages(summary: Summary, residual: Residual | None) -> list[Page]:
+    drawn: list[Page] = [partial(draw_overview, summary=summary)]
+    if (stats := summary.statistics) is not None:
+        drawn.append(partial(draw_certainty, summary=summary, stats=stats))
+        if (found := over_field(stats)) is not None:
+            drawn.append(partial(draw_over_field, summary=summary, stats=stats, found=found))
+    if residual is not None:
+        drawn.append(partial(draw_comparison, residual=residual))
+    return drawn

@@ -1,38 +1,83 @@
-"""Sweep over the distance of a corrector: the residual predicted from one frame, and that of a frame through it.
+"""Layers of the sample: how well their distances are found, and what correctors leave."""
 
-The frame through the corrector is rendered with its best command as a second screen at its distance.
-"""
-
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from app.acquisition.devices import scene_of
 from app.bench.config import Bench
-from app.evaluation.cases import CaseResult
-from app.evaluation.noise_free import seeded
-from app.evaluation.study.camera_noise import camera
-from app.evaluation.study.estimators import WarpEstimator, with_rms
-from app.evaluation.study_kinds import Sweep
+from app.evaluation.frames import NoiseFreeFrames, seeded, with_screen, with_source
+from app.evaluation.studies import CaseResult
+from app.evaluation.study.estimators import with_rms
+from app.evaluation.study.noise import camera
+from app.evaluation.study_kinds import Sweep, TrialStudy, trial
 from app.progress import Progress, part
 from reconstruction.arrays import Floats, Image
+from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import centered_steps
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
+from reconstruction.layers.layer_search import find_layers
 from reconstruction.wavefront import Wavefront, rms
 from simulated_devices.optics.layered_light import Layer, LayeredLight
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.rendering import Renderer
+from simulated_devices.settings import Mask
+
+_DISTANCES_M = (0.06, 0.1, 0.195, 0.3)  # in front of the lenslets
+_MASKS: tuple[Mask, ...] = ("checkerboard", "square")
+_PEAK_E = 1e3  # electrons in the frame's brightest pixel
+_LIMITS = {"error over its bar": 1.0}
+
+
+def _distances(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+    for index, mask in enumerate(_MASKS):
+        yield from _of_mask(with_source(bench, mask=mask), seeds, part(progress, index, len(_MASKS)))
+
+
+def _of_mask(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+    """Error of the distance of a layer, and whether its error bar covers it."""
+    mask, em_camera = bench.simulation.source.mask, camera(bench)
+    reference = NoiseFreeFrames(bench).reference()
+    scale = np.float32(_PEAK_E / reference.max())
+    reconstructor = em_camera.reconstructor(bench, reference * scale)
+    screens = [(each, at_m) for each in seeded(bench, seeds) for at_m in _DISTANCES_M]
+    for done, (each, at_m) in enumerate(screens):
+        seed, name = each.simulation.seed, f"{mask}, {at_m * 1e3:g} mm"
+        progress(f"{name}, seed {seed}", done / len(screens))
+        frame = NoiseFreeFrames(with_screen(each, distance_m=at_m)).frame()
+        problem, found_m, sigma_m = "", math.nan, math.nan
+        try:
+            displacement = reconstructor.register(em_camera.exposed(frame.photons * scale, seed, 0))
+            search = find_layers(reconstructor.layers(displacement))
+            (layer,), focal_length_m = search.one.layers, bench.field.collimator_focal_length_m
+            found_m, sigma_m = -layer.ratio * focal_length_m, layer.ratio_sigma * focal_length_m
+        except ReconstructionError as error:
+            problem = str(error)
+        measured = {
+            "error (%)": 100 * abs(found_m / at_m - 1),
+            "too far by (%)": 100 * (found_m / at_m - 1),
+            "error bar (%)": 100 * sigma_m / at_m,
+            "error over its bar": abs(found_m - at_m) / sigma_m,
+        }
+        yield trial(case=name, name=f"seed {seed}", measured=measured, limits=_LIMITS, problem=problem)
+
+
+DISTANCES = TrialStudy(
+    name="distances",
+    title=f"Distance of a layer, {_PEAK_E:g} electrons; 68 % as asked: within the error bar",
+    measure=_distances,
+)
+
 
 _SHARES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25)  # of the screen's distance
 _CORRECTORS = (Corrector("zernike", 10), Corrector("zernike", 45))
-_PEAK_E = 1e3  # electrons in the frame's brightest pixel
-_SLOW = 1  # read-out speed with low read noise
 _SPACING_M = 25e-6  # of the samples of the corrector's phase
 _MARGIN = 4  # of them around its footprint
 _AGREEMENT = 0.1  # of the prediction
 
 
-def _measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+def _correctors(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     cases = [(corrector, share * bench.simulation.screen.distance_m) for corrector in _CORRECTORS for share in _SHARES]
     for done, each in enumerate(seeded(bench, seeds)):
         yield from predicted_and_simulated(each, cases, part(progress, done, len(seeds)))
@@ -41,20 +86,19 @@ def _measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseRes
 def predicted_and_simulated(
     bench: Bench, cases: Sequence[tuple[Corrector, float]], progress: Progress
 ) -> Iterator[CaseResult]:
-    """Yield the residuals of correctors at distances from the lenslets, m, predicted first."""
-    mask, em_camera, positions_m = (
-        bench.simulation.source.mask,
-        camera(bench, _SLOW, 1.0),
-        field_positions_m(bench.field),
-    )
+    """Yield the residuals of correctors at distances from the lenslets, m: predicted from one frame, then simulated.
+
+    The frame through a corrector is rendered with its best command as a second screen at its distance.
+    """
+    mask, em_camera, positions_m = bench.simulation.source.mask, camera(bench), field_positions_m(bench.field)
     renderer = Renderer(scene_of(bench))
     reference, frame = renderer.reference(mask), renderer.state(mask, 0)
     scale = np.float32(_PEAK_E / frame.max())
-    estimator = WarpEstimator(bench, em_camera.counts(reference * scale), None, noise=em_camera.noise)
+    reconstructor = em_camera.reconstructor(bench, reference * scale)
 
     def measured(irradiance: Image, draw: int) -> tuple[Wavefront, Floats]:
         """Wavefront of a noisy frame, and its phases at the field positions."""
-        wavefront = estimator.reconstructor(em_camera.exposed(irradiance * scale, bench.simulation.seed, draw))
+        wavefront = reconstructor(em_camera.exposed(irradiance * scale, bench.simulation.seed, draw))
         return wavefront, np.array([wavefront.at(x_m, y_m) for x_m, y_m in positions_m])
 
     without, before = measured(frame, 0)
@@ -96,5 +140,5 @@ CORRECTOR = Sweep(
     title="Best command of a corrector: residual over the field",
     axis="distance of the corrector from the lenslets (mm)",
     axis_per_si=1e3,
-    measure=_measure,
+    measure=_correctors,
 )

@@ -1,0 +1,234 @@
+"""Times of parts of the reconstruction: zonal solve, layers, forward model, and frames of growing lattices."""
+
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from app.evaluation.benchmark.timed_frames import TimedFrames, medians_s, tiled
+from app.progress import Progress
+from reconstruction.arrays import Floats
+from reconstruction.geometry import centered_steps
+from reconstruction.modes.field_modes import LegendreModes
+from reconstruction.settings import FIELD_MODES, RegistrationSettings, Warp
+from reconstruction.solve.zonal import ZonalSolution, zonal_wavefront
+from reconstruction.wavefront import Wavefront, rms
+from simulated_devices.optics.forward_model import ForwardModel, phase_only
+from simulated_devices.optics.source import SourcePoints
+
+
+def residual_rad(frames: TimedFrames, coefficients: Floats) -> float:
+    """Mean over the views of the RMS of the zonal wavefront minus the truth, rad; NaN without a truth.
+
+    `coefficients` of the field modes, px, (lenslet, xy, field_mode), NaN for lost lenslets, which do not count.
+    """
+    if frames.truth is None:
+        return math.nan
+    sensor = frames.sensor
+    coefficients = coefficients.reshape(sensor.lenslet_rows, sensor.lenslet_columns, *coefficients.shape[1:])
+    valid = np.asarray(np.isfinite(coefficients).all(axis=(2, 3)))
+    slopes = _slopes(frames, np.swapaxes(coefficients, 2, 3))
+    return float(np.nanmean(rms(zonal_wavefront(slopes, valid, pitch_m=sensor.lenslet_pitch_m) - frames.truth)))
+
+
+def zonal_times(frames: TimedFrames, budget_s: float) -> dict[str, float]:
+    """Time the zonal solve of all views beside bare equations of the same kind."""
+    sensor = frames.sensor
+    coefficients = frames.reconstructor(RegistrationSettings(warp="quadratic")).register(frames.frame).coefficients
+    slopes = _slopes(frames, np.nan_to_num(coefficients))
+    slopes = slopes.reshape(-1, *slopes.shape[2:])
+    valid = np.ones(coefficients.shape[:2], np.bool_)
+    bare = bare_southwell(sensor.lenslet_rows, sensor.lenslet_columns, sensor.lenslet_pitch_m)
+
+    def ours() -> Floats:
+        return zonal_wavefront(slopes, valid, pitch_m=sensor.lenslet_pitch_m)
+
+    times_s = medians_s({"ours": ours, "bare": lambda: bare(slopes)}, budget_s)
+    return {
+        "ours_s": times_s["ours"],
+        "scipy_splu_s": times_s["bare"],
+        "ratio": times_s["bare"] / times_s["ours"],
+        "largest_difference_rad": float(np.abs(ours() - bare(slopes)).max()),
+    }
+
+
+def _slopes(frames: TimedFrames, coefficients: Floats) -> Floats:
+    """Slopes of all views, rad/m, (view_row, view_column, lenslet_row, lenslet_column, xy).
+
+    `coefficients` (lenslet_row, lenslet_column, field_mode, xy), px.
+    """
+    x, y = (view_m / frames.field.half_width_m for view_m in (frames.field.view_x_m, frames.field.view_y_m))
+    modes = LegendreModes(coefficients.shape[2]).values(x, y[:, None])
+    return np.asarray(np.einsum("rcqd,qyx->yxrcd", coefficients, modes) * frames.sensor.slope_per_px)
+
+
+def bare_southwell(rows: int, columns: int, pitch_m: float) -> Callable[[Floats], Floats]:
+    """Factorise Southwell's equations by SciPy's `splu` for a lattice without lost lenslets.
+
+    Returns a function from slopes (case, lenslet_row, lenslet_column, xy), rad/m, to wavefronts (case, lenslet_row,
+    lenslet_column), rad, without piston.
+    """
+
+    def steps(count: int) -> tuple[sparse.csr_array, sparse.csr_array]:
+        shape = (count - 1, count)
+        return (
+            sparse.csr_array(sparse.diags_array([-1.0, 1.0], offsets=[0, 1], shape=shape)),
+            sparse.csr_array(sparse.diags_array([0.5, 0.5], offsets=[0, 1], shape=shape)),
+        )
+
+    (along_x, mean_x), (along_y, mean_y) = steps(columns), steps(rows)
+    one_row, one_column = sparse.eye_array(columns), sparse.eye_array(rows)
+    difference = sparse.vstack([sparse.kron(one_column, along_x), sparse.kron(along_y, one_row)]).tocsc()[:, 1:]
+    average = sparse.block_diag([sparse.kron(one_column, mean_x), sparse.kron(mean_y, one_row)])
+    factors = splu((difference.T @ difference).tocsc())
+    right = (difference.T @ average * pitch_m).tocsr()
+
+    def solve(slopes: Floats) -> Floats:
+        flat = np.moveaxis(slopes, -1, 1).reshape(len(slopes), -1)
+        phase = factors.solve(right @ flat.T)
+        phase = np.concatenate([np.zeros((1, len(slopes))), phase])
+        return np.asarray((phase - phase.mean(axis=0)).T.reshape(len(slopes), rows, columns))
+
+    return solve
+
+
+_RATIO = -0.975  # of field to pupil position: 195 mm in front of the lenslets of the paper's bench
+
+
+def layer_times(frames: TimedFrames, budget_s: float) -> dict[str, float]:
+    """Return seconds from displacements to a layer at a known distance, and to layers at unknown ones."""
+    reconstructor = frames.reconstructor(RegistrationSettings())
+    displacement = reconstructor.register(frames.frame)
+    calls: dict[str, Callable[[], Any]] = {
+        "known_s": lambda: reconstructor.layers(displacement).fit(_RATIO),
+        "search_s": partial(reconstructor.find_sample, displacement),
+    }
+    return medians_s(calls, budget_s)
+
+
+_POINTS = 8  # along a side
+_BEND_RAD_PER_M2 = 3e5
+
+
+def forward_times(frames: TimedFrames, budget_s: float) -> tuple[dict[str, float], str]:
+    """Return seconds of our forward model and HCIPy's per object point, and the problem of HCIPy if it cannot run.
+
+    Both get the same phase in closed form and the same object points. Ours repeats its costs per image for these few
+    points and covers the camera's pixels with squares of light; HCIPy has one sample per pixel.
+    """
+    calls, problem = {"ours": _ours(frames)}, ""
+    try:
+        hcipy = _hcipy(frames)
+        hcipy()
+        calls["hcipy"] = hcipy
+    except Exception as error:  # noqa: BLE001 - any problem of a peer is reported
+        problem = f"{type(error).__name__}: {error}"
+    times_s = medians_s(calls, budget_s)
+    found = {"ours_s_per_point": times_s["ours"] / _POINTS**2}
+    if "hcipy" in times_s:
+        found |= {"hcipy_s_per_point": times_s["hcipy"], "ratio": times_s["hcipy"] / found["ours_s_per_point"]}
+    return found, problem
+
+
+def _ours(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
+    """Prepare the image of a square of object points."""
+    rows, columns = frames.reference.shape
+    model = ForwardModel(frames.sensor, frames.lattice, frames.field, rows=rows, columns=columns)
+    x_m, y_m = model.sample_x_m[None, :], model.sample_y_m[:, None]
+    bend = (_BEND_RAD_PER_M2 * (x_m**2 + y_m**2)).astype(np.float32)
+    position_m = _positions_m(frames, _POINTS)
+    source = SourcePoints(position_m=position_m, area_m2=np.ones(len(position_m)))
+    return lambda: model.irradiance(source, phase_only(lambda _x, _y: bend))
+
+
+def _hcipy(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
+    """Prepare the image of one object point."""
+    hcipy = import_module("hcipy")
+    sensor, (rows, columns) = frames.sensor, frames.reference.shape
+    width_m, height_m = (2 * half_m for half_m in sensor.pupil_half_width_m)
+    grid = hcipy.make_pupil_grid([columns, rows], [width_m, height_m])
+    lenslets = hcipy.CartesianGrid(hcipy.SeparatedCoords((sensor.pupil_x_m, sensor.pupil_y_m)))
+    array = hcipy.MicroLensArray(grid, lenslets, sensor.lenslet_focal_length_m)
+    propagator = hcipy.FresnelPropagator(grid, sensor.lenslet_focal_length_m)
+    x_m, y_m = _positions_m(frames, 2)[-1]
+    tilt = sensor.wavenumber_rad_per_m / frames.field.collimator_focal_length_m * (grid.x * x_m + grid.y * y_m)
+    phase = _BEND_RAD_PER_M2 * (grid.x**2 + grid.y**2) + tilt
+
+    def image() -> NDArray[Any]:
+        light = hcipy.Wavefront(hcipy.Field(np.exp(1j * phase), grid), sensor.wavelength_m)
+        return np.asarray(propagator(array(light)).power)
+
+    return image
+
+
+def _positions_m(frames: TimedFrames, points: int) -> NDArray[np.float64]:
+    """Object points on a square, (point, xy)."""
+    along_m = centered_steps(points) / points * 2 * frames.field.half_width_m
+    return np.stack(np.meshgrid(along_m, along_m), axis=-1).reshape(-1, 2)
+
+
+_LARGE_LENSLETS, _LARGE_MARGIN_PX = 64, 32  # 31 pixels each on 2048 x 2048
+
+
+def growth(frames: TimedFrames, sizes: Sequence[int], budget_s: float, progress: Progress) -> list[dict[str, float]]:
+    """Time quadratic warps on lattices of several sizes, affine and cubic ones on the frames' own lattice."""
+    own = frames.sensor.lenslet_rows
+    cases: list[tuple[int, Warp]] = []
+    for size in dict.fromkeys((*sizes, own)):
+        cases += [(size, "quadratic")] * (size in sizes)
+        cases += [(size, "affine"), (size, "cubic")] if size == own else []
+    found = []
+    for index, (size, warp) in enumerate(cases):
+        progress(f"{size} x {size} lenslets, {warp}", index / len(cases))
+        found.append(_timed(tiled(frames, size), warp, budget_s))
+    return found
+
+
+def large_camera(frames: TimedFrames, budget_s: float) -> dict[str, float]:
+    """Time a 2048 x 2048 camera behind 64 x 64 lenslets of 31 pixels."""
+    return _timed(tiled(frames, _LARGE_LENSLETS, margin_px=_LARGE_MARGIN_PX), "quadratic", budget_s)
+
+
+def _timed(frames: TimedFrames, warp: Warp, budget_s: float) -> dict[str, float]:
+    lenslets = frames.sensor.lenslet_rows
+    start_s = time.perf_counter()
+    reconstructor = frames.reconstructor(RegistrationSettings(warp=warp))
+    before = reconstructor.register(frames.before)
+    reconstructor.solve(before)  # computes the factors of the lenslets' weights once
+    prepare_s = time.perf_counter() - start_s
+    displacement = reconstructor.register(frames.frame, start=before)
+    slopes = displacement.coefficients * frames.sensor.slope_per_px
+    weights = reconstructor.weights_of(displacement)
+    zonal = ZonalSolution(slopes, displacement.valid, frames.sensor.lenslet_pitch_m, weights)
+    times_s = medians_s(
+        {
+            "register_s": partial(reconstructor.register, frames.frame, start=before),  # warm
+            "zonal_s": partial(Wavefront.of, frames.sensor, frames.field, displacement, zonal),
+            "modal_s": partial(reconstructor.solve, displacement),  # modes chosen from the lattice
+            # counts to all views and coefficients: register and modal
+            "frame_s": lambda: reconstructor.solve(reconstructor.register(frames.frame, start=before)),
+        },
+        budget_s,
+    )
+    found = {
+        "lenslets": lenslets,  # along a side
+        "field_modes": FIELD_MODES[warp],
+        "frame_px": frames.reference.shape[0],  # along a side
+        "prepare_s": prepare_s,  # from a new reference to the first wavefronts
+        **times_s,
+        "per_lenslet_us": times_s["frame_s"] / lenslets**2 * 1e6,
+    }
+    if sys.platform != "win32":  # which does not tell
+        import resource  # noqa: PLC0415 - not there on Windows
+
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # of this process so far
+        found["peak_memory_mb"] = peak / 2**20 if sys.platform == "darwin" else peak / 2**10
+    return found

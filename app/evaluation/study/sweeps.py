@@ -1,0 +1,312 @@
+"""Sweeps over the phase screen, the source, and a bench that differs from its settings."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from app.bench.config import Bench
+from app.bench.imaging_model import by_pixel
+from app.errors import InputError
+from app.evaluation.frames import NoiseFreeFrame, NoiseFreeFrames, seeded, simulating, with_screen, with_source
+from app.evaluation.studies import CaseResult
+from app.evaluation.study.estimators import AUTOMATIC, REFINED, ROUNDS, WARPS, WarpEstimator, WarpEstimators, compared
+from app.evaluation.study_kinds import Sweep
+from app.progress import Progress
+from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import Lattice
+from reconstruction.layers.layered_wavefront import AssumedSample
+from reconstruction.refinement import distance_rad
+from reconstruction.settings import ReconstructionSettings, Warp
+from reconstruction.wavefront import Wavefront
+from simulated_devices.optics.source import source_points
+from simulated_devices.sample import make_sample
+from simulated_devices.settings import Mask
+
+_Measure = Callable[[Bench, range, Progress], Iterator[CaseResult]]
+
+
+def _over_screens(
+    values: tuple[float, ...], change: Callable[[Bench, float], Bench], first_seed: int | None = None
+) -> _Measure:
+    """Measure noise-free frames of the bench changed by each value, against the reference of the unchanged bench."""
+
+    def measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+        estimators = WarpEstimators(bench, NoiseFreeFrames(bench).reference())
+        for done, screen in enumerate(seeded(bench, seeds, first_seed)):
+            for index, value in enumerate(values):
+                progress(f"{value:g}", (done + index / len(values)) / len(seeds))
+                frames = NoiseFreeFrames(change(screen, value))
+                frame = frames.frame()
+                yield from estimators.compare(frame.photons, frame.truth, value, sample=frames.sample)
+
+    return measure
+
+
+SIZE = Sweep(
+    name="size",
+    title="Strength of the wavefronts",
+    axis="wavefront RMS (rad)",
+    measure=_over_screens(
+        (0.5, 1.0, 2.0, 4.2, 6.0, 8.0, 10.0, 12.0, 15.0), lambda bench, rms_rad: with_screen(bench, rms_rad=rms_rad)
+    ),
+    is_logarithmic=True,
+)
+ROUGHNESS = Sweep(
+    name="roughness",
+    title="Roughness of the screen",
+    axis="correlation length (mm)",
+    axis_per_si=1e3,
+    measure=_over_screens(
+        (1.0e-3, 1.25e-3, 1.6e-3, 2.0e-3, 2.5e-3, 3.0e-3, 4.0e-3),
+        lambda bench, length_m: with_screen(bench, correlation_length_m=length_m),
+    ),
+    is_logarithmic=True,
+)
+# The screen of the experiment, 20 mm behind the mask.
+_EXPERIMENT: dict[str, Any] = {
+    "placement": "source",
+    "distance_m": 0.02,
+    "correlation_length_m": 1.2e-3,
+    "samples": 481,
+    "sample_spacing_m": 5e-6,
+}
+EXPERIMENT = Sweep(
+    name="experiment",
+    title="Screen 20 mm behind the mask",
+    axis="wavefront RMS (rad)",
+    measure=_over_screens(
+        (5.0, 10.0, 15.0, 20.0, 30.0, 40.0),
+        lambda bench, rms_rad: with_screen(bench, **_EXPERIMENT, rms_rad=rms_rad),
+        first_seed=0,
+    ),
+    is_logarithmic=True,
+)
+
+_CORRELATION_LENGTHS_M = (1.25e-3, 1.6e-3, 2.0e-3)
+_ENSEMBLE_WARPS: tuple[Warp, ...] = ("translation", *WARPS)
+_METHODS = {
+    "zonal": ReconstructionSettings(method="zonal"),
+    "modal 45": ReconstructionSettings(pupil_modes=45),
+    "modal 66": ReconstructionSettings(pupil_modes=66),
+    "modal 91": ReconstructionSettings(pupil_modes=91),
+    "automatic": AUTOMATIC,
+}
+_DRIFT_RAD_PER_S = 0.3  # change of the wavefront, mean RMS over the views
+_AGES_S = (1, 2)  # of the bias
+_FILM_S = sorted({age_s * back for age_s in _AGES_S for back in range(ROUNDS + 1)})  # ages of the frames
+_STEP_M = 10e-6  # screen shift that measures the change per metre
+
+
+def _ensembles(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+    """Measure every warp in one pass, then over the layers found, refined, and refined live."""
+    reference = NoiseFreeFrames(bench).reference()
+    films = []
+    for index, length_m in enumerate(_CORRELATION_LENGTHS_M):
+        for done, screen in enumerate(seeded(with_screen(bench, correlation_length_m=length_m), seeds)):
+            progress(f"rendering {length_m * 1e3:g} mm", (index + done / len(seeds)) / len(_CORRELATION_LENGTHS_M) / 2)
+            drifting = NoiseFreeFrames(_drifting(screen))
+            films.append((length_m, {seconds: drifting.frame(state=seconds) for seconds in _FILM_S}))
+    methods = [
+        (warp, method, reconstruction) for warp in _ENSEMBLE_WARPS for method, reconstruction in _METHODS.items()
+    ]
+    for index, (warp, method, reconstruction) in enumerate(methods):
+        progress(f"{warp}, {method}", (1 + index / len(methods)) / 2)
+        try:
+            estimator = WarpEstimator(bench, reference, warp, reconstruction=reconstruction)
+        except ReconstructionError:  # too many modes for so few lenslets
+            continue
+        for length_m, film in films:
+            wavefront = estimator.reconstructor.solve(estimator.reconstructor.register(film[0].photons))
+            yield compared(f"{warp}, {method}", length_m, wavefront, film[0].truth)
+        if method == "automatic" and warp in REFINED:
+            for length_m, film in films:
+                yield from _refined(warp, estimator, length_m, film)
+
+
+def _refined(
+    warp: Warp, estimator: WarpEstimator, length_m: float, film: dict[int, NoiseFreeFrame]
+) -> Iterator[CaseResult]:
+    """Follow a film in one pass over the layers found; refine the newest frame by itself, then by those before it."""
+    newest, reconstructor = film[0], estimator.reconstructor
+    displacement = reconstructor.register(newest.photons)
+    sample = reconstructor.find_sample(displacement)
+    yield compared(f"{warp}, layers", length_m, reconstructor.solve(displacement, sample=sample), newest.truth)
+    wavefront = _one_pass_live(estimator, [film[seconds] for seconds in reversed(_FILM_S)], sample)
+    yield compared(f"{warp}, live", length_m, wavefront, newest.truth)
+    rounds = estimator.rounds(displacement, sample=sample)
+    for count, (wavefront, seconds) in enumerate(rounds, 1):
+        yield compared(f"{warp}, refined {count}x", length_m, wavefront, newest.truth, seconds=seconds)
+    for age_s in _AGES_S:
+        frames = [film[age_s * back] for back in reversed(range(ROUNDS + 1))]
+        wavefront = _refined_live(estimator, frames, sample)
+        yield compared(f"{warp}, refined live, {age_s} s old", length_m, wavefront, newest.truth)
+
+
+def _one_pass_live(estimator: WarpEstimator, film: Sequence[NoiseFreeFrame], sample: AssumedSample) -> Wavefront:
+    """Register each frame from the displacement of the one before it, as the acquisition does."""
+    displacement = estimator.reconstructor.register(film[0].photons)
+    for frame in film[1:]:
+        displacement = estimator.reconstructor.register(frame.photons, start=displacement)
+    return estimator.reconstructor.solve(displacement, sample=sample)
+
+
+def _refined_live(estimator: WarpEstimator, film: Sequence[NoiseFreeFrame], sample: AssumedSample) -> Wavefront:
+    """Correct each frame by the bias of the one before it, which was itself corrected in the same way."""
+    reconstructor, refinement = estimator.reconstructor, estimator.refinement
+    wavefront = reconstructor.solve(reconstructor.register(film[0].photons), sample=sample)
+    for frame in film[1:]:
+        displacement, bias = reconstructor.register(frame.photons), refinement.bias(wavefront)
+        wavefront = reconstructor.solve(displacement, bias=bias.displacement, sample=sample)
+    return wavefront
+
+
+def _drifting(bench: Bench) -> Bench:
+    """The bench with a drifting screen; its state k is k seconds old."""
+    sample = make_sample(bench.simulation, bench.sensor, bench.field)
+    here, there = (
+        sample.wavefront(bench.sensor, bench.field, (shift_m, shift_m)) for shift_m in (0.0, _STEP_M / math.sqrt(2))
+    )
+    speed_m_per_s = _DRIFT_RAD_PER_S / distance_rad(here, there) * _STEP_M
+    # rounded, so that its frames are cached
+    along_m_per_s = float(np.format_float_scientific(speed_m_per_s / math.sqrt(2), 3))
+    drifting = with_screen(bench, drift_x_m_per_s=along_m_per_s, drift_y_m_per_s=along_m_per_s)
+    return simulating(drifting, drifting_states=max(_AGES_S) * ROUNDS + 1, state_duration_s=1.0)
+
+
+ENSEMBLES = Sweep(
+    name="ensembles",
+    title="The ensembles",
+    axis="correlation length (mm)",
+    axis_per_si=1e3,
+    left_out=("modal", "1x", "2x", "2 s old"),
+    measure=_ensembles,
+    # of the preset's square
+    limits_rad={"quartic, layers": dict(zip(_CORRELATION_LENGTHS_M, (0.055, 0.036, 0.026), strict=True))},
+)
+
+_MASKS: tuple[Mask, ...] = ("square", "checkerboard", "circle", "octagon", "ellipse", "peaks")
+_BRIGHT = 0.1  # of the highest brightness; darker points are outside the source
+_ROUNDING = 1e-9
+
+
+def _sources(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+    for index, mask in enumerate(_MASKS):
+        with_mask = with_source(bench, mask=mask)
+        views = lit_views(with_mask)
+        estimators = WarpEstimators(with_mask, NoiseFreeFrames(with_mask).reference())
+        for done, screen in enumerate(seeded(with_mask, seeds)):
+            progress(mask, (index + done / len(seeds)) / len(_MASKS))
+            frame = NoiseFreeFrames(screen).frame()
+            yield from estimators.compare(frame.photons, frame.truth, mask, views=views)
+
+
+def lit_views(bench: Bench) -> NDArray[np.bool_]:
+    """True for views within the outline of the source, (view_row, view_column).
+
+    The outline is the convex hull of the points with a tenth of the highest brightness.
+    """
+    simulation, field = bench.simulation, bench.field
+    points = source_points(simulation.source.mask, simulation.source, object_samples=simulation.object_samples)
+    bright = points.area_m2 > _BRIGHT * points.area_m2.max()
+    try:
+        outline = ConvexHull(points.position_m[bright]).equations  # outward normal and offset of each side
+    except QhullError as error:
+        raise InputError("the source is a point or a line: no view lies inside it") from error
+    y_m, x_m = np.meshgrid(field.view_y_m, field.view_x_m, indexing="ij")
+    distance_m = np.stack([x_m, y_m], axis=-1) @ outline[:, :2].T + outline[:, 2]
+    return np.asarray(np.all(distance_m <= _ROUNDING * field.half_width_m, axis=-1))
+
+
+SOURCE = Sweep(name="source", title="Source (views inside it)", axis="shape", measure=_sources)
+
+_DEAD = (0.0, 0.05, 0.1, 0.2, 0.3)
+_Error = Callable[[Bench, float], Bench]  # returns the bench with a wrong setting
+
+
+def _over_errors(values: tuple[float, ...], errors: dict[str, _Error]) -> _Measure:
+    """Reconstruct frames of the right bench with the settings of a wrong one, for each kind and size of error."""
+
+    def measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+        reference = NoiseFreeFrames(bench).reference()
+        frames = [NoiseFreeFrames(screen).frame() for screen in seeded(bench, seeds)]
+        cases = [(kind, value, wrong) for kind, wrong in errors.items() for value in values]
+        for done, (kind, value, wrong) in enumerate(cases):
+            progress(f"{kind} {value:g}", done / len(cases))
+            # affine adds no information
+            estimators = WarpEstimators(
+                wrong(bench, value), reference, warps=("quadratic", "cubic"), refined=("cubic",)
+            )
+            for frame in frames:
+                yield from estimators.compare(frame.photons, frame.truth, value, prefix=f"{kind}: ")
+
+    return measure
+
+
+def _lattice(bench: Bench) -> Lattice:
+    return bench.design_lattice(bench.camera_model.rows, bench.camera_model.columns)
+
+
+def _with_lattice(bench: Bench, name: str, change: Callable[[float, float], float]) -> Bench:
+    """Change one number of the lattice; `change` gets it and the distance of the outermost lenslet, px."""
+    lattice, lenslets = _lattice(bench), max(bench.sensor.lenslet_rows, bench.sensor.lenslet_columns)
+    changed: Any = change(getattr(lattice, name), (lenslets - 1) / 2 * lattice.pitch_px)
+    return replace(bench, lattice=replace(lattice, **{name: changed}))
+
+
+def _other_lenslets(bench: Bench, error: float) -> Bench:
+    focal_length_m = bench.sensor.lenslet_focal_length_m * (1 + error)
+    return replace(bench, sensor=replace(bench.sensor, lenslet_focal_length_m=focal_length_m))
+
+
+def _other_collimator(bench: Bench, error: float) -> Bench:
+    focal_length_m = bench.field.collimator_focal_length_m * (1 + error)
+    return replace(bench, field=replace(bench.field, collimator_focal_length_m=focal_length_m))
+
+
+_LATTICE_ERRORS: dict[str, _Error] = {  # by the shift of the outermost lenslets
+    "centre": lambda bench, px: _with_lattice(bench, "center_x_px", lambda center_px, _: center_px + px),
+    "pitch": lambda bench, px: _with_lattice(bench, "pitch_px", lambda pitch_px, far_px: pitch_px * (1 + px / far_px)),
+    "rotation": lambda bench, px: _with_lattice(bench, "rotation_rad", lambda angle, far_px: angle + px / far_px),
+}
+LATTICE = Sweep(
+    name="lattice",
+    title="Lattice wrong in centre, pitch or rotation",
+    axis="error at the outermost lenslets (px)",
+    measure=_over_errors((0.0, 0.5, 1.0, 2.0, 3.0), _LATTICE_ERRORS),
+)
+FOCAL_LENGTH = Sweep(
+    name="focal_length",
+    title="Focal lengths wrong",
+    axis="relative error",
+    measure=_over_errors(
+        (-0.05, -0.02, 0.0, 0.02, 0.05), {"lenslets": _other_lenslets, "collimator": _other_collimator}
+    ),
+)
+
+
+def _dead(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+    reference = NoiseFreeFrames(bench).reference()
+    shape = bench.sensor.lenslet_rows, bench.sensor.lenslet_columns
+    for done, screen in enumerate(seeded(bench, seeds)):
+        frame = NoiseFreeFrames(screen).frame()
+        order = np.random.default_rng(screen.simulation.seed).permutation(shape[0] * shape[1])
+        for index, fraction in enumerate(_DEAD):
+            progress(f"{fraction:.0%} dead", (done + index / len(_DEAD)) / len(seeds))
+            alive = np.ones(order.size)
+            alive[order[: round(fraction * order.size)]] = 0.0
+            alive = alive.reshape(shape)
+            light = by_pixel(alive, _lattice(bench), *reference.shape)
+            estimators = WarpEstimators(bench, reference * light, refined=("cubic",))
+            yield from estimators.compare(frame.photons * light, frame.truth, fraction)
+            if fraction > 0:
+                cubic, curve = estimators.by_warp["cubic"], "cubic refined, at the dead ones"
+                wavefront, _ = cubic.rounds(cubic.reconstructor.register(frame.photons * light))[-1]
+                yield compared(curve, fraction, wavefront, frame.truth, lenslets=alive == 0.0)
+
+
+DEAD = Sweep(name="dead", title="Dead lenslets", axis="part of all lenslets", measure=_dead)

@@ -1,0 +1,91 @@
+"""Analyses of measured wavefronts: what the file of each has, and all of them by name.
+
+This file loads nothing else, so that the help of the program is fast.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+    from app.bench.config import Bench
+    from app.progress import Progress
+
+# where each is, and the first sentence of its help
+ANALYSES = {
+    "layers": ("app.results.layers.Layers", "Find at which distance the aberration originates."),
+    "corrector": ("app.results.corrector.BestCorrector", "Tell what one corrector could do, over its distance."),
+    "field": ("app.results.coefficients.FieldMaps", "Map the coefficients of a wavefront over the field, with errors."),
+    "deconvolve": (
+        "app.results.deconvolution.Deconvolution",
+        "Deconvolve an image by the measured aberration of each field position.",
+    ),
+}
+
+# options of several commands
+Source = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]
+Frame = Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")]
+Frames = Annotated[
+    str | None, typer.Option(metavar="FIRST:END", help="Only these frames, counted from 0; END is excluded.")
+]
+From = Annotated[
+    Literal["lenslets", "mask"],
+    typer.Option("--from", help="Where distances are measured from: lenslets, in the collimated beam, or mask."),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the bench, as registration.warp=affine."),
+]
+
+
+class Analysis(Protocol):
+    """One analysis: a frozen dataclass whose fields are its options and whose docstring is the help of its command.
+
+    An impossible combination of options is an `InputError`. Window and Python use the same functions of its file.
+    """
+
+    source: ClassVar[object] = Source  # the option of its wavefronts
+    file_help: ClassVar[str]  # of the file that it writes
+    suffixes: ClassVar[tuple[str, ...]] = (".nc",)  # of that file
+    needs_suffix: ClassVar[bool] = False  # which says what is written
+    picture_dpi: ClassVar[int] = 150  # 0: it has no picture
+    closing: ClassVar[str] = ""  # after the sentences on the terminal, of the file `out`
+
+    def compute(self, source: Path, progress: Progress) -> tuple[Bench, xr.Dataset]:
+        """Return bench and results, with names and units, of a recording or a file of results."""
+        ...
+
+    def sentences(self, found: xr.Dataset) -> list[str]:
+        """Say what was found."""
+        ...
+
+    def draw(self, found: xr.Dataset) -> Figure:
+        """Draw the results."""
+        raise NotImplementedError
+
+    def write(self, found: xr.Dataset, bench: Bench, source: Path, out: Path) -> None:
+        """Write the results."""
+        from app.results.result_file import write_results  # noqa: PLC0415 - this file loads nothing else
+
+        of_frame = {"frame": str(self.frame)} if hasattr(self, "frame") else {}
+        write_results(out, found, bench=bench, inputs={"source": source.name, **of_frame})
+
+    def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:  # noqa: ARG002 - others need it
+        """Return more files that it reads and writes; `InputError` if one of them cannot be used."""
+        return (), ()
+
+
+def load(name: str) -> type[Analysis]:
+    """Read the file of an analysis."""
+    module, _, kind = ANALYSES[name][0].rpartition(".")
+    found: type[Analysis] = getattr(import_module(module), kind)
+    return found

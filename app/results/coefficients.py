@@ -1,0 +1,322 @@
+"""Coefficients of modes with error bars: of one wavefront, and over the field (docs/field.md)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import numpy as np
+import typer
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, FigureBase
+
+from app.bench.config import Bench
+from app.errors import InputError
+from app.files import write_csv
+from app.progress import Progress
+from app.results.analysis import Analysis, Frame
+from app.results.result_file import Variable, about
+from app.results.sources import read_fit
+from reconstruction.arrays import Floats
+from reconstruction.errors import ReconstructionError
+from reconstruction.field_coefficients import FieldCoefficients, ModalFit, field_coefficients
+from reconstruction.geometry import Field, Sensor, centered_steps
+from reconstruction.modes.pupil_modes import BASES, pupil_modes
+from reconstruction.quality.verdict import Quality
+from reconstruction.settings import PupilBasis
+from reconstruction.solve.modal import ModalSolution
+from reconstruction.wavefront import Wavefront
+
+_MOST_MODES = 36  # all up to degree 7
+_MAP_ACROSS = 21  # positions across the field
+
+
+@dataclass(frozen=True, slots=True)
+class ModeChoice:
+    """Selection of the coefficients to compute."""
+
+    basis: PupilBasis
+    field_mode: int | None  # e_pq of this field mode q; None: the modes of the selected view
+    view: tuple[int, int]  # the selected view
+    mapped: int | None = None  # mode whose coefficient is mapped over the field
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModeCoefficients:
+    """Coefficients of the modes but the piston, which is always first."""
+
+    choice: ModeChoice
+    names: tuple[str, ...]  # (pupil_mode,)
+    rad: Floats  # (pupil_mode,); NaN if nothing is known of the wavefront
+    sigma_rad: Floats  # standard deviation for a single frame, (pupil_mode,); NaN where unknown
+    field_map: Floats | None  # of the mapped mode, rad, (row, column); NaN outside the field
+
+
+def mode_coefficients(wavefront: Wavefront, choice: ModeChoice) -> ModeCoefficients:
+    """Fit modes to the wavefront at the lenslet centres: to the selected view as shown, or to that of a field mode.
+
+    Legendre modes are fitted over all known lenslets, Zernike modes over those in the circle. With the modes of the
+    reconstruction, the fit returns its coefficients.
+    """
+    sensor, displacement, solution = wavefront.sensor, wavefront.displacement, wavefront.solution
+    weights = np.zeros(displacement.modes.count)
+    if choice.field_mode is None:
+        row, column = choice.view
+        field = wavefront.field
+        x, y = field.view_x_m[column] / field.half_width_m, field.view_y_m[row] / field.half_width_m
+        weights, phase = displacement.modes.values(x, y), wavefront.views[choice.view]
+    else:
+        weights[choice.field_mode] = 1.0
+        phase = solution.wavefront(weights)
+    fit = _fit(sensor, choice.basis, np.isfinite(phase).tobytes())
+    names = BASES[choice.basis].names(len(fit))
+    sigma_rad = np.full(len(fit), np.nan)
+    if isinstance(solution, ModalSolution):
+        sigma_rad = np.linalg.norm(
+            _apply(fit, np.moveaxis(solution.deviations(weights).astype(np.float64), -1, 0)), axis=0
+        )
+    field_map = None
+    if choice.mapped is not None:
+        by_mode = _apply(fit, solution.wavefront(np.eye(displacement.modes.count)))[:, choice.mapped]
+        field_map = _over_field(wavefront, by_mode)
+    return ModeCoefficients(choice, names, _apply(fit, phase[None])[0], sigma_rad, field_map)
+
+
+@lru_cache(maxsize=8)
+def _fit(sensor: Sensor, basis: PupilBasis, known_bytes: bytes) -> Floats:
+    """Matrix (pupil_mode, lenslet) from a wavefront to its least-squares coefficients; zero for unused lenslets."""
+    most = min(sensor.lenslet_rows, sensor.lenslet_columns)
+    modes = pupil_modes(sensor, basis, min(_MOST_MODES, most * (most + 1) // 2))
+    known = np.frombuffer(known_bytes, np.bool_)
+    used = known & modes.inside.ravel()
+    fit = np.zeros((len(modes.values), used.size))
+    if used.any():
+        fit[:, used] = np.linalg.pinv(modes.values.reshape(len(fit), -1)[:, used].T)
+    else:
+        fit[:] = np.nan
+    return fit
+
+
+def _apply(fit: Floats, phases: Floats) -> Floats:
+    """Coefficients (case, pupil_mode) of wavefronts (case, lenslet_row, lenslet_column)."""
+    return np.asarray(np.nan_to_num(phases.reshape(len(phases), -1)) @ fit.T)
+
+
+def _over_field(wavefront: Wavefront, by_mode: Floats) -> Floats:
+    """Map over the field, (row, column), of what has the coefficients (field_mode,); NaN outside."""
+    steps = centered_steps(_MAP_ACROSS) * 2 / (_MAP_ACROSS - 1)
+    values = np.tensordot(by_mode, wavefront.displacement.modes.values(steps, steps[:, None]), axes=1)
+    values[~wavefront.field.contains(steps, steps[:, None])] = np.nan
+    return np.asarray(values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldMaps(Analysis):
+    """Map the coefficients of a wavefront over the field, with errors.
+
+    This is a full-field display: how much defocus, astigmatism, coma ... there is at each field position. The same
+    wavefront is written as double Zernike coefficients in GalSim's convention. Error bars from a results file
+    neglect correlations. See docs/field.md.
+
+    Example: svwfs field run1 --out field.nc --plot field.png
+
+    Example: svwfs field run1 --order 4 --positions 5 --out table.csv
+
+    Example: svwfs field result.nc --mode 5 --mode 6 --out field.nc --plot astigmatism.png
+    """
+
+    file_help: ClassVar = "NetCDF file for maps and double Zernikes, or .csv for a table of field positions."
+    suffixes: ClassVar = (".nc", ".csv")
+    needs_suffix: ClassVar = True
+    picture_dpi: ClassVar = 130
+
+    basis: Annotated[
+        PupilBasis, typer.Option(help="Modes: zernike over the pupil's inscribed circle, legendre over the lattice.")
+    ] = "zernike"
+    order: Annotated[
+        int | None, typer.Option(min=1, help="Highest degree of the pupil modes; that of the result if omitted.")
+    ] = None
+    field_order: Annotated[
+        int | None, typer.Option(min=0, help="Highest order of double Zernikes over the field; all if omitted.")
+    ] = None
+    positions: Annotated[int, typer.Option(min=1, max=501, help="Field positions along each side.")] = 21
+    frame: Frame = 0
+    mode: Annotated[
+        list[int] | None, typer.Option(metavar="N", help="Mode in the picture, repeatable; the strongest if omitted.")
+    ] = None
+
+    def __post_init__(self) -> None:
+        if self.field_order is not None and self.basis != "zernike":
+            raise InputError("--field-order is that of double Zernikes: leave it out with --basis legendre")
+
+    def compute(self, source: Path, progress: Progress) -> tuple[Bench, xr.Dataset]:
+        """Return coefficients over the field, Zernike coefficients also as double Zernikes."""
+        progress("reconstructing the frame", 0.0)
+        bench, fit = read_fit(source, self.frame)
+        found = field_coefficients(fit, self.basis, self.order)
+        maps = field_dataset(found, bench.sensor, bench.field, self.positions, self.field_order)
+        first, last = (int(maps["mode"].values[at]) for at in (0, -1))
+        for number in self.mode or ():
+            if not first <= number <= last:
+                raise InputError(f"--mode {number}: the {self.basis} modes of this result are {first} ... {last}")
+        return bench, maps
+
+    def draw(self, found: xr.Dataset) -> Figure:
+        """Draw the chosen modes, or the strongest."""
+        modes = self.mode or strongest(found)
+        figure = Figure(figsize=(4.4 * min(_PAIRS, len(modes)), 2.9 * -(-len(modes) // _PAIRS)), layout="constrained")
+        draw_field(figure, found, modes)
+        return figure
+
+    def sentences(self, found: xr.Dataset) -> list[str]:
+        """Say the strongest coefficients, as mean and range over the field."""
+        lines = []
+        for number in strongest(found):
+            of_mode = found.sel(mode=number)
+            values, sigma = of_mode["coefficient"], float(of_mode["coefficient_sigma"].mean())
+            lines.append(
+                f"{of_mode['name'].item()}: mean {float(values.mean()):+.3f} rad,"
+                f" {float(values.min()):+.3f} ... {float(values.max()):+.3f} over the field, error {sigma:.2g} rad"
+            )
+        if (share := found.attrs["known_share"]) < 1:
+            lines.append(f"{100 * (1 - share):.0f} % of the lenslets in the pupil are unknown: the modes bridge them")
+        return lines
+
+    def write(self, found: xr.Dataset, bench: Bench, source: Path, out: Path) -> None:
+        """Write the dataset, or a table of field positions."""
+        if out.suffix.lower() == ".csv":
+            write_csv(out, *table_of(found))
+        else:
+            Analysis.write(self, found, bench, source, out)
+
+
+def field_dataset(
+    found: FieldCoefficients, sensor: Sensor, field: Field, positions: int, field_order: int | None = None
+) -> xr.Dataset:
+    """Return maps at positions x positions evenly spread over the field; of Zernike modes also double Zernikes."""
+    if positions < 1:
+        raise InputError(f"the positions across the field must be at least 1, not {positions}")
+    maps = coefficient_maps(found, field, *[evenly_spread(positions)] * 2)
+    if found.basis != "zernike":
+        return maps
+    return maps.assign(double_zernike_variables(found, field_order)).assign_attrs(circles(sensor, field))
+
+
+def coefficient_maps(found: FieldCoefficients, field: Field, x: Floats, y: Floats) -> xr.Dataset:
+    """Return the coefficients, without the piston, on a grid x (x,), y (y,) over half the width of the field."""
+    y = y[:, None]
+    outside = ~field.contains(x, y)
+    values, sigma = found.at(x, y)[1:], found.sigma(x, y)[1:]
+    values[:, outside] = sigma[:, outside] = np.nan
+    maps, first = ("mode", "y", "x"), int(found.basis == "zernike")
+    count = "Noll's count, from 1" if first else "the paper's count, from 0"
+    return xr.Dataset(
+        {
+            "coefficient": (maps, values, about("rad", f"coefficients in {found.basis} modes")),
+            "coefficient_sigma": (maps, sigma, about("rad", "standard deviation of coefficient")),
+        },
+        coords={
+            "mode": ("mode", np.arange(1, len(found.rad)) + first, about("1", count)),
+            "name": ("mode", list(BASES[found.basis].names(len(found.rad))[1:])),
+            "x": ("x", x * field.half_width_m, about("m", "field position")),
+            "y": ("y", y[:, 0] * field.half_width_m, about("m", "field position")),
+        },
+        attrs={"title": "Coefficients over the field", "basis": found.basis, "known_share": found.known_share},
+    )
+
+
+def evenly_spread(positions: int) -> Floats:
+    """Return positions across the field, over half its width."""
+    return np.linspace(-1, 1, positions) if positions > 1 else np.zeros(1)
+
+
+def table_of(maps: xr.Dataset) -> tuple[list[str], list[list[float]]]:
+    """Return columns with their units and rows of a table: positions inside the field, coefficients, their errors."""
+    modes = [name.split(" ", 1)[0] for name in maps["name"].values]
+    names = ["x_m", "y_m", *(f"{mode}_rad" for mode in modes), *(f"{mode}_sigma_rad" for mode in modes)]
+    values, sigma = maps["coefficient"].values, maps["coefficient_sigma"].values
+    inside = np.isfinite(values[0])
+    place_m = np.stack(np.meshgrid(maps["x"], maps["y"]))
+    return names, np.concatenate([each[:, inside] for each in (place_m, values, sigma)]).T.tolist()
+
+
+def double_zernike_variables(found: FieldCoefficients, field_order: int | None = None) -> dict[str, Variable]:
+    """Return double Zernikes and their standard deviations as variables of a dataset."""
+    dimensions = ("k", "j")
+    rad, sigma = found.double_zernikes(field_order)
+    long_name = "d[k, j] Z_k(field) Z_j(pupil), Noll's counts from 1; the first row and column are unused"
+    return {
+        "double_zernike": (dimensions, rad, about("rad", long_name)),
+        "double_zernike_sigma": (dimensions, sigma, about("rad", "standard deviation of double_zernike")),
+    }
+
+
+def circles(sensor: Sensor, field: Field) -> dict[str, float]:
+    """Return the radii of the double Zernikes' circles as attributes, named as GalSim names its arguments."""
+    radius_m = min(sensor.pupil_half_width_m)
+    return {"uv_outer": field.half_width_m, "uv_inner": 0.0, "xy_outer": radius_m, "xy_inner": 0.0}
+
+
+STRONGEST = 6  # maps by default
+_PAIRS = 2  # of value and error side by side
+
+
+def strongest(maps: xr.Dataset, count: int = STRONGEST) -> list[int]:
+    """Return the numbers of the modes with the largest RMS over the field, the largest first."""
+    mean_square = (maps["coefficient"] ** 2).mean(("y", "x")).values
+    return [int(number) for number in maps["mode"].values[np.argsort(-mean_square)[:count]]]
+
+
+def draw_field(figure: FigureBase, maps: xr.Dataset, modes: Sequence[int]) -> None:
+    """Draw coefficients beside their standard deviations, +x to the right and +y down as on the camera."""
+    pairs = min(_PAIRS, len(modes))
+    axes = figure.subplots(-(-len(modes) // pairs), 2 * pairs, squeeze=False)
+    for number, value, error in zip(modes, axes[:, ::2].ravel(), axes[:, 1::2].ravel(), strict=False):
+        of_mode = maps.sel(mode=number)
+        name = str(of_mode["name"].item()).replace(" ", "\n", 1)
+        sigma = of_mode["coefficient_sigma"]
+        limit = float(np.abs(of_mode["coefficient"]).max()) or 1.0
+        _draw_map(value, of_mode["coefficient"], name, "RdBu_r", (-limit, 0.0, limit))
+        _draw_map(error, sigma, "standard\ndeviation", "viridis", (0.0, float(sigma.max()) or 1.0))
+    for unused in axes.ravel()[2 * len(modes) :]:
+        unused.set_axis_off()
+    axes[-1, 0].set_xlabel("field x (mm)", fontsize=7.5)
+    axes[-1, 0].set_ylabel("y (mm)", fontsize=7.5)
+
+
+def _draw_map(axes: Axes, values: xr.DataArray, title: str, colours: str, ticks: tuple[float, ...]) -> None:
+    """Draw a map with a colour bar from the first to the last tick, rad."""
+    edge_mm = float(values["x"].max()) * 1e3
+    half_mm = edge_mm / max(values["x"].size - 1, 1) or 0.5  # of a pixel
+    reach_mm = edge_mm + half_mm
+    extent = (-reach_mm, reach_mm, reach_mm, -reach_mm)
+    image = axes.imshow(values, cmap=colours, vmin=ticks[0], vmax=ticks[-1], extent=extent)
+    axes.set_title(title, fontsize=8.5)
+    axes.set_xticks([-edge_mm, 0, edge_mm] if edge_mm else [0])
+    axes.set_yticks(axes.get_xticks())
+    axes.tick_params(labelsize=7)
+    axes.set_facecolor("0.9")
+    bar = axes.figure.colorbar(image, ax=axes, location="bottom", shrink=0.9, ticks=ticks, format="%.2g rad")
+    bar.ax.tick_params(labelsize=7)
+
+
+def double_zernikes(wavefront: Wavefront, _quality: Quality | None = None) -> xr.Dataset:
+    """Return the double Zernikes of a wavefront with their standard deviations."""
+    attributes = {"title": "Double Zernike coefficients", **circles(wavefront.sensor, wavefront.field)}
+    return xr.Dataset(double_zernike_variables(_zernikes(wavefront)), attrs=attributes)
+
+
+def zernikes_of_views(wavefront: Wavefront) -> xr.Dataset:
+    """Return the Zernike coefficients of the views, see `coefficient_maps`."""
+    field = wavefront.field
+    x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
+    return coefficient_maps(_zernikes(wavefront), field, x, y)
+
+
+def _zernikes(wavefront: Wavefront) -> FieldCoefficients:
+    try:
+        return field_coefficients(ModalFit.of(wavefront), "zernike")
+    except ReconstructionError as error:
+        raise InputError(f"the wavefront cannot be written in Zernike modes: {error}") from error
