@@ -16,7 +16,7 @@ from support.optics import sensor_of
 import svwfs
 from app.commands.field import field
 from app.evaluation.simulated_frames import SimulatedFrames
-from app.gui import coefficients_panel
+from app.gui.panels import coefficients
 from app.results.mode_coefficients import mode_names
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Sensor
@@ -115,5 +115,5 @@ def test_every_list_of_bases_is_the_same() -> None:
     given = get_type_hints(field, include_extras=True)["basis"].__args__[0]
     names_there = {**vars(svwfs), "Wavefront": object, "xr": xarray}
     of_python = get_type_hints(svwfs.field_coefficients, names_there)["basis"]
-    for names in (get_args(PupilBasis), get_args(given), get_args(of_python), coefficients_panel._BASES):
+    for names in (get_args(PupilBasis), get_args(given), get_args(of_python), coefficients._BASES):
         assert set(names) == set(BASES)

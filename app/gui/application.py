@@ -12,14 +12,12 @@ from app.acquisition.start_up import acquisition_of
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError
-from app.gui.controller import CLOSING_S
-from app.gui.main_window import MainWindow
-from app.gui.preferences import apply_preferences
-from app.gui.theme import apply_theme
-from app.gui.tour import offer_tour
-from app.gui.window_layout import WINDOW_SIZE
-from app.gui.window_state import settings_file
-from app.gui.wording import left_behind
+from app.gui.shell.controller import CLOSING_S
+from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
+from app.gui.shell.preferences import apply_preferences
+from app.gui.shell.state import settings_file
+from app.gui.shell.wording import left_behind
+from app.gui.widgets.theme import apply_theme
 from app.signals import ended_by
 
 _HOPELESS_FRAMES = 20
@@ -92,7 +90,7 @@ def run_window(
             if settings is None:
                 window.resize(WINDOW_SIZE)  # the screen of Qt's offscreen platform is small
             else:
-                offer_tour(window, settings)
+                window.offer_tour()
             open_first(window)
             status = application.exec()
         finally:
@@ -173,7 +171,7 @@ class _UnattendedRun:
 
     def _note(self, measurement: Measurement) -> None:
         controller = self._window.controller
-        is_hopeless = controller.pending.is_empty and controller.status is not None and bool(controller.status.warning)
+        is_hopeless = controller.is_settled and controller.status is not None and bool(controller.status.warning)
         self._hopeless = self._hopeless + 1 if measurement.wavefront is None and is_hopeless else 0
         if measurement.wavefront is not None:
             if self._last is None:

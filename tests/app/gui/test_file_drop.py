@@ -15,7 +15,7 @@ from support.gui_bench import FakeCamera
 from support.records import make_record, write
 from support.window_tools import press
 
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 
 
 def drop(window: MainWindow, *paths: Path) -> None:
@@ -53,7 +53,7 @@ def test_dragging_across_opens_nothing(
     """A move event is also a `QDropEvent` in Qt."""
     window, _ = live
     opened: list[Path] = []
-    monkeypatch.setattr(window.drop, "open", opened.append)
+    monkeypatch.setattr(window, "open_file", opened.append)
     data = QMimeData()
     data.setUrls([QUrl.fromLocalFile(str(tmp_path))])
     for kind in (QDragEnterEvent, QDragMoveEvent, QDragMoveEvent):
@@ -122,7 +122,7 @@ def test_unusable_frame_is_refused(
 @pytest.mark.slow
 def test_frame_is_refused_during_a_recording(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, _ = live
-    window.controller.recordings_folder = tmp_path / "runs"
+    window.recording_bar.recordings_folder = tmp_path / "runs"
     press(qtbot, window, Qt.Key.Key_W)
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     np.save(tmp_path / "frame.npy", np.zeros((300, 430), np.uint16))

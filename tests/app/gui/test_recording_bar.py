@@ -13,8 +13,8 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, press
 
-from app.gui.main_window import MainWindow
-from app.gui.recent_files import RecentFiles
+from app.gui.shell.main_window import MainWindow
+from app.gui.shell.recent_files import RecentFiles
 from app.recording.reader import Recording
 
 
@@ -27,7 +27,7 @@ def type_into(qtbot: QtBot, field: QLineEdit, text: str) -> None:
 
 def record(qtbot: QtBot, window: MainWindow, folder: Path, *, frames: int) -> None:
     """Record some frames by the limit of the bar."""
-    window.controller.recordings_folder = folder
+    window.recording_bar.recordings_folder = folder
     bar = window.recording_bar
     line = bar.stop_after.lineEdit()
     assert line is not None
@@ -198,8 +198,8 @@ def test_saved_seconds_and_recent_recordings(make_window: MakeWindow, qtbot: QtB
     settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
     window = make_window(FakeCamera(), settings=settings)
     window.connect_devices()
-    window.controller.recordings_folder = tmp_path / "runs"
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    window.recording_bar.recordings_folder = tmp_path / "runs"
+    qtbot.waitUntil(lambda: window.controller.is_settled)
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
     press(qtbot, window, Qt.Key.Key_K)
     qtbot.waitUntil(lambda: window.recording_bar.folder is not None)
@@ -215,7 +215,7 @@ def test_saved_seconds_and_recent_recordings(make_window: MakeWindow, qtbot: QtB
 @pytest.mark.slow
 def test_recording_in_the_dark_is_announced(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, camera = live
-    window.controller.recordings_folder = tmp_path
+    window.recording_bar.recordings_folder = tmp_path
     press(qtbot, window, Qt.Key.Key_L)
     qtbot.waitUntil(lambda: not camera.light.shines and window.controls.light.text() == "Light off")
     press(qtbot, window, Qt.Key.Key_W)

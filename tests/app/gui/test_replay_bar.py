@@ -16,7 +16,7 @@ from support.recordings import record
 from support.window_tools import picture, press
 
 from app.acquisition.worker import Acquisition, FrameTotals
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
 from app.recording.folder import describe
 from app.recording.reader import Recording
