@@ -14,8 +14,7 @@ from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError
 from app.gui.shell.controller import CLOSING_S
 from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
-from app.gui.shell.preferences import apply_preferences
-from app.gui.shell.state import settings_file
+from app.gui.shell.state import apply_preferences, settings_file
 from app.gui.shell.wording import left_behind
 from app.gui.widgets.theme import apply_theme
 from app.signals import ended_by
@@ -84,7 +83,7 @@ def run_window(
         signals.append(number)
         QTimer.singleShot(0, window.close)  # works before the event loop starts, too
 
-    with window.guard.of_slots(), ended_by(end):  # Python handles signals when the window's timer fires
+    with window.errors.reported(), ended_by(end):  # Python handles signals when the window's timer fires
         try:
             window.show()
             if settings is None:

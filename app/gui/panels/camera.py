@@ -12,11 +12,10 @@ from app.acquisition.instrument import Status
 from app.gui.panels.panel import Entries, Panel, Shown
 from app.gui.widgets import theme
 from app.gui.widgets.basics import Choice, ElidedLabel, Toggle, colour_text, column, label, row_of, unfocused
-from app.gui.widgets.camera_image import CameraImage, ClippedPixels, Picture
-from app.gui.widgets.copies import add_copy_menu, as_table
-from app.gui.widgets.presentation import percent
-from app.gui.widgets.scales import MAGNIFICATIONS, AdaptiveScale
-from app.gui.widgets.segments import (
+from app.gui.widgets.camera_image import (
+    CameraImage,
+    ClippedPixels,
+    Picture,
     Segments,
     arrow_length_px,
     arrows,
@@ -25,6 +24,9 @@ from app.gui.widgets.segments import (
     lenslet_at,
     lost_boxes,
 )
+from app.gui.widgets.copies import add_copy_menu, as_table
+from app.gui.widgets.presentation import percent
+from app.gui.widgets.scales import MAGNIFICATIONS, AdaptiveScale
 from app.measurement.measurement import Measurement
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, Outcome
@@ -80,10 +82,10 @@ class CameraPanel(Panel):
             chosen.toggled.connect(self._show_overlay)
         self.contrast = Choice(
             "Contrast: automatic (1 % to 99.8 % of the pixels), full range, or frozen",
-            [(name, None) for name in (_AUTOMATIC, _FULL, _FROZEN)],
+            (_AUTOMATIC, _FULL, _FROZEN),
             self._restart_contrast,
         )
-        self.colours = Choice("Colours of the camera image", [("grey", None), ("inferno", None)], self._show_colours)
+        self.colours = Choice("Colours of the camera image", ("grey", "inferno"), self._show_colours)
 
         self._graphics = Picture(self._zoom_out, self._point_at)
         self._view = pg.ViewBox(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)

@@ -25,11 +25,22 @@ _FRAMES_RANGE = Range(AVERAGED_FRAMES.start, AVERAGED_FRAMES[-1])
 _GAP, _GROUP_GAP = 4, 8  # px between controls, and between groups of them
 _LIGHT_WIDTH, _LIGHT_LAMP = 96, 20  # px
 _DIM = 0.3  # share of full scale below which noise matters
-_WARP_TIP = (
-    "Allowed distortion of a subimage: shift (translation), affine, quadratic, cubic or quartic.\n"
-    "Subimages rotate only if the bench says registration.rotation = true.\n"
-    "More freedom resolves finer changes over the field. Most other methods ignore this"
-)
+_CHOICES = {  # tool tips by the names of the requests
+    "amplifier": "Output amplifier; a change restarts the camera",
+    "readout_speed": "Readout speed: faster is noisier; a change restarts the camera",
+    "mask": "Mask in front of the light; a new mask needs a new reference (R)",
+    "registration.method": (
+        "Matching of the subimages with the reference: Gauss-Newton is this instrument's own method;\n"
+        "the others come from the paper and related software, and some are too slow for live use"
+    ),
+    "registration.warp": (
+        "Allowed distortion of a subimage: shift (translation), affine, quadratic, cubic or quartic.\n"
+        "Subimages rotate only if the bench says registration.rotation = true.\n"
+        "More freedom resolves finer changes over the field. Most other methods ignore this"
+    ),
+    "reconstruction.method": "Wavefront from the slopes: lenslet by lenslet (zonal) or as polynomials (modal)",
+    "reconstruction.basis": "Polynomials of the modal method: Legendre for a square pupil, Zernike for a circular one",
+}
 _MODES_TIP = (
     "Number of pupil modes that the modal method fits, at most one for each lenslet;\n"
     "automatic (or 0): as many as the lattice supports, smoothed according to the noise"
@@ -49,21 +60,30 @@ class ControlsPanel(Panel):
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
+        self._is_running = False
         self._make_devices()
         self._make_calibration()
-        self._make_reconstruction()
-        light = column((self.light, 1), self.current, spacing=5)
-        rule = QFrame()
-        rule.setFixedWidth(1)
-        rule.setProperty("role", "rule")
-        exposure = _named("Exposure", (self.exposure, 2))
-        gain = _named("Gain", (self.em_gain, 1), (self.amplifier, 1))
-        devices = (self.start, self.sensor_region, (exposure, 3), (gain, 4), (_named("Speed", self.readout_speed), 0))
+        self.choices = {name: _choice(tip, partial(self._choose, name)) for name, tip in _CHOICES.items()}
+        amplifier, speed, mask, self.registration, self.warp, self.method, self.basis = self.choices.values()
+        self.amplifier, self.readout_speed, self.mask_choice = amplifier, speed, mask
+        self.pupil_modes = NumberField(name="Modes", tool_tip=_MODES_TIP, lowest=AUTOMATIC)
+        self.pupil_modes.entered.connect(self._enter_modes)
+        self.refine = Toggle(
+            "Refine",
+            "Correct systematic errors by a simulation of your bench, updated about every second (F)",
+            self._ask("reconstruction.refine"),
+        )
         calibration: list[Item] = [self.lattice]
         for step in (self.auto_exposure, self.dark, self.reference):
             calibration += [label("\N{SINGLE RIGHT-POINTING ANGLE QUOTATION MARK}", "dim"), step]
         lines = (
-            row(*devices, self.sample, (self.mask_choice, 2), spacing=_GROUP_GAP),
+            row(
+                *(self.start, self.sensor_region),
+                (_named("Exposure", (self.exposure, 2)), 3),
+                (_named("Gain", (self.em_gain, 1), (amplifier, 1)), 4),
+                *(_named("Speed", speed), self.sample, (mask, 2)),
+                spacing=_GROUP_GAP,
+            ),
             row(*calibration, _named("Frames", self.frames), self.calibrate, spacing=_GROUP_GAP // 2),
             row(
                 (_named("Matching", (self.registration, 3), (self.warp, 2)), 5),
@@ -73,13 +93,16 @@ class ControlsPanel(Panel):
                 spacing=_GROUP_GAP,
             ),
         )
-        row(light, rule, (column(*lines, spacing=5), 1), spacing=_GROUP_GAP, parent=self).setContentsMargins(8, 6, 8, 6)
+        rule = QFrame()
+        rule.setFixedWidth(1)
+        rule.setProperty("role", "rule")
+        parts = column((self.light, 1), self.current, spacing=5), rule, (column(*lines, spacing=5), 1)
+        row(*parts, spacing=_GROUP_GAP, parent=self).setContentsMargins(8, 6, 8, 6)
         self.setProperty("role", "strip")
         self.setAttribute(Qt.WidgetAttribute.WA_StyledBackground)
         self.setEnabled(False)
 
     def _make_devices(self) -> None:
-        self._is_running = False
         self.start = Button(
             "Start", "Start or stop taking frames (Space)", lambda: self.requested.emit("running", not self._is_running)
         )
@@ -94,20 +117,12 @@ class ControlsPanel(Panel):
         self.current = NumberField(name="Current", unit="mA", decimals=1, tool_tip="Current of the light while on (C)")
         for name, field in (("exposure", self.exposure), ("em_gain", self.em_gain), ("current", self.current)):
             field.entered.connect(self._ask(name))
-        self.amplifier = _choice("Output amplifier; a change restarts the camera", self._ask("amplifier"))
-        self.readout_speed = _choice(
-            "Readout speed: faster is noisier; a change restarts the camera",
-            lambda speed: self.requested.emit("readout_speed", int(str(speed))),
-        )
         self.light = _LightButton("Light off", "Switch the light (L)", self._ask("light"))
         self.light.setProperty("role", "light")
         self.light.setIconSize(QSize(_LIGHT_LAMP, _LIGHT_LAMP))
         self.light.setMinimumWidth(_LIGHT_WIDTH)
         self.light.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
         self.sample = Toggle("Sample out", "Move the sample into or out of the beam (S)", self._ask("sample"))
-        self.mask_choice = _choice(
-            "Mask in front of the light; a new mask needs a new reference (R)", self._ask("mask")
-        )
 
     def _make_calibration(self) -> None:
         self.frames = NumberField(name="Frames", tool_tip="Number of frames averaged into a dark or a reference")
@@ -139,32 +154,6 @@ class ControlsPanel(Panel):
             lambda: self._ask_average("calibration"),
         )
 
-    def _make_reconstruction(self) -> None:
-        self.registration = self._setting(
-            "registration.method",
-            "Matching of the subimages with the reference: Gauss-Newton is this instrument's own method;\n"
-            "the others come from the paper and related software, and some are too slow for live use",
-        )
-        self.warp = self._setting("registration.warp", _WARP_TIP)
-        self.method = self._setting(
-            "reconstruction.method", "Wavefront from the slopes: lenslet by lenslet (zonal) or as polynomials (modal)"
-        )
-        self.basis = self._setting(
-            "reconstruction.basis",
-            "Polynomials of the modal method: Legendre for a square pupil, Zernike for a circular one",
-        )
-        self.pupil_modes = NumberField(name="Modes", tool_tip=_MODES_TIP, lowest=AUTOMATIC)
-        self.pupil_modes.entered.connect(
-            lambda modes: self.requested.emit(
-                "reconstruction.pupil_modes", round(modes) if modes in PUPIL_MODES else None
-            )
-        )
-        self.refine = Toggle(
-            "Refine",
-            "Correct systematic errors by a simulation of your bench, updated about every second (F)",
-            self._ask("reconstruction.refine"),
-        )
-
     def menu_entries(self) -> Mapping[str, Entries]:
         """Return all controls that have a key."""
         return {
@@ -192,9 +181,11 @@ class ControlsPanel(Panel):
         if self.frames.commit():  # the button does not take the focus from it
             self.requested.emit(name, round(self.frames.value()))
 
-    def _setting(self, name: str, tool_tip: str) -> Choice:
-        """Make a choice for a setting of the bench."""
-        return _choice(tool_tip, lambda value: self.requested.emit(name, None if value == AUTOMATIC else value))
+    def _choose(self, name: str, value: object) -> None:
+        self.requested.emit(name, None if value == AUTOMATIC else value)
+
+    def _enter_modes(self, modes: float) -> None:
+        self.requested.emit("reconstruction.pupil_modes", round(modes) if modes in PUPIL_MODES else None)
 
     def show_switching_off(self) -> None:
         """Show that the light is being switched off."""
@@ -228,18 +219,17 @@ class ControlsPanel(Panel):
                 field.show_value(wanted.get(name, value) or 0, interval)
         self.current.setEnabled(status.current_range_a.maximum > status.current_range_a.minimum)
         self.em_gain.setEnabled(allowed.em_gain_range.maximum > allowed.em_gain_range.minimum)
-        speeds = tuple(map(str, allowed.readout_speeds))
-        for name, choice, texts, chosen in (
-            ("amplifier", self.amplifier, allowed.amplifiers, status.amplifier),
-            ("readout_speed", self.readout_speed, speeds, str(status.readout_speed)),
-            ("mask", self.mask_choice, status.masks, status.mask),
-            ("registration.method", self.registration, get_args(Method), registration.method),
-            ("registration.warp", self.warp, (AUTOMATIC, *FIELD_MODES), registration.warp),
-            ("reconstruction.method", self.method, ("zonal", "modal"), reconstruction.method),
-            ("reconstruction.basis", self.basis, get_args(PupilBasis), reconstruction.basis),
+        for name, texts, chosen in (
+            ("amplifier", allowed.amplifiers, status.amplifier),
+            ("readout_speed", tuple(map(str, allowed.readout_speeds)), str(status.readout_speed)),
+            ("mask", status.masks, status.mask),
+            ("registration.method", get_args(Method), registration.method),
+            ("registration.warp", (AUTOMATIC, *FIELD_MODES), registration.warp),
+            ("reconstruction.method", ("zonal", "modal"), reconstruction.method),
+            ("reconstruction.basis", get_args(PupilBasis), reconstruction.basis),
         ):
-            mark_wanted(choice, is_wanted=name in wanted)
-            choice.show_choice(texts, str(wanted.get(name, chosen) or AUTOMATIC))
+            mark_wanted(self.choices[name], is_wanted=name in wanted)
+            self.choices[name].show_choice(texts, str(wanted.get(name, chosen) or AUTOMATIC))
         self.refine.setChecked(wanted.get("reconstruction.refine", reconstruction.refine))
         mark_wanted(self.refine, is_wanted="reconstruction.refine" in wanted)
         self.warp.setEnabled(_uses_warp(registration))
@@ -274,7 +264,10 @@ class ControlsPanel(Panel):
             chosen_warp = next((name for name, count in FIELD_MODES.items() if count == fields), "")
         if wavefront is not None and self.pupil_modes.isEnabled() and self.pupil_modes.text() == AUTOMATIC:
             chosen_modes = "" if wavefront.coefficients is None else str(len(wavefront.coefficients))
-        for control, tip, chosen in ((self.warp, _WARP_TIP, chosen_warp), (self.pupil_modes, _MODES_TIP, chosen_modes)):
+        for control, tip, chosen in (
+            (self.warp, _CHOICES["registration.warp"], chosen_warp),
+            (self.pupil_modes, _MODES_TIP, chosen_modes),
+        ):
             control.setToolTip(f"{tip}\n\nChosen now: {chosen}" if chosen else tip)
 
 

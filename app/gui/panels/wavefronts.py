@@ -63,9 +63,7 @@ class WavefrontPanel(Panel):
         self._limits = {(one.family, unit): AdaptiveScale() for one in PRESENTATIONS.values() for unit in Unit}
         self._reach_mrad = AdaptiveScale()  # half width of PSF maps
         self._enlarged: EnlargedView | None = None
-        self.choice = Choice(
-            "Quantity shown for every view (keys 1 to 6)", [(quantity, None) for quantity in Quantity], self._redraw
-        )
+        self.choice = Choice("Quantity shown for every view (keys 1 to 6)", Quantity, self._redraw)
         for index, quantity in enumerate(Quantity):
             tip = f"{PRESENTATIONS[quantity].about} ({index + 1})"
             self.choice.setItemData(index, tip, Qt.ItemDataRole.ToolTipRole)

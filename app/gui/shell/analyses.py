@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -94,8 +94,7 @@ class Analyses(QObject):
 
     failed = pyqtSignal(str)
 
-    def __init__(self, panels: Iterable[Panel], shown: Shown, guard: Callable[..., Callable[[], None]]) -> None:
-        """`guard` wraps the slot of the timer."""
+    def __init__(self, panels: Iterable[Panel], shown: Shown) -> None:
         super().__init__(shown)
         self._panels, self._shown = tuple(panels), shown
         self.is_closing = False
@@ -104,7 +103,7 @@ class Analyses(QObject):
         shown.view_chosen.connect(self.poll)
         self._timer = QTimer(self)
         self._timer.setInterval(_POLL_INTERVAL_MS)
-        self._timer.timeout.connect(guard(self.poll))
+        self._timer.timeout.connect(self.poll)
         self._timer.start()
 
     def poll(self) -> None:

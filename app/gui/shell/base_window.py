@@ -1,8 +1,13 @@
-"""Base of the main window: it keeps the focus, times its painting, and takes dropped files."""
+"""Base of the main window: it keeps the focus, times its painting, takes dropped files, and survives errors."""
 
+import sys
 import time
+import traceback
 from abc import abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import TracebackType
 
 from PyQt6.QtCore import QEvent, QMimeData
 from PyQt6.QtGui import QDropEvent
@@ -83,3 +88,44 @@ def _is_late(newest: Measurement, shown: Measurement) -> bool:
         return False
     between_s = (newest.frame.host_time_s - shown.frame.host_time_s) / frames
     return newest.latency_s > _LATE * max(between_s, newest.frame.exposure_s)
+
+
+class ErrorReports:
+    """Turns errors of timers and slots into a red message; each distinct one is shown and printed once."""
+
+    def __init__(self, show: Callable[[str], object]) -> None:
+        """`show` receives a sentence for the user."""
+        self._show = show
+        self._known: set[str] = set()
+
+    def restart(self) -> None:
+        """Report known errors again: another bench is open."""
+        self._known.clear()
+
+    @contextmanager
+    def reported(self) -> Iterator[None]:
+        """Report errors that nothing catches, after which Qt would abort with the light on."""
+        before = sys.excepthook
+
+        def report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+            if not isinstance(error, Exception) or self._is_new(error):
+                before(kind, error, trace)
+
+        sys.excepthook = report
+        try:
+            yield
+        finally:
+            sys.excepthook = before
+
+    def _is_new(self, error: Exception) -> bool:
+        """Return whether an error is a new one, and show that."""
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        sentence = (
+            f"the display failed ({type(error).__name__}: {error}; {Path(at.filename).name}:{at.lineno}), so that what"
+            " you see may be old: open the bench again, and report this line of the log (Ctrl+L)"
+        )
+        if sentence in self._known:
+            return False
+        self._known.add(sentence)
+        self._show(sentence)
+        return True

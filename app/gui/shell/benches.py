@@ -19,8 +19,8 @@ from app.bench.trusted_libraries import unconfirmed
 from app.errors import InputError, RunError
 from app.files import atomic_write
 from app.gui.shell.controller import Controller
+from app.gui.shell.menus import RecentFiles, listing_menu
 from app.gui.shell.messages import MessageStrip
-from app.gui.shell.recent_files import RecentFiles, listing_menu
 from app.gui.shell.settings_control import SettingsControl
 from app.gui.shell.settings_dialog import SettingsDialog
 from app.gui.shell.wording import as_sentence

@@ -21,23 +21,20 @@ from app.files import make_folder
 from app.gui.panels.panel import Entries, Shown
 from app.gui.panels.registry import make_panels
 from app.gui.shell.analyses import Analyses
-from app.gui.shell.base_window import BaseWindow, LateMeasurements
+from app.gui.shell.base_window import BaseWindow, ErrorReports, LateMeasurements
 from app.gui.shell.benches import Benches
 from app.gui.shell.calibration import CalibrationGuide, Routines
 from app.gui.shell.controller import Begin, Controller
-from app.gui.shell.device_presets import DevicePresets
+from app.gui.shell.device_dialogs import DevicePresets, SensorRegionDialog
 from app.gui.shell.docks import PanelDocks
-from app.gui.shell.guard import Guard
 from app.gui.shell.help import show_about, show_citation, show_documentation, show_keys, show_log
 from app.gui.shell.light_control import LightControl
 from app.gui.shell.menus import fill_menus
 from app.gui.shell.messages import MessageLog, MessageStrip
-from app.gui.shell.preferences import PreferencesDialog
 from app.gui.shell.recording import RecordingBar, RecordingPanel
 from app.gui.shell.replay_bar import ReplayBar
-from app.gui.shell.sensor_region_dialog import SensorRegionDialog
 from app.gui.shell.settings_control import SettingsControl
-from app.gui.shell.state import fit_to_screen, restore_state, save_state
+from app.gui.shell.state import PreferencesDialog, fit_to_screen, restore_state, save_state
 from app.gui.shell.status_line import StatusLine
 from app.gui.shell.tour import Tour
 from app.gui.shell.wording import Situation, advice, is_replay, light_when_closing, liveness, way_out
@@ -86,7 +83,7 @@ class MainWindow(BaseWindow):
         self.controls = self.panels.controls
         self.messages = MessageStrip()
         self.log = MessageLog(self.messages, self)
-        self.guard = Guard(self.messages.alarm)
+        self.errors = ErrorReports(self.messages.alarm)
         self.status_line = StatusLine()
         self.controller = Controller(make_acquisition, self.messages)
         self.settings = SettingsControl(self.controller, self.messages)
@@ -98,7 +95,7 @@ class MainWindow(BaseWindow):
         self.recording_panel = RecordingPanel()
         self.recording_bar = RecordingBar(self.controller, self.messages, self.recording_panel, settings)
         self.replay = ReplayBar(self.controls)
-        self.analyses = Analyses(self.panels, self.shown, self.guard)
+        self.analyses = Analyses(self.panels, self.shown)
         self._lay_out()
         self.benches = Benches(
             self,
@@ -121,11 +118,11 @@ class MainWindow(BaseWindow):
         fit_to_screen(self)
         self._timer = QTimer(self)
         self._timer.setInterval(_REFRESH_INTERVAL_MS)
-        self._timer.timeout.connect(self.guard(self.refresh))
+        self._timer.timeout.connect(self.refresh)
         self._text_timer = QTimer(self)  # between two frames: together they would hold up the measurement
         self._text_timer.setInterval(_REFRESH_INTERVAL_MS // 2)
         self._text_timer.setSingleShot(True)
-        self._text_timer.timeout.connect(self.guard(self.update_text))
+        self._text_timer.timeout.connect(self.update_text)
         self.recording_panel.setEnabled(False)
         self.update_text()
 
@@ -259,7 +256,7 @@ class MainWindow(BaseWindow):
             self._text_timer.stop()
             self.controller.use(make_acquisition, begin, self._show_closing)
             self.recording_bar.refresh()  # the recording has ended
-            self.guard.restart()
+            self.errors.restart()
             for panel in self.panels:
                 panel.forget_bench()
             self.analyses.forget_bench()

@@ -14,8 +14,8 @@ from PyQt6.QtWidgets import QFileDialog, QFrame, QMenu, QSizePolicy, QWidget
 from app.errors import InputError, RunError
 from app.gui.shell.background_commands import BackgroundCommands
 from app.gui.shell.controller import Controller
+from app.gui.shell.menus import RecentFiles
 from app.gui.shell.messages import MessageStrip
-from app.gui.shell.recent_files import RecentFiles
 from app.gui.shell.wording import gaps_in_words, recording_ended
 from app.gui.widgets import theme
 from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, label, mark_refused, row
@@ -137,7 +137,7 @@ class RecordingBar(QFrame):
         self.name.textChanged.connect(self._check_name)
         self.stop_after = NumberField(name="Stop after", tool_tip="The recording ends by itself", lowest="never")
         self.stop_after.show_value(0, Range(0, 1e6))
-        self.unit = Choice("Frames, or seconds between the first and the last", [(_FRAMES, None), (_SECONDS, None)])
+        self.unit = Choice("Frames, or seconds between the first and the last", (_FRAMES, _SECONDS))
         self.stop_after.entered.connect(lambda _: self._limit())
         self.unit.activated.connect(lambda _: self._limit())
         self.open = Button("Open folder", "Show the files", lambda: self.folder and self._show(self.folder))

@@ -43,7 +43,7 @@ class SettingsControl:
             "current": lambda on, value: on.light.set_current(value),
             "sample": lambda on, value: on.stage.note_sample(value),
             "amplifier": lambda on, value: modes.change(on.camera, amplifier=value),
-            "readout_speed": lambda on, value: modes.change(on.camera, readout_speed=value),
+            "readout_speed": lambda on, value: modes.change(on.camera, readout_speed=int(value)),
         }
         controller.connected.connect(self._restart)
 

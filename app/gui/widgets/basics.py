@@ -142,14 +142,14 @@ class Choice(QComboBox):
     """A choice that Space opens and the wheel changes only with the focus, which a click does not give."""
 
     def __init__(
-        self, tool_tip: str = "", items: Iterable[tuple[str, object]] = (), changed: Slot | None = None
+        self, tool_tip: str = "", items: Iterable[str | tuple[str, object]] = (), changed: Slot | None = None
     ) -> None:
-        """Offer texts with their data; `changed` is called when another is current."""
+        """Offer texts, some with data; `changed` is called when another is current."""
         super().__init__()
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setToolTip(tool_tip)
-        for text, data in items:
-            self.addItem(text, data)
+        for item in items:
+            self.addItem(*((item,) if isinstance(item, str) else item))
         self.currentTextChanged.connect(self.updateGeometry)
         if changed is not None:
             self.currentIndexChanged.connect(changed)

@@ -14,7 +14,7 @@ from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, press
 
 from app.gui.shell.main_window import MainWindow
-from app.gui.shell.recent_files import RecentFiles
+from app.gui.shell.menus import RecentFiles
 from app.recording.reader import Recording
 
 
