@@ -16,6 +16,7 @@ from app.gui.shell.controller import CLOSING_S
 from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
 from app.gui.shell.state import apply_preferences, settings_file
 from app.gui.shell.wording import left_behind
+from app.gui.widgets.basics import timer
 from app.gui.widgets.theme import apply_theme
 from app.signals import ended_by
 
@@ -128,9 +129,7 @@ class _Watch:
     def __init__(self, window: MainWindow, is_done: Callable[[], bool]) -> None:
         self._window, self._is_done = window, is_done
         self._error: Exception | None = RunError("the window was closed before the run had finished")
-        self._timer = QTimer(window)
-        self._timer.setInterval(100)
-        self._timer.timeout.connect(self._poll)
+        self._timer = timer(window, 100, self._poll)
         self._timer.start()
 
     def check(self) -> None:

@@ -5,13 +5,13 @@ from collections.abc import Mapping
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QObject, QPoint, QPointF, QRectF, Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import QObject, QPoint, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtWidgets import QApplication, QMenu
 
 from app.acquisition.instrument import Status
 from app.gui.panels.panel import Entries, Panel, Shown
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Choice, ElidedLabel, Toggle, colour_text, column, label, row_of, unfocused
+from app.gui.widgets.basics import Choice, ElidedLabel, Toggle, colour_text, column, label, row_of, timer, unfocused
 from app.gui.widgets.camera_image import (
     CameraImage,
     ClippedPixels,
@@ -104,9 +104,10 @@ class CameraPanel(Panel):
         self._view.sigResized.connect(self._place_legend)
         self._graphics.scene().sigMouseMoved.connect(self._point_at)
         self._graphics.scene().sigMouseClicked.connect(self._click)
-        self._click_timer = QTimer(self)  # until a click is not the first of two
-        self._click_timer.setSingleShot(True)
-        self._click_timer.timeout.connect(lambda: self.inspect(self._clicked_at))
+        inspect = timer(
+            self, QApplication.doubleClickInterval(), lambda: self.inspect(self._clicked_at), is_single=True
+        )
+        self._click_timer = inspect  # a click may be the first of two
         add_copy_menu(self._graphics, self._displacements, self._fill_menu)
         self.legend = label("", "on-image", self._graphics)
         self.legend.hide()
@@ -243,7 +244,7 @@ class CameraPanel(Panel):
         self._click_timer.stop()
         if not event.double():  # type: ignore[attr-defined] # pyqtgraph's event
             self._clicked_at = self._lenslet_at(event.scenePos())  # type: ignore[attr-defined] # pyqtgraph's event
-            self._click_timer.start(QApplication.doubleClickInterval())
+            self._click_timer.start()
 
     def _fill_menu(self, menu: QMenu, at: QPoint) -> None:
         """Add what can be done with the lenslet at a position of the view."""

@@ -6,10 +6,11 @@ from collections.abc import Iterable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
-from PyQt6.QtCore import QObject, QTimer, pyqtSignal
+from PyQt6.QtCore import QObject, pyqtSignal
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] # ships no types
 
 from app.gui.panels.panel import Check, Panel, Request, Shown
+from app.gui.widgets.basics import timer
 
 _POLL_INTERVAL_MS = 40
 _SHARE = 0.2  # of a core: the measurement needs the rest
@@ -101,9 +102,7 @@ class Analyses(QObject):
         quick = AnalysisThread(self._check)
         self.threads = {panel: AnalysisThread(self._check) if panel.is_slow else quick for panel in self._panels}
         shown.view_chosen.connect(self.poll)
-        self._timer = QTimer(self)
-        self._timer.setInterval(_POLL_INTERVAL_MS)
-        self._timer.timeout.connect(self.poll)
+        self._timer = timer(self, _POLL_INTERVAL_MS, self.poll)
         self._timer.start()
 
     def poll(self) -> None:

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable
 
-from PyQt6.QtCore import QSize, Qt, QTimer
+from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabBar, QTabWidget, QToolButton, QWidget
 
 from app.gui.panels.panel import Panel
-from app.gui.widgets.basics import Slot, column, label, row
+from app.gui.widgets.basics import Slot, column, label, row, timer
 
 _OPTIONS = QMainWindow.DockOption
 _MARGIN = 8  # px between the contents of a panel and its edge
@@ -83,9 +83,7 @@ class PanelDocks:
         self._closed: list[Dock] = []  # by `toggle_tabs`
         window.setDockOptions(_OPTIONS.AllowNestedDocks | _OPTIONS.AllowTabbedDocks | _OPTIONS.GroupedDragging)
         window.setTabPosition(Qt.DockWidgetArea.AllDockWidgetAreas, QTabWidget.TabPosition.North)
-        self._settle = QTimer(window)  # after all the signals of a change
-        self._settle.setSingleShot(True)
-        self._settle.timeout.connect(self._show_titles)
+        self._settle = timer(window, 0, self._show_titles, is_single=True)  # after all the signals of a change
         self.settled = self._settle.timeout
         self._hint = label("All panels are closed or float: View > Restore default layout docks them", "dim")
         self._hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
@@ -94,7 +92,7 @@ class PanelDocks:
         window.setCentralWidget(middle)
         for dock in self.docks:
             for changed in (dock.visibilityChanged, dock.topLevelChanged, dock.dockLocationChanged):
-                changed.connect(lambda *_: self._settle.start(0))
+                changed.connect(lambda *_: self._settle.start())
             dock.panel.front_requested.connect(lambda panel=dock.panel: self.show_panel(panel))
         self._dock_all()
         self._default = window.saveState()

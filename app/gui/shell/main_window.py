@@ -39,7 +39,7 @@ from app.gui.shell.status_line import StatusLine
 from app.gui.shell.tour import Tour
 from app.gui.shell.wording import Situation, advice, is_replay, light_when_closing, liveness, way_out
 from app.gui.widgets import theme
-from app.gui.widgets.basics import column
+from app.gui.widgets.basics import column, timer
 from app.gui.widgets.copies import write_picture
 from app.gui.widgets.fields import NumberField
 from app.images import SUFFIXES
@@ -116,13 +116,9 @@ class MainWindow(BaseWindow):
             if isinstance(folder, str) and Path(folder).is_dir():
                 self.recording_bar.recordings_folder = Path(folder)
         fit_to_screen(self)
-        self._timer = QTimer(self)
-        self._timer.setInterval(_REFRESH_INTERVAL_MS)
-        self._timer.timeout.connect(self.refresh)
-        self._text_timer = QTimer(self)  # between two frames: together they would hold up the measurement
-        self._text_timer.setInterval(_REFRESH_INTERVAL_MS // 2)
-        self._text_timer.setSingleShot(True)
-        self._text_timer.timeout.connect(self.update_text)
+        self._timer = timer(self, _REFRESH_INTERVAL_MS, self.refresh)
+        # Between two frames: together they would hold up the measurement.
+        self._text_timer = timer(self, _REFRESH_INTERVAL_MS // 2, self.update_text, is_single=True)
         self.recording_panel.setEnabled(False)
         self.update_text()
 

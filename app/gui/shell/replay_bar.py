@@ -1,20 +1,23 @@
 """The replay bar: play, step, position and speed of a recording that is shown in place of the devices."""
 
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import Future
 
-from PyQt6.QtCore import Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QPainter, QPaintEvent
-from PyQt6.QtWidgets import QFrame, QSlider, QStyle, QWidget
+from PyQt6.QtWidgets import QFrame, QSlider, QStyle
 
 from app.acquisition.instrument import Status
 from app.gui.panels.controls import ControlsPanel
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, Choice, label, row
+from app.gui.widgets.basics import Button, Choice, label, row, timer
 from app.recording.recover import frames_in_words
 from app.results.player import Player
 
-_SPEEDS = {"\N{VULGAR FRACTION ONE QUARTER}": 0.25, "\N{VULGAR FRACTION ONE HALF}": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
-_TIMES = "\N{MULTIPLICATION SIGN} "
+_QUARTER, _HALF = "\N{VULGAR FRACTION ONE QUARTER}", "\N{VULGAR FRACTION ONE HALF}"
+_SPEEDS = {
+    f"\N{MULTIPLICATION SIGN} {name}": speed
+    for name, speed in ((_QUARTER, 0.25), (_HALF, 0.5), ("1", 1.0), ("2", 2.0), ("4", 4.0))
+}
 _POLL_MS = 40
 
 
@@ -41,9 +44,9 @@ class ReplayBar(QFrame):
 
     failed = pyqtSignal(str)  # why a frame cannot be shown
 
-    def __init__(self, controls: ControlsPanel, parent: QWidget | None = None) -> None:
+    def __init__(self, controls: ControlsPanel) -> None:
         """Play and stop with the start button of the `controls`, whose devices are disabled."""
-        super().__init__(parent)
+        super().__init__()
         self.setProperty("role", "strip")
         self._player: Player | None = None
         self._controls = controls
@@ -59,25 +62,13 @@ class ReplayBar(QFrame):
         self.slider.setToolTip("Position in the recording")
         self.slider.valueChanged.connect(self._move)
         self.text = label("")
-        self.speed = Choice()
-        self.speed.addItems([_TIMES + name for name in _SPEEDS])
-        self.speed.setCurrentText(f"{_TIMES}1")
-        self.speed.setToolTip("Speed beside that of the recording; a slow computer skips frames")
-        self.speed.textActivated.connect(self._set_speed)
-        row(
-            self.badge,
-            self.back,
-            self.play,
-            self.forth,
-            (self.slider, 1),
-            self.text,
-            label("Speed", "dim"),
-            self.speed,
-            parent=self,
-        ).setContentsMargins(10, 4, 6, 4)
-        self._timer = QTimer(self)
-        self._timer.setInterval(_POLL_MS)
-        self._timer.timeout.connect(self.refresh)
+        self.speed = Choice("Speed beside that of the recording; a slow computer skips frames", _SPEEDS.items())
+        self.speed.setCurrentIndex(list(_SPEEDS.values()).index(1.0))
+        self.speed.activated.connect(lambda _: self._set_speed())
+        steps = self.back, self.play, self.forth
+        parts = self.badge, *steps, (self.slider, 1), self.text, label("Speed", "dim"), self.speed
+        row(*parts, parent=self).setContentsMargins(10, 4, 6, 4)
+        self._timer = timer(self, _POLL_MS, self.refresh)
         self.use(None)
 
     @property
@@ -122,7 +113,7 @@ class ReplayBar(QFrame):
             moved, self._moving = self._moving, None
             try:
                 moved.result()
-            except (CancelledError, Exception) as error:  # noqa: BLE001 - every error is shown
+            except Exception as error:  # noqa: BLE001 - every error is shown
                 self._mark_damaged(player)
                 if self._target not in self.slider.marked:
                     self.failed.emit(str(error))
@@ -132,7 +123,9 @@ class ReplayBar(QFrame):
             self._target, self._wanted = self._wanted, None
             self._moving = player.show_frame(self._target)
         elif player.position is not None and not self.slider.isSliderDown():
-            self._show_position(player.position)
+            with QSignalBlocker(self.slider):
+                self.slider.setValue(player.position)
+            self._write(player.position)
 
     def _mark_damaged(self, player: Player) -> None:
         """Say which frames were found damaged, and mark them on the slider."""
@@ -142,12 +135,6 @@ class ReplayBar(QFrame):
             self.failed.emit(f"{names} skipped: {damaged[new[-1]]}")
             self.slider.marked = frozenset(damaged)
             self.slider.update()
-
-    def _show_position(self, position: int) -> None:
-        self.slider.blockSignals(True)
-        self.slider.setValue(position)
-        self.slider.blockSignals(False)
-        self._write(position)
 
     def _write(self, position: int) -> None:
         if self._player is not None:
@@ -170,6 +157,6 @@ class ReplayBar(QFrame):
     def _step(self, by: int) -> None:
         self.slider.setValue(self.slider.value() + by)
 
-    def _set_speed(self, text: str) -> None:
+    def _set_speed(self) -> None:
         if self._player is not None:
-            self._player.set_speed(_SPEEDS[text.removeprefix(_TIMES)])
+            self._player.set_speed(self.speed.currentData())

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import QEvent, Qt, QTimer
+from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import (
     QCheckBox,
@@ -25,7 +25,7 @@ from app.bench.settings_form import FormField, SettingsForm
 from app.bench.settings_words import in_words
 from app.errors import InputError, RunError
 from app.files import atomic_write
-from app.gui.widgets.basics import Button, Choice, ElidedLabel, column, label, mark_refused, row
+from app.gui.widgets.basics import Button, Choice, ElidedLabel, column, label, mark_refused, row, timer
 from drivers.device import DiscoveredDevice
 
 _POLL_MS = 100
@@ -84,9 +84,7 @@ class SettingsDialog(QDialog):
         column(self.devices, (row(self.sections, (self.pages, 1)), 1), ends, spacing=8, parent=self).setContentsMargins(
             12, 12, 12, 12
         )
-        self._timer = QTimer(self)
-        self._timer.setInterval(_POLL_MS)
-        self._timer.timeout.connect(self._poll)
+        self._timer = timer(self, _POLL_MS, self._poll)
 
     def edit(self, bench: Bench) -> None:
         """Edit the settings of a bench."""
@@ -185,9 +183,7 @@ class SettingsDialog(QDialog):
             box.toggled.connect(lambda on: self._enter(field, box, "true" if on else "false"))
             return box
         if field.kind == "choice":
-            choice = Choice()
-            for value in field.choices:
-                choice.addItem(value or "automatic", value)
+            choice = Choice(items=[(value or "automatic", value) for value in field.choices])
             choice.setCurrentIndex(choice.findData(field.text))
             choice.activated.connect(lambda index: self._enter(field, choice, choice.itemData(index)))
             return choice

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
-from PyQt6.QtCore import QEvent, QSize, Qt, pyqtBoundSignal
+from PyQt6.QtCore import QEvent, QObject, QSize, Qt, QTimer, pyqtBoundSignal
 from PyQt6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QWheelEvent
 from PyQt6.QtWidgets import (
     QAbstractScrollArea,
@@ -189,6 +189,15 @@ class Choice(QComboBox):
             event.ignore()
         else:
             super().wheelEvent(event)
+
+
+def timer(parent: QObject, interval_ms: int, act: Slot, *, is_single: bool = False) -> QTimer:
+    """Make a timer, stopped, that calls `act`."""
+    made = QTimer(parent)
+    made.setInterval(interval_ms)
+    made.setSingleShot(is_single)
+    made.timeout.connect(act)
+    return made
 
 
 def row(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QHBoxLayout:
