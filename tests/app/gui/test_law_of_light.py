@@ -75,7 +75,7 @@ def enlarged(window: MainWindow) -> None:
 
 DIALOGS: dict[str, Callable[[MainWindow], object]] = {
     "guide": lambda window: window.guide.show(),
-    "region": lambda window: window.region_dialog.begin(),
+    "region": lambda window: window.region_dialog.show(),
     "settings": lambda window: window.benches.edit(),
     "fault": lambda window: window.benches.dialog.show_message("Faulty bench", "It is faulty", ()),
     "enlarged": enlarged,

@@ -41,7 +41,7 @@ def test_error_in_a_refresh_is_shown_once(
         raise IndexError("index 8 is out of bounds")
 
     with qtbot.capture_exceptions() as printed, window.errors.reported(), monkeypatch.context() as patch:
-        patch.setattr(window.panels.camera, "show_frame", fail)
+        patch.setattr(window.panels.camera, "show_measurement", fail)
         said = "The display failed (IndexError: index 8 is out of bounds; test_window_errors.py:"
         qtbot.waitUntil(lambda: len(calls) > 3 and said in window.messages.text.text())
     assert window.log.text.count("display failed") == 1
