@@ -24,8 +24,6 @@ from PyQt6.QtWidgets import QApplication, QDialog, QWidget
 from app.acquisition.devices import open_devices
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
-from app.gui.panels.corrector import CorrectorPanel
-from app.gui.panels.layers import LayersPanel
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.tour import Tour
 from app.gui.widgets.theme import apply_theme
@@ -142,8 +140,9 @@ class Photographer:
             if name == "Lenslet":
                 window.panels.lenslet.inspect(7, 7)
             window.docks.show_panel(panel)
-            if isinstance(panel, LayersPanel | CorrectorPanel):
-                self._wait(panel.sentence.text)  # their analyses take seconds
+            if panel.is_slow:
+                thread = window.analyses.threads[panel]
+                self._wait(lambda panel=panel, thread=thread: panel in thread.requests and not thread.is_busy)  # type: ignore[misc]
             self._save(name.lower(), window)
         window.panels.wavefronts.menu.change(views=9)
         window.status_line.timing_row.toggle()

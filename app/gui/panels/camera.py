@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QObject, QPoint, QPointF, QRectF, Qt, pyqtSignal
+from PyQt6.QtCore import QPoint, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtWidgets import QApplication, QMenu
 
 from app.acquisition.instrument import Status
@@ -72,20 +72,21 @@ class CameraPanel(Panel):
         self._inspected: Lenslet | None = None
         self._clicked_at: Lenslet | None = None  # perhaps for the first of two times
 
-        self.lattice_toggle = Toggle(
-            "Lattice", "Show the lenslets' cells; lost lenslets are crossed out in red (G)", is_on=True
-        )
-        self.arrows_toggle = Toggle(
-            "Arrows", "Show each lenslet's displacement, averaged over the field (A)", is_on=True
-        )
+        cells = "Show the lenslets' cells; lost lenslets are crossed out in red (G)"
+        moved = "Show each lenslet's displacement, averaged over the field (A)"
+        self.lattice_toggle = Toggle("Lattice", cells, is_on=True, key="camera/lattice")
+        self.arrows_toggle = Toggle("Arrows", moved, is_on=True, key="camera/arrows")
         for chosen in (self.lattice_toggle, self.arrows_toggle):
             chosen.toggled.connect(self._show_overlay)
         self.contrast = Choice(
             "Contrast: automatic (1 % to 99.8 % of the pixels), full range, or frozen",
             (_AUTOMATIC, _FULL, _FROZEN),
             self._restart_contrast,
+            key="camera/contrast",
         )
-        self.colours = Choice("Colours of the camera image", ("grey", "inferno"), self._show_colours)
+        self.colours = Choice(
+            "Colours of the camera image", ("grey", "inferno"), self._show_colours, key="camera/colours"
+        )
 
         self._graphics = Picture(self._zoom_out, self._point_at)
         self._view = pg.ViewBox(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
@@ -129,16 +130,8 @@ class CameraPanel(Panel):
                 ("Lattice", "G", self.lattice_toggle),
                 ("Arrows", "A", self.arrows_toggle),
                 ("Whole camera image", "0", self.reset_zoom),
+                None,
             )
-        }
-
-    def remembered(self) -> Mapping[str, QObject | None]:
-        """Return the header."""
-        return {
-            "camera/lattice": self.lattice_toggle,
-            "camera/arrows": self.arrows_toggle,
-            "camera/contrast": self.contrast,
-            "camera/colours": self.colours,
         }
 
     def show_liveness(self) -> None:

@@ -1,10 +1,8 @@
 """The coefficients panel: bars with error bars, a table to copy, and the field map of the pinned coefficient."""
 
-from collections.abc import Mapping
-
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QObject, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent, QKeySequence
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QStackedWidget, QTableWidget, QTableWidgetItem
 
@@ -38,6 +36,7 @@ class CoefficientsPanel(Panel):
             "Modes of the bars; over the lattice (Legendre) or its inscribed circle (Zernike)",
             [(text, basis) for basis, text in _BASES.items()],
             lambda: self.pin(None),
+            key="coefficients/basis",
         )
         self.of = Choice(
             "The selected view as shown, or the coefficients e_pq of one field mode",
@@ -63,10 +62,6 @@ class CoefficientsPanel(Panel):
         header = row((self.plot.title, 1), self.of, self.basis, self.table_toggle)
         column(header, (row((self._stack, 3), (self.map, 2), spacing=12), 1), parent=self)
         theme.follow(self.plot, self._colour)
-
-    def remembered(self) -> Mapping[str, QObject | None]:
-        """Return the basis."""
-        return {"coefficients/basis": self.basis}
 
     def _colour(self) -> None:
         self._errors.setPen(pg.mkPen(theme.TEXT, width=1))

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 
 import numpy as np
-from PyQt6.QtCore import QObject
 from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QScrollArea, QWidget
 
@@ -83,13 +82,18 @@ class HistoryPanel(Panel):
         self.history = History()
         self._measurement: Measurement | None = None  # the last one of the history
         self._pinned = ""  # name of a coefficient
-        self.toggles = {name: Toggle(name, about, is_on=name == RMS) for name, about in _ABOUT.items()}
+        self.toggles = {
+            name: Toggle(name, about, is_on=name == RMS, key=f"history/chart {index}")
+            for index, (name, about) in enumerate(_ABOUT.items())
+        }
         for chosen in self.toggles.values():
             chosen.toggled.connect(self._arrange)
-        self.minutes = Choice("Time shown", [(f"{minutes} min", minutes) for minutes in _MINUTES])
+        minutes = [(f"{minutes} min", minutes) for minutes in _MINUTES]
+        self.minutes = Choice("Time shown", minutes, key="history/minutes")
         self.samples = Choice(
             "Number of samples of mean, \N{GREEK SMALL LETTER SIGMA} and peak to peak; five a second",
             [(f"last {samples}", samples) for samples in _SAMPLES],
+            key="history/samples",
         )
         for choice in (self.minutes, self.samples):
             choice.setCurrentIndex(1)
@@ -119,11 +123,6 @@ class HistoryPanel(Panel):
     def menu_entries(self) -> Mapping[str, Entries]:
         """Return the export."""
         return {"&File": (("Export the history", "", self.export_csv),)}
-
-    def remembered(self) -> Mapping[str, QObject | None]:
-        """Return time, samples and charts."""
-        charts = {f"history/chart {index}": toggle for index, toggle in enumerate(self.toggles.values())}
-        return {"history/minutes": self.minutes, "history/samples": self.samples, **charts}
 
     def export_csv(self) -> None:
         """Ask for a name, and write the history as CSV."""

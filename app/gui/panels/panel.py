@@ -106,10 +106,6 @@ class Panel(QWidget):
         """Return entries by the title of their menu."""
         return {}
 
-    def remembered(self) -> Mapping[str, QObject | None]:
-        """Return what keeps its state between two starts, by the keys of the settings."""
-        return {}
-
     def show_status(self, status: Status) -> None:
         """Show a changed state of the instrument."""
 

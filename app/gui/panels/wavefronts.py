@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QObject, Qt, pyqtSignal
+from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QActionGroup
 from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
 
@@ -63,7 +63,8 @@ class WavefrontPanel(Panel):
         self._limits = {(one.family, unit): AdaptiveScale() for one in PRESENTATIONS.values() for unit in Unit}
         self._reach_mrad = AdaptiveScale()  # half width of PSF maps
         self._enlarged: EnlargedView | None = None
-        self.choice = Choice("Quantity shown for every view (keys 1 to 6)", Quantity, self._redraw)
+        about = "Quantity shown for every view (keys 1 to 6)"
+        self.choice = Choice(about, Quantity, self._redraw, key="view/quantity")
         for index, quantity in enumerate(Quantity):
             tip = f"{PRESENTATIONS[quantity].about} ({index + 1})"
             self.choice.setItemData(index, tip, Qt.ItemDataRole.ToolTipRole)
@@ -102,17 +103,6 @@ class WavefrontPanel(Panel):
                 ("Enlarge the selected view", "V", self.enlarge),
             ),
             "&File": (("Export the shown wavefronts", "Ctrl+E", self.export),),
-        }
-
-    def remembered(self) -> Mapping[str, QObject | None]:
-        """Return quantity and display options."""
-        return {
-            "view/quantity": self.choice,
-            "view/tilt": self.menu.tilt,
-            "view/defocus": self.menu.defocus,
-            "view/average": self.menu.averages[0].actionGroup(),
-            "view/unit": self.menu.units[0].actionGroup(),
-            "view/grid": self.menu.grids[0].actionGroup(),
         }
 
     @property
@@ -344,9 +334,10 @@ class DisplayMenu(QMenu):
         self.enlarge = self._add("Enlarge the selected view", "Also by a double click")
         self.addSeparator()
         self.tilt, self.defocus = self._add("Remove tilt"), self._add("Remove defocus")
-        for action, option in ((self.tilt, "without_tilt"), (self.defocus, "without_defocus")):
+        for action, option in ((self.tilt, "tilt"), (self.defocus, "defocus")):
+            action.setObjectName(f"view/{option}")  # its state is kept between two starts
             action.setCheckable(True)
-            action.toggled.connect(lambda on, option=option: self.change(**{option: on}))
+            action.toggled.connect(lambda on, option=option: self.change(**{f"without_{option}": on}))
         self.addSeparator()
         self.store = self._add("Subtract the present wavefront", "The mean, if frames are averaged")
         self.file = self._add("Subtract a wavefront from a file ...", "Results of svwfs with coefficients")
@@ -356,13 +347,14 @@ class DisplayMenu(QMenu):
         self.addSeparator()
         self.averages = self._add_choices(
             "Average",
+            "average",
             [(f"{n} frames" if n > 1 else "Off", n) for n in _AVERAGES],
             lambda count: self.change(averaged=count),
         )
-        self.units = self._add_choices("Unit", [(unit.value, unit) for unit in Unit], self._choose_unit)
+        self.units = self._add_choices("Unit", "unit", [(unit.value, unit) for unit in Unit], self._choose_unit)
         grids = [(f"{n} \N{MULTIPLICATION SIGN} {n}", n) for n in range(1, MOST_VIEWS + 1)]
         self.grids = self._add_choices(
-            "Views", [("As in the bench", None), *grids], lambda count: self.change(views=count)
+            "Views", "grid", [("As in the bench", None), *grids], lambda count: self.change(views=count)
         )
 
     def change(self, **changes: Any) -> None:
@@ -382,11 +374,12 @@ class DisplayMenu(QMenu):
         return action
 
     def _add_choices(
-        self, title: str, choices: Iterable[tuple[str, Any]], choose: Callable[[Any], None]
+        self, title: str, key: str, choices: Iterable[tuple[str, Any]], choose: Callable[[Any], None]
     ) -> tuple[QAction, ...]:
         menu = QMenu(title, self)
         self.addMenu(menu)
         group = QActionGroup(menu)
+        group.setObjectName(f"view/{key}")
         for text, value in choices:
             action = QAction(text, menu)
             action.setCheckable(True)

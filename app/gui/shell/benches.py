@@ -20,7 +20,6 @@ from app.errors import InputError, RunError
 from app.files import atomic_write
 from app.gui.shell.controller import Controller
 from app.gui.shell.menus import RecentFiles, listing_menu
-from app.gui.shell.messages import MessageStrip
 from app.gui.shell.settings_control import SettingsControl
 from app.gui.shell.settings_dialog import SettingsDialog
 from app.gui.shell.wording import as_sentence
@@ -45,12 +44,11 @@ class Benches(QObject):
         connect: Callable[[Bench], object],
         controller: Controller,
         settings_control: SettingsControl,
-        messages: MessageStrip,
         settings: QSettings | None,
     ) -> None:
         """`settings` remember the recent benches and the last one."""
         super().__init__(window)
-        self._window, self._connect, self._messages = window, connect, messages
+        self._window, self._connect, self._messages = window, connect, controller.messages
         self._controller, self._settings_control, self._remembered = controller, settings_control, settings
         self.recent = RecentFiles(settings, "recent/benches")
         self.dialog = BenchDialog(window)

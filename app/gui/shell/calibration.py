@@ -12,7 +12,6 @@ from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.gui.panels.camera import CameraPanel
 from app.gui.shell.controller import Controller
-from app.gui.shell.messages import MessageStrip
 from app.gui.shell.settings_control import SettingsControl
 from app.gui.shell.wording import exposure_found, lattice_found
 from app.gui.widgets import theme
@@ -30,10 +29,9 @@ _LAMP = 16  # px
 class Routines:
     """Finds exposure and lattice, and checks the background; a found lattice is proposed."""
 
-    def __init__(
-        self, controller: Controller, settings: SettingsControl, camera: CameraPanel, messages: MessageStrip
-    ) -> None:
-        self._controller, self._settings, self._camera, self._messages = controller, settings, camera, messages
+    def __init__(self, controller: Controller, settings: SettingsControl, camera: CameraPanel) -> None:
+        self._controller, self._settings, self._camera = controller, settings, camera
+        self._messages = controller.messages
         controller.question_closed.connect(lambda: camera.propose(None))
 
     def expose(self) -> None:

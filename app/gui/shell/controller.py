@@ -35,7 +35,8 @@ class Controller(QObject):
 
     def __init__(self, make_acquisition: Callable[[], Acquisition] | None, messages: MessageStrip) -> None:
         super().__init__()
-        self._make_acquisition, self._messages = make_acquisition, messages
+        self.messages = messages
+        self._make_acquisition = make_acquisition
         self._begin: Begin = start_up
         self.acquisition: Acquisition | None = None
         self.is_stuck = False  # whether the worker did not end on `close`
@@ -108,7 +109,7 @@ class Controller(QObject):
         """
         if self.acquisition is None:
             return None
-        self._messages.clear_notice()
+        self.messages.clear_notice()
         future = submit(self.acquisition)
         self._pending.append((future, then, otherwise))
         return future
@@ -126,7 +127,7 @@ class Controller(QObject):
             try:
                 result = future.result()
             except Exception as error:  # noqa: BLE001 - every error is shown
-                self._messages.warn("cancelled" if isinstance(error, Cancelled | CancelledError) else str(error))
+                self.messages.warn("cancelled" if isinstance(error, Cancelled | CancelledError) else str(error))
                 if otherwise is not None:
                     otherwise(error)
             else:
@@ -137,7 +138,7 @@ class Controller(QObject):
     def ask(self, question: str, act: Callable[[], object], accept: str = "Use it", discard: str = "Discard") -> None:
         """Ask the user, and act if the answer is yes."""
         self._on_accept = act
-        self._messages.ask(question, accept=accept, discard=discard)
+        self.messages.ask(question, accept=accept, discard=discard)
 
     def _decide(self, is_accepted: bool) -> None:
         act, self._on_accept = self._on_accept, None

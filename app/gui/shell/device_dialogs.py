@@ -8,7 +8,6 @@ from PyQt6.QtWidgets import QDialog, QFormLayout, QListWidget, QWidget
 from app.acquisition.instrument import Status
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
-from app.gui.shell.messages import MessageStrip
 from app.gui.shell.wording import area_taken
 from app.gui.widgets.basics import Button, Choice, column, label, row
 from app.gui.widgets.fields import NumberField, TextField
@@ -28,10 +27,10 @@ _NAMES = {"exposure_s": "exposure", "em_gain": "em_gain", "current_a": "current"
 class SensorRegionDialog(QDialog):
     """Sets the area; shows the one in force and what the camera allows."""
 
-    def __init__(self, controller: Controller, messages: MessageStrip, parent: QWidget) -> None:
+    def __init__(self, controller: Controller, parent: QWidget) -> None:
         super().__init__(parent)
         self.setWindowTitle("Sensor region and binning")
-        self._controller, self._messages = controller, messages
+        self._controller, self._messages = controller, controller.messages
         self._status: Status | None = None
         self._sides = [
             NumberField(name=name, tool_tip=f"{about}. In unbinned sensor pixels; rounded to the camera's steps")

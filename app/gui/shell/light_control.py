@@ -8,15 +8,14 @@ from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
-from app.gui.shell.messages import MessageStrip
 from app.progress import counted
 
 
 class LightControl:
     """Switches the light and takes dark and reference; a request to switch it off wins over all others."""
 
-    def __init__(self, controller: Controller, controls: ControlsPanel, messages: MessageStrip) -> None:
-        self._controller, self._controls, self._messages = controller, controls, messages
+    def __init__(self, controller: Controller, controls: ControlsPanel) -> None:
+        self._controller, self._controls, self._messages = controller, controls, controller.messages
         self._switching_off: Future[None] | None = None
         self.end_sequence: Callable[[], bool] = lambda: False  # of commands; returns whether one was running
 

@@ -86,32 +86,23 @@ class MainWindow(BaseWindow):
         self.errors = ErrorReports(self.messages.alarm)
         self.status_line = StatusLine()
         self.controller = Controller(make_acquisition, self.messages)
-        self.settings = SettingsControl(self.controller, self.messages)
-        self.light = LightControl(self.controller, self.controls, self.messages)
-        self.routines = Routines(self.controller, self.settings, self.panels.camera, self.messages)
+        self.settings = SettingsControl(self.controller)
+        self.light = LightControl(self.controller, self.controls)
+        self.routines = Routines(self.controller, self.settings, self.panels.camera)
         self.guide = CalibrationGuide(self.controller, self.routines.use_lattice, self)
         self.light.end_sequence = self.guide.end_for_light
-        self.region_dialog = SensorRegionDialog(self.controller, self.messages, self)
+        self.region_dialog = SensorRegionDialog(self.controller, self)
         self.recording_panel = RecordingPanel()
-        self.recording_bar = RecordingBar(self.controller, self.messages, self.recording_panel, settings)
+        self.recording_bar = RecordingBar(self.controller, self.recording_panel, settings)
         self.replay = ReplayBar(self.controls)
         self.analyses = Analyses(self.panels, self.shown)
         self._lay_out()
-        self.benches = Benches(
-            self,
-            lambda bench: self.open(lambda: make_for(bench)),
-            self.controller,
-            self.settings,
-            self.messages,
-            settings,
-        )
+        self._make_for = make_for
+        self.benches = Benches(self, self._open_bench, self.controller, self.settings, settings)
         self._connect()
         fill_menus(self, self._menus())
-        self._remembered = {"window/times": self.status_line.timing_row} | {
-            key: part for panel in self.panels for key, part in panel.remembered().items()
-        }
         if settings is not None:
-            restore_state(settings, self, self._remembered)
+            restore_state(settings, self)
             folder = settings.value(_FOLDER)
             if isinstance(folder, str) and Path(folder).is_dir():
                 self.recording_bar.recordings_folder = Path(folder)
@@ -260,6 +251,9 @@ class MainWindow(BaseWindow):
             self.connect_devices()
 
         self.recording_bar.ask_to_end(lambda: self.light.ask_off(connect))
+
+    def _open_bench(self, bench: Bench) -> None:
+        self.open(lambda: self._make_for(bench))
 
     def refresh(self) -> None:
         """Show what has changed in the acquisition."""
@@ -431,7 +425,7 @@ class MainWindow(BaseWindow):
             return
         self._is_closing = True
         if self._settings is not None:
-            save_state(self._settings, self, self._remembered)
+            save_state(self._settings, self)
             self._settings.setValue(_FOLDER, str(self.recording_bar.recordings_folder))
         self._timer.stop()
         self._text_timer.stop()

@@ -15,7 +15,6 @@ from app.errors import InputError, RunError
 from app.gui.shell.background_commands import BackgroundCommands
 from app.gui.shell.controller import Controller
 from app.gui.shell.menus import RecentFiles
-from app.gui.shell.messages import MessageStrip
 from app.gui.shell.wording import gaps_in_words, recording_ended
 from app.gui.widgets import theme
 from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, label, mark_refused, row
@@ -107,13 +106,11 @@ def _duration(minutes: float) -> str:
 class RecordingBar(QFrame):
     """Records as a `RecordingPanel` asks; opens when a recording begins, and stays until it is closed."""
 
-    def __init__(
-        self, controller: Controller, messages: MessageStrip, panel: RecordingPanel, settings: QSettings | None
-    ) -> None:
+    def __init__(self, controller: Controller, panel: RecordingPanel, settings: QSettings | None) -> None:
         """Remember the recordings in `settings`."""
         super().__init__()
         self.setProperty("role", "strip")
-        self._controller, self._messages, self._panel = controller, messages, panel
+        self._controller, self._messages, self._panel = controller, controller.messages, panel
         panel.record_requested.connect(self._record)
         panel.keep_requested.connect(self._keep)
         controller.connected.connect(self._restart)
@@ -123,7 +120,7 @@ class RecordingBar(QFrame):
         self._reported: set[Path] = set()  # recordings whose end was shown
         self._free_minutes, self._disk_due_s = math.inf, -math.inf
         self.recent = RecentFiles(settings, "recent/recordings")
-        self.commands = BackgroundCommands(messages, self)
+        self.commands = BackgroundCommands(controller.messages, self)
         self._of: Path | None = None  # the recording as it began
         self.folder: Path | None = None  # with its name, once it is finished
         self._kept: Path | None = None

@@ -11,7 +11,6 @@ from PyQt6.QtCore import QTimer
 from app.acquisition.instrument import Instrument
 from app.bench.config import Bench
 from app.gui.shell.controller import Controller, Then
-from app.gui.shell.messages import MessageStrip
 from drivers.interface import BadValue, Camera, Devices
 
 _BENCH = "bench"  # kind of the commands that change registration, reconstruction, lattice or mask
@@ -27,8 +26,8 @@ class SettingsControl:
     Of the commands that come meanwhile, the last of each kind is kept; changes of the bench are joined into one.
     """
 
-    def __init__(self, controller: Controller, messages: MessageStrip) -> None:
-        self._controller, self._messages = controller, messages
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
         self._sent: set[str] = set()  # kinds of the commands under way
         self._next: dict[str, tuple[Callable[[], Command], Then]] = {}  # by kind
         self._changes: list[Callable[[Bench], Bench]] = []  # of the next command of the bench
@@ -64,7 +63,7 @@ class SettingsControl:
             self._mask = value
             self.change(lambda bench: bench)
         else:
-            command, then = self._commands[name], self._messages.warn if name in _MODES else None
+            command, then = self._commands[name], self._controller.messages.warn if name in _MODES else None
             self._keep(name, lambda: lambda on: command(on.devices, value), then)
 
     def change(self, change: Callable[[Bench], Bench], then: Then = None) -> None:

@@ -14,30 +14,33 @@ _FRAME = QSize(10, 40)  # px; window managers add it only when the window is sho
 _THEME, _SIZE = "preferences/theme", "preferences/text"  # keys of the settings
 _SIZES = (80, 100, 125, 150)  # percent of the desktop's
 
-Parts = Mapping[str, QObject | None]  # what has a state, by the keys of the settings
-
 
 def settings_file() -> QSettings:
     """Return the user's settings of this program."""
     return QSettings(QSettings.Format.IniFormat, QSettings.Scope.UserScope, "svwfs", "svwfs")
 
 
-def save_state(settings: QSettings, window: QMainWindow, parts: Parts) -> None:
+def _parts(window: QMainWindow) -> Mapping[str, QObject]:
+    """Return what has a state, by its name: a key of the settings."""
+    return {name: part for part in window.findChildren(QObject) if "/" in (name := part.objectName())}
+
+
+def save_state(settings: QSettings, window: QMainWindow) -> None:
     """Save the window and its parts: choices, toggles, and widgets that can be hidden."""
     settings.setValue("window/geometry", window.saveGeometry())
     settings.setValue("window/panels", window.saveState(_LAYOUT))
-    for key, part in parts.items():
+    for key, part in _parts(window).items():
         settings.setValue(key, _state(part))
     settings.sync()
 
 
-def restore_state(settings: QSettings, window: QMainWindow, parts: Parts) -> None:
+def restore_state(settings: QSettings, window: QMainWindow) -> None:
     """Restore what was saved."""
     if isinstance(geometry := settings.value("window/geometry"), QByteArray):
         window.restoreGeometry(geometry)
     if isinstance(panels := settings.value("window/panels"), QByteArray):
         window.restoreState(panels, _LAYOUT)
-    for key, part in parts.items():
+    for key, part in _parts(window).items():
         if settings.contains(key):
             _restore(part, str(settings.value(key)))  # an INI file stores text
 
@@ -54,7 +57,7 @@ def fit_to_screen(window: QMainWindow) -> None:
     window.move(max(outer.left(), free.left()), max(outer.top(), free.top()))
 
 
-def _state(part: QObject | None) -> object:
+def _state(part: QObject) -> object:
     match part:
         case QActionGroup():
             return "" if (chosen := part.checkedAction()) is None else chosen.text()
@@ -67,7 +70,7 @@ def _state(part: QObject | None) -> object:
     raise TypeError(f"{type(part).__name__} has no state to save")
 
 
-def _restore(part: QObject | None, value: str) -> None:
+def _restore(part: QObject, value: str) -> None:
     is_on = value == "1"
     match part:
         case QActionGroup():

@@ -43,6 +43,7 @@ class StatusLine(QWidget):
         self.shown = 0
         self._times_due_s = -math.inf
         self.timing_row = TimingRow()
+        self.timing_row.setObjectName("window/times")
         self.devices = label("", "dim")
         self.simulated = label("SIMULATED", "badge")
         self.simulated.setToolTip("No real device: camera, light and sample are computed")

@@ -132,8 +132,12 @@ class Button(QPushButton):
 class Toggle(Button):
     """A button that stays pressed until the next click."""
 
-    def __init__(self, text: str, tool_tip: str, clicked: Slot | None = None, *, is_on: bool = False) -> None:
+    def __init__(
+        self, text: str, tool_tip: str, clicked: Slot | None = None, *, is_on: bool = False, key: str = ""
+    ) -> None:
+        """Under its `key`, if any, its state is kept between two starts."""
         super().__init__(text, tool_tip, clicked)
+        self.setObjectName(key)
         self.setCheckable(True)
         self.setChecked(is_on)
 
@@ -142,11 +146,17 @@ class Choice(QComboBox):
     """A choice that Space opens and the wheel changes only with the focus, which a click does not give."""
 
     def __init__(
-        self, tool_tip: str = "", items: Iterable[str | tuple[str, object]] = (), changed: Slot | None = None
+        self,
+        tool_tip: str = "",
+        items: Iterable[str | tuple[str, object]] = (),
+        changed: Slot | None = None,
+        *,
+        key: str = "",
     ) -> None:
-        """Offer texts, some with data; `changed` is called when another is current."""
+        """Offer texts, some with data; `changed` is called when another is current. For the `key` see `Toggle`."""
         super().__init__()
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.setObjectName(key)
         self.setToolTip(tool_tip)
         for item in items:
             self.addItem(*((item,) if isinstance(item, str) else item))
