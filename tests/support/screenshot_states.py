@@ -93,10 +93,10 @@ def show_panel_states(of: Photographer, window: MainWindow) -> None:
         dock.close()
     of._save("no_panels", window, settle_ms=300)
     docks.restore_default()
-    window.controls.requested.emit("exposure", _CLIPPING_S)
+    window.controls.requested.emit("exposure_s", _CLIPPING_S)
     of._wait(lambda: "clipped" in window.panels.camera.caption.text())
     of._save("clipped", window)
-    window.controls.requested.emit("exposure", _USUAL_S)
+    window.controls.requested.emit("exposure_s", _USUAL_S)
     of._wait(lambda: "clipped" not in window.panels.camera.caption.text())
 
 

@@ -189,7 +189,7 @@ class Photographer:
             line.setText("2000")
         self._save("refused_number", window, settle_ms=300)
         window.controls.exposure.clearFocus()
-        window.controls.requested.emit("exposure", 0.03)
+        window.controls.requested.emit("exposure_s", 0.03)
         self._save("stale", window)
         window.controls.light.click()
         self._save("light_off", window)

@@ -104,7 +104,9 @@ class ControlsPanel(Panel):
 
     def _make_devices(self) -> None:
         self.start = Button(
-            "Start", "Start or stop taking frames (Space)", lambda: self.requested.emit("running", not self._is_running)
+            "Start",
+            "Start or stop taking frames (Space)",
+            lambda: self.requested.emit("is_running", not self._is_running),
         )
         self.start.setMinimumWidth(self.start.sizeHint().width() + self.start.iconSize().width() + _GAP)
         self.sensor_region = Button(
@@ -115,14 +117,14 @@ class ControlsPanel(Panel):
             name="Gain", decimals=1, tool_tip="Electron-multiplying gain: more signal above the read noise"
         )
         self.current = NumberField(name="Current", unit="mA", decimals=1, tool_tip="Current of the light while on (C)")
-        for name, field in (("exposure", self.exposure), ("em_gain", self.em_gain), ("current", self.current)):
+        for name, field in (("exposure_s", self.exposure), ("em_gain", self.em_gain), ("current_a", self.current)):
             field.entered.connect(self._ask(name))
         self.light = _LightButton("Light off", "Switch the light (L)", self._ask("light"))
         self.light.setProperty("role", "light")
         self.light.setIconSize(QSize(_LIGHT_LAMP, _LIGHT_LAMP))
         self.light.setMinimumWidth(_LIGHT_WIDTH)
         self.light.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-        self.sample = Toggle("Sample out", "Move the sample into or out of the beam (S)", self._ask("sample"))
+        self.sample = Toggle("Sample out", "Move the sample into or out of the beam (S)", self._ask("is_sample_in"))
 
     def _make_calibration(self) -> None:
         self.frames = NumberField(name="Frames", tool_tip="Number of frames averaged into a dark or a reference")
@@ -209,9 +211,9 @@ class ControlsPanel(Panel):
         self._is_running = status.is_running
         registration, reconstruction = status.bench.registration, status.bench.reconstruction
         for name, field, value, interval in (
-            ("exposure", self.exposure, status.exposure_s, allowed.exposure_range_s),
+            ("exposure_s", self.exposure, status.exposure_s, allowed.exposure_range_s),
             ("em_gain", self.em_gain, status.em_gain, allowed.em_gain_range),
-            ("current", self.current, status.current_a, status.current_range_a),
+            ("current_a", self.current, status.current_a, status.current_range_a),
             ("reconstruction.pupil_modes", self.pupil_modes, reconstruction.pupil_modes, _modes_range(status.bench)),
         ):
             mark_wanted(field, is_wanted=name in wanted)

@@ -21,7 +21,7 @@ _SIDES = {
     "Columns": "Number of columns",
 }
 _KEY = "presets/devices"  # of the settings
-_NAMES = {"exposure_s": "exposure", "em_gain": "em_gain", "current_a": "current", "mask": "mask"}  # in the controls
+_SETTINGS = ("exposure_s", "em_gain", "current_a", "mask")
 
 
 class SensorRegionDialog(QDialog):
@@ -165,7 +165,7 @@ class DevicePresets(QDialog):
     def _save(self) -> None:
         status, name = self._controller.status, self.name.text().strip()
         if status is not None and name:
-            self._keep({**self._presets(), name: {key: getattr(status, key) for key in _NAMES}})
+            self._keep({**self._presets(), name: {name: getattr(status, name) for name in _SETTINGS}})
 
     def _delete(self) -> None:
         if (item := self.names.currentItem()) is not None:
@@ -176,6 +176,6 @@ class DevicePresets(QDialog):
         if status is None or item is None:
             return
         values = self._presets()[item.text()]
-        for key, name in _NAMES.items():
-            if key in values and values[key] != getattr(status, key):  # a manual light takes no current
-                self._controls.requested.emit(name, values[key])
+        for name in _SETTINGS:
+            if name in values and values[name] != getattr(status, name):  # a manual light takes no current
+                self._controls.requested.emit(name, values[name])

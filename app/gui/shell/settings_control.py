@@ -36,11 +36,11 @@ class SettingsControl:
         self.wanted: dict[str, Any] = {}  # value of each setting that is not in force yet, by its name in the controls
         modes = CameraModes()
         self._commands: dict[str, Callable[[Devices, Any], Any]] = {
-            "running": _set_running,
-            "exposure": lambda on, value: on.camera.set_exposure(value),
+            "is_running": _set_running,
+            "exposure_s": lambda on, value: on.camera.set_exposure(value),
             "em_gain": lambda on, value: on.camera.set_em_gain(value),
-            "current": lambda on, value: on.light.set_current(value),
-            "sample": lambda on, value: on.stage.note_sample(value),
+            "current_a": lambda on, value: on.light.set_current(value),
+            "is_sample_in": lambda on, value: on.stage.note_sample(value),
             "amplifier": lambda on, value: modes.change(on.camera, amplifier=value),
             "readout_speed": lambda on, value: modes.change(on.camera, readout_speed=int(value)),
         }

@@ -83,7 +83,7 @@ def test_preset_restores_exposure_and_mask_also_after_a_restart(
     assert not dialog.names.count()
     dialog.name.setText("cells")
     dialog.save.click()
-    for request, value in (("exposure", 0.03), ("mask", "stars")):
+    for request, value in (("exposure_s", 0.03), ("mask", "stars")):
         window.controls.requested.emit(request, value)
     qtbot.waitUntil(lambda: camera.exposure_s == 0.03 and camera.stage.mask == "stars")
     again = DevicePresets(window.controller, window.controls, settings, window)
