@@ -23,6 +23,7 @@ from reconstruction.arrays import Floats
 from reconstruction.geometry import Lattice, centered_steps, lenslet_centers
 
 _SHADES = 256
+_ANYWHERE = QRectF(-1e6, -1e6, 2e6, 2e6)  # px
 _AROUND = [0, 1, 1, 2, 2, 3, 3, 0]  # corners at the ends of a cell's four borders
 _INSET = 0.88  # size of a lost lenslet's box over that of its cell
 _USUAL = 0.98  # share of the arrows that are not the longest few
@@ -120,6 +121,10 @@ class Segments(pg.PlotCurveItem):  # type: ignore[misc] # ships no types
         if ends is not self.ends and not np.array_equal(ends, self.ends):
             self.ends = ends
             self.setData(*ends.T)
+
+    def boundingRect(self) -> QRectF:  # noqa: N802 - Qt's name
+        """Return where segments may lie; to find their true border in every frame costs a tenth of painting them."""
+        return _ANYWHERE
 
 
 @lru_cache(maxsize=4)
