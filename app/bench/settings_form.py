@@ -302,4 +302,3 @@ def _limits(cls: Any, values: Mapping[str, Any]) -> dict[str, str]:
 
 def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
-

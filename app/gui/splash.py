@@ -1,4 +1,4 @@
-"""What is seen without the window: a picture until its libraries are loaded, and how the program ended."""
+"""Widgets outside the window: a picture until its libraries are loaded, and the dialog after an early end."""
 
 import sys
 
@@ -15,7 +15,7 @@ class Splash(QSplashScreen):
     """The picture, shown at once; `finish` replaces it by a window."""
 
     def __init__(self) -> None:
-        self._application = QApplication.instance() or QApplication(sys.argv[:1])  # held: it ends when nobody does
+        self._application = QApplication.instance() or QApplication(sys.argv[:1])  # kept alive with the picture
         picture = QPixmap(_WIDTH, _HEIGHT)
         picture.fill(theme.SURFACE)
         painter = QPainter(picture)
@@ -25,7 +25,7 @@ class Splash(QSplashScreen):
         super().__init__(picture)
         at_bottom = Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignHCenter
         self.showMessage("svwfs is starting ...\n", at_bottom, QColor(theme.TEXT))
-        if QApplication.platformName() != "offscreen":  # nobody would see it
+        if QApplication.platformName() != "offscreen":  # it could not be seen
             self.show()
             self._application.processEvents()
 

@@ -1,4 +1,4 @@
-"""What a panel is, and what all panels show."""
+"""Base class of the panels, and the state that they share."""
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ Check = Callable[[], None]  # raises when the window closes
 
 
 class Liveness(NamedTuple):
-    """How a shown frame differs from a live one; empty if it does not."""
+    """Differences of a shown frame from a live one; empty if there are none."""
 
     badge: str = ""
     reason: str = ""
@@ -28,7 +28,7 @@ class Liveness(NamedTuple):
 
 
 class Shown(QObject):
-    """What all panels show: the newest measurement, the chosen view and unit, and how live that is."""
+    """State shared by the panels: the newest measurement, the chosen view and unit, and whether that is live."""
 
     view_chosen = pyqtSignal()
     exclusion_requested = pyqtSignal(int, int)  # of a lenslet (row, column) from the wavefront, or its end

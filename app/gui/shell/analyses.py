@@ -17,7 +17,7 @@ _SHARE = 0.2  # of a core: the measurement needs the rest
 
 
 class Result(NamedTuple):
-    """What a panel requested: its value, or why there is none."""
+    """Result of a panel's request: its value, or the error."""
 
     panel: Panel
     request: Request

@@ -1,4 +1,4 @@
-"""Calibration: routines by themselves, and a guide that takes one after the other and says what each does."""
+"""Calibration: single routines, and a guide that takes all steps in order and explains them."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -72,7 +72,7 @@ class CalibrationGuide(QDialog):
         self._frames = 0
         self._left: list[CalibrationStep] = []
         self._is_running = False
-        self._answers: dict[bool, Callable[[], object]] = {}  # what a yes and a no lead to
+        self._answers: dict[bool, Callable[[], object]] = {}  # called after "yes" and after "no"
         self.lamps = {step: label("") for step in STEPS}
         self.results = {step: label("", "dim") for step in STEPS}
         grid = QGridLayout()
@@ -107,7 +107,7 @@ class CalibrationGuide(QDialog):
         for step in STEPS:
             self._mark(step, "waiting", "")
         status = self._controller.status
-        if status is not None and status.bench.has_manual_stage and not status.is_sample_in:  # nobody may have said so
+        if status is not None and status.bench.has_manual_stage and not status.is_sample_in:  # as noted
             self._ask("Make sure that the sample is out of the beam", "It is out", self._next)
         else:
             self._next()

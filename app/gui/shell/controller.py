@@ -41,7 +41,7 @@ class Controller(QObject):
         self.acquisition: Acquisition | None = None
         self.is_stuck = False  # whether the worker did not end on `close`
         self._pending: list[tuple[Future[Any], Then, Otherwise]] = []
-        self._on_accept: Callable[[], object] | None = None  # what an accepted question leads to
+        self._on_accept: Callable[[], object] | None = None  # called if the question is accepted
         messages.answered.connect(self._decide)
         messages.cancel_requested.connect(self.cancel)
 

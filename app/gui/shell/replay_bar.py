@@ -73,7 +73,7 @@ class ReplayBar(QFrame):
 
     @property
     def notice(self) -> str:
-        """What is to be known of the version of the recording; empty if nothing."""
+        """Note about the version of the recording; empty if there is none."""
         return "" if self._player is None else self._player.notice
 
     def use(self, player: Player | None) -> None:

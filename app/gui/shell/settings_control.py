@@ -31,7 +31,7 @@ class SettingsControl:
         self._sent: set[str] = set()  # kinds of the commands under way
         self._next: dict[str, tuple[Callable[[], Command], Then]] = {}  # by kind
         self._changes: list[Callable[[Bench], Bench]] = []  # of the next command of the bench
-        self._mask: str | None = None  # likewise
+        self._mask: str | None = None  # of the next command, too
         self._kinds: dict[str, str] = {}  # of the wanted settings
         self.wanted: dict[str, Any] = {}  # value of each setting that is not in force yet, by its name in the controls
         modes = CameraModes()

@@ -1,4 +1,4 @@
-"""What is kept between two starts: geometry, panels, choices and toggles; theme and size of texts."""
+"""State kept between two starts: geometry, panels, choices and toggles; theme and size of texts."""
 
 from collections.abc import Mapping
 

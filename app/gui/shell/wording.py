@@ -1,4 +1,4 @@
-"""What the window says of the state of the instrument, and whether the shown frame is live."""
+"""Texts about the state of the instrument, and whether the shown frame is live."""
 
 import math
 import time
