@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QDialog, QFrame, QLabel, QScrollArea, QTextBrowser, 
 
 import app
 from app.gui.panels.panel import Entries
-from app.gui.shell.messages import MessageLog
+from app.gui.shell.messages import MessageStrip
 from app.gui.widgets.basics import Button, column, row
 from app.gui.widgets.copies import copy_text
 from app.run_facts import machine_facts, versions
@@ -153,16 +153,16 @@ def documentation() -> Path | None:
     return next((each for each in (package / "docs", package.parent / "docs") if (each / _FIRST_PAGE).is_file()), None)
 
 
-def show_log(parent: QWidget, log: MessageLog) -> None:
+def show_log(parent: QWidget, messages: MessageStrip) -> None:
     """Show all messages, also those that come from now on."""
     dialog = TextDialog("log", "Message log", parent, is_fixed_width=True)
 
     def update() -> None:
-        dialog.show_log(log.text)
+        dialog.show_log(messages.log)
 
     update()
-    log.changed.connect(update)
-    dialog.finished.connect(lambda _: log.changed.disconnect(update))
+    messages.logged.connect(update)
+    dialog.finished.connect(lambda _: messages.logged.disconnect(update))
     dialog.show()
 
 

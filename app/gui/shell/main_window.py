@@ -30,7 +30,7 @@ from app.gui.shell.docks import PanelDocks
 from app.gui.shell.help import show_about, show_citation, show_documentation, show_keys, show_log
 from app.gui.shell.light_control import LightControl
 from app.gui.shell.menus import fill_menus
-from app.gui.shell.messages import MessageLog, MessageStrip
+from app.gui.shell.messages import MessageStrip
 from app.gui.shell.recording import RecordingBar, RecordingPanel
 from app.gui.shell.replay_bar import ReplayBar
 from app.gui.shell.settings_control import SettingsControl
@@ -82,7 +82,6 @@ class MainWindow(BaseWindow):
         self.panels = make_panels(self.shown)
         self.controls = self.panels.controls
         self.messages = MessageStrip()
-        self.log = MessageLog(self.messages, self)
         self.errors = ErrorReports(self.messages.alarm)
         self.status_line = StatusLine()
         self.controller = Controller(make_acquisition, self.messages)
@@ -212,7 +211,7 @@ class MainWindow(BaseWindow):
         }
         menus["&Help"] = (
             ("Shortcuts and conventions", "F1", lambda: show_keys(self, menus)),
-            ("Message log", "Ctrl+L", partial(show_log, self, self.log)),
+            ("Message log", "Ctrl+L", partial(show_log, self, self.messages)),
             ("Documentation", "Shift+F1", lambda: show_documentation(self, self.messages.warn)),
             ("Tour of the window", "", self.show_tour),
             ("How to cite", "", lambda: show_citation(self)),

@@ -1,10 +1,10 @@
-"""Messages: the strip that shows the most important one, a question or progress, and the log that keeps all."""
+"""Messages: the strip that shows the most important one, a question or progress, and the log of all."""
 
 import time
 from collections import deque
 from datetime import datetime
 
-from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QFrame, QProgressBar
 
@@ -22,7 +22,7 @@ class MessageStrip(QFrame):
 
     reconnect_requested = pyqtSignal()
     cancel_requested = pyqtSignal()
-    said = pyqtSignal(str)  # every message but the advice, and what is refused while it is typed
+    logged = pyqtSignal()
     answered = pyqtSignal(bool)  # whether the proposal is accepted
 
     def __init__(self) -> None:
@@ -30,6 +30,7 @@ class MessageStrip(QFrame):
         self.setProperty("role", "strip")
         self._notice, self._notice_colour, self._notice_until_s = "", theme.AMBER, 0.0
         self._alarm = self._question = ""
+        self._lines: deque[tuple[str, str]] = deque(maxlen=_MOST)  # time and message
         self._standing: dict[str, str] = {}  # last failure and warning
         self._shown = ("", theme.DIM)
         self.text = ElidedLabel()
@@ -50,6 +51,11 @@ class MessageStrip(QFrame):
             widget.hide()
         row((self.text, 1), *hidden, parent=self).setContentsMargins(10, 3, 6, 3)
         self.setFixedHeight(self.cancel.sizeHint().height() + 8)  # the same with and without a button
+
+    @property
+    def log(self) -> str:
+        """The last thousand messages but advice and what is refused while it is typed, oldest first, with times."""
+        return "\n".join(f"{time}  {message}" for time, message in self._lines)
 
     def warn(self, text: str) -> None:
         """Show an amber notice: something was not done."""
@@ -158,8 +164,11 @@ class MessageStrip(QFrame):
         self._notice, self._notice_colour, self._notice_until_s = text, colour, time.monotonic() + _NOTICE_S
 
     def _say(self, text: str) -> None:
-        if text:
-            self.said.emit(as_sentence(text))
+        """Keep a message in the log, unless it repeats the newest."""
+        sentence = as_sentence(text)
+        if text and not (self._lines and self._lines[-1][1] == sentence):
+            self._lines.append((f"{datetime.now().astimezone():%Y-%m-%d %H:%M:%S}", sentence))
+            self.logged.emit()
 
     def _show(self, text: str, colour: QColor) -> None:
         sentence = as_sentence(text)
@@ -167,24 +176,3 @@ class MessageStrip(QFrame):
             self._shown = (sentence, colour)
             self.text.setText(sentence)
             colour_text(self.text, colour)
-
-
-class MessageLog(QObject):
-    """Keeps the last thousand messages of a strip; a repetition of the newest is left out."""
-
-    changed = pyqtSignal()
-
-    def __init__(self, messages: MessageStrip, parent: QObject) -> None:
-        super().__init__(parent)
-        self._lines: deque[tuple[str, str]] = deque(maxlen=_MOST)  # time and message
-        messages.said.connect(self._add)
-
-    @property
-    def text(self) -> str:
-        """The messages, oldest first, one on each line."""
-        return "\n".join(f"{time}  {message}" for time, message in self._lines)
-
-    def _add(self, message: str) -> None:
-        if not self._lines or self._lines[-1][1] != message:
-            self._lines.append((f"{datetime.now().astimezone():%Y-%m-%d %H:%M:%S}", message))
-            self.changed.emit()

@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from datetime import datetime
 from pathlib import Path
 
-from PyQt6.QtCore import QSettings, QStandardPaths, Qt, QUrl, pyqtSignal
+from PyQt6.QtCore import QSettings, QStandardPaths, Qt, QUrl
 from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtWidgets import QFileDialog, QFrame, QMenu, QSizePolicy, QWidget
 
@@ -42,25 +42,19 @@ _EXPORTS = {  # suffix and what is written
 
 
 class RecordingPanel(QWidget):
-    """Emits the user's requests and shows the state of the recording."""
-
-    record_requested = pyqtSignal(bool)
-    keep_requested = pyqtSignal()
+    """Buttons, and the state of the recording."""
 
     def __init__(self) -> None:
         super().__init__()
         self.record = Toggle(
-            "Record", "Record every frame with all data needed to reconstruct it again (W)", self.record_requested
+            "Record", "Record every frame with all data needed to reconstruct it again (W)", self._leave_fields
         )
-        self.keep = Button(
-            f"Save last {RECENT_S:g} s", f"Save the last {RECENT_S:g} s as a recording (K)", self.keep_requested
-        )
+        self.keep = Button(f"Save last {RECENT_S:g} s", f"Save the last {RECENT_S:g} s as a recording (K)")
         self.text = ElidedLabel("dim")
         self.text.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
         # A menu bar never updates the width of its corner; with a fixed height, too, a new text is not laid out.
         self.text.setFixedSize(self.text.fontMetrics().horizontalAdvance(_WIDEST), self.text.minimumHeight())
         self.text.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        self.record_requested.connect(self._leave_fields)
         row(self.text, self.keep, self.record, parent=self).setContentsMargins(10, 3, 6, 3)
         self._show_button(is_recording=True)
         self.record.setMinimumWidth(self.record.sizeHint().width())  # of the longer of its two texts
@@ -111,8 +105,8 @@ class RecordingBar(QFrame):
         super().__init__()
         self.setProperty("role", "strip")
         self._controller, self._messages, self._panel = controller, controller.messages, panel
-        panel.record_requested.connect(self._record)
-        panel.keep_requested.connect(self._keep)
+        panel.record.clicked.connect(self._record)
+        panel.keep.clicked.connect(self._keep)
         controller.connected.connect(self._restart)
         documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
         self.recordings_folder = Path(documents or ".") / "svwfs"

@@ -32,7 +32,7 @@ def test_picture_and_results_are_those_that_are_shown(
     window.panels.wavefronts.menu.tilt.trigger()
     window.panels.wavefronts.menu.change(views=2)
     export(window, monkeypatch, tmp_path / "seen.png")
-    assert f"Saved {tmp_path / 'seen.png'} and seen.nc" in window.log.text
+    assert f"Saved {tmp_path / 'seen.png'} and seen.nc" in window.messages.log
     shown = window.shown.wavefront
     assert shown is not None
     image = QImage(str(tmp_path / "seen.png"))
@@ -55,7 +55,7 @@ def test_existing_results_are_not_replaced_unasked(
     window, _ = live
     (tmp_path / "seen.nc").write_text("mine")
     export(window, monkeypatch, tmp_path / "seen.png")
-    assert "seen.nc: exists already" in window.log.text
+    assert "seen.nc: exists already" in window.messages.log
     assert [path.name for path in tmp_path.iterdir()] == ["seen.nc"]
     assert (tmp_path / "seen.nc").read_text() == "mine"
 
@@ -63,7 +63,7 @@ def test_existing_results_are_not_replaced_unasked(
 def test_nothing_to_export_is_announced(make_window: MakeWindow, monkeypatch: pytest.MonkeyPatch) -> None:
     window = make_window()
     export(window, monkeypatch, Path("/nowhere/x.png"))
-    assert "There is no wavefront to export" in window.log.text
+    assert "There is no wavefront to export" in window.messages.log
 
 
 @pytest.mark.slow

@@ -43,7 +43,7 @@ def test_recording_opens_another_window(
     (tmp_path / "photos").mkdir()
     drop(window, tmp_path / "photos")
     assert len(started) == 1
-    assert "holds no recording" in window.log.text
+    assert "holds no recording" in window.messages.log
 
 
 @pytest.mark.slow
@@ -87,7 +87,7 @@ def test_frame_is_reconstructed_until_the_camera_starts(
     reference = 500 + 40000 * camera._images[0]
     tifffile.imwrite(tmp_path / "flat.tif", np.rint(reference).astype(np.uint16))
     drop(window, tmp_path / "flat.tif")
-    qtbot.waitUntil(lambda: "  flat.tif is shown" in window.log.text)
+    qtbot.waitUntil(lambda: "  flat.tif is shown" in window.messages.log)
     newest = window.controller.acquisition.newest
     assert newest is not None
     np.testing.assert_array_equal(newest.frame.pixels, np.rint(reference).astype(np.uint16))
@@ -114,7 +114,7 @@ def test_unusable_frame_is_refused(
     window, camera = live
     np.save(tmp_path / "frame.npy", pixels)
     drop(window, tmp_path / "frame.npy")
-    qtbot.waitUntil(lambda: problem in window.log.text)
+    qtbot.waitUntil(lambda: problem in window.messages.log)
     assert camera.state == "running"  # nothing was shown instead
     assert not window.controller.failure
 
@@ -127,7 +127,7 @@ def test_frame_is_refused_during_a_recording(live: tuple[MainWindow, FakeCamera]
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     np.save(tmp_path / "frame.npy", np.zeros((300, 430), np.uint16))
     drop(window, tmp_path / "frame.npy")
-    assert "is not shown during a recording" in window.log.text
+    assert "is not shown during a recording" in window.messages.log
 
 
 @pytest.mark.slow
@@ -135,4 +135,4 @@ def test_other_files_are_refused(live: tuple[MainWindow, FakeCamera], tmp_path: 
     window, _ = live
     (tmp_path / "notes.txt").write_text("x")
     drop(window, tmp_path / "notes.txt")
-    assert "  notes.txt: drop a recording's folder" in window.log.text
+    assert "  notes.txt: drop a recording's folder" in window.messages.log

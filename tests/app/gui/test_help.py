@@ -49,7 +49,7 @@ def test_log_keeps_notices_with_their_times(make_window: MakeWindow, tmp_path: P
     dialog.copy.click()
     clipboard = QApplication.clipboard()
     assert clipboard is not None
-    assert clipboard.text() == window.log.text == dialog.view.toPlainText()
+    assert clipboard.text() == window.messages.log == dialog.view.toPlainText()
     dialog.close()
     window.messages.inform("closed")  # must not reach the deleted dialog
 
@@ -59,8 +59,8 @@ def test_log_tells_what_failed(make_window: MakeWindow, qtbot: QtBot) -> None:
     camera.fault = RuntimeError("smoke")
     window = make_window(camera)
     window.messages.show_state(failure="the camera was unplugged", warning="", advice="F1", way_out="off")
-    qtbot.waitUntil(lambda: "The camera was unplugged" in window.log.text)
-    assert "F1" not in window.log.text
+    qtbot.waitUntil(lambda: "The camera was unplugged" in window.messages.log)
+    assert "F1" not in window.messages.log
 
 
 def test_documentation_opens_and_its_links_lead_on(make_window: MakeWindow) -> None:
@@ -85,7 +85,7 @@ def test_missing_documentation_is_reported(make_window: MakeWindow, monkeypatch:
     assert documentation() is None
     window = make_window()
     choose(window, "Documentation")
-    assert "documentation is not installed" in window.log.text
+    assert "documentation is not installed" in window.messages.log
 
 
 def test_citation_agrees_with_the_citation_file(make_window: MakeWindow) -> None:

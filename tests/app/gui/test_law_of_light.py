@@ -189,7 +189,7 @@ def test_second_light_key_keeps_off_what_is_lighting_up(live: tuple[MainWindow, 
     busy.set()
     qtbot.waitUntil(lambda: window.controller.is_settled and not window.light.is_switching_off)
     assert not camera.light.shines
-    assert "light stays off" in window.log.text
+    assert "light stays off" in window.messages.log
 
 
 def test_light_key_at_start_keeps_the_light_off(
@@ -250,7 +250,7 @@ def test_space_stops_the_camera_although_nothing_was_clicked(live: tuple[MainWin
     press(qtbot, focused(window), Qt.Key.Key_N)
     qtbot.waitUntil(window.messages.accept.isVisible)
     press(qtbot, focused(window), Qt.Key.Key_Return)
-    qtbot.waitUntil(lambda: "lattice is in use" in window.log.text)
+    qtbot.waitUntil(lambda: "lattice is in use" in window.messages.log)
 
 
 @pytest.mark.slow

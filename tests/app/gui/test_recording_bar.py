@@ -55,7 +55,7 @@ def test_single_frame_is_counted_in_the_singular(
 ) -> None:
     window, _ = live
     record(qtbot, window, tmp_path, frames=1)
-    qtbot.waitUntil(lambda: "  Recorded 1 frame in " in window.log.text)
+    qtbot.waitUntil(lambda: "  Recorded 1 frame in " in window.messages.log)
     assert window.recording_bar.text.text().startswith("1 frame in ")
     qtbot.waitUntil(lambda: window.recording_panel.text.text().startswith("1 frame   "))
 
@@ -100,7 +100,7 @@ def test_name_given_afterwards_renames_the_folder(
     assert window.messages.text.text() == "A name of a recording cannot contain /"  # while it is typed
     assert "color" in bar.name.styleSheet()
     press(qtbot, bar.name, Qt.Key.Key_Return)
-    assert "a name of a recording cannot contain /: a/b" in window.log.text.lower()
+    assert "a name of a recording cannot contain /: a/b" in window.messages.log.lower()
     assert Recording(next(tmp_path.iterdir())).run["note"] == "fed at noon"
     type_into(qtbot, bar.name, "sl")  # letters that are commands outside the field
     assert [path.name[15:] for path in tmp_path.iterdir()] == ["-sl"]
@@ -135,7 +135,7 @@ def test_report_and_export_run_beside_the_window(
 
     def is_written() -> bool:
         shown.add(bar.report.text())
-        return "The report is in" in window.log.text
+        return "The report is in" in window.messages.log
 
     qtbot.waitUntil(is_written)
     assert "Report 80 %" in shown  # the pages are still to be drawn
@@ -143,7 +143,7 @@ def test_report_and_export_run_beside_the_window(
     assert bar.report.isEnabled()
     assert opened == [bar.folder / "report.pdf"]
     assert (bar.folder / "report.pdf").read_bytes().startswith(b"%PDF")
-    qtbot.waitUntil(lambda: "Exported to" in window.log.text)
+    qtbot.waitUntil(lambda: "Exported to" in window.messages.log)
     assert len((tmp_path / "out.csv").read_text().splitlines()) == 3
     qtbot.waitUntil(lambda: not bar.commands.findChildren(QProcess))
 
@@ -219,6 +219,6 @@ def test_recording_in_the_dark_is_announced(live: tuple[MainWindow, FakeCamera],
     press(qtbot, window, Qt.Key.Key_L)
     qtbot.waitUntil(lambda: not camera.light.shines and window.controls.light.text() == "Light off")
     press(qtbot, window, Qt.Key.Key_W)
-    assert "Recording with the light off" in window.log.text
+    assert "Recording with the light off" in window.messages.log
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     assert window.controls.start.text() == "Stop"  # of the camera: another word

@@ -53,8 +53,8 @@ def test_another_bench_waits_for_an_answer(recording: MainWindow, qtbot: QtBot, 
     window.messages.accept.click()
     assert len(opened) == 1
     wait_for_wavefront(qtbot, window)
-    assert "ends if another bench is opened" in window.log.text
-    assert window.log.text.count("Recorded ") == 1
+    assert "ends if another bench is opened" in window.messages.log
+    assert window.messages.log.count("Recorded ") == 1
     (folder,) = (tmp_path / "runs").iterdir()
     assert Recording(folder).is_complete
     assert Recording(folder).run["note"] == "a note of the first bench"

@@ -253,8 +253,8 @@ def test_damaged_frames_are_skipped_with_a_notice_and_marked(
         bar.refresh()
         assert bar.text.text() == f"frame {end + 1} of {FRAMES}"
     assert bar.slider.marked == {3, 5}
-    assert "Frame 3 skipped: " in window.log.text
-    assert "Frame 5 skipped: " in window.log.text
+    assert "Frame 3 skipped: " in window.messages.log
+    assert "Frame 5 skipped: " in window.messages.log
     bar.slider.setValue(3)  # a known one
     qtbot.waitUntil(partial(is_at, window, player, 4))
     assert (picture(bar.slider)[:, :, 0].astype(int) - picture(bar.slider)[:, :, 2] > 100).any()  # red

@@ -85,7 +85,7 @@ def test_last_of_many_choices_wins_and_the_others_are_not_built(
 def test_refused_choice_gives_way_to_the_value_in_force(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.controls.exposure.setValue(55)  # which the camera refuses
-    qtbot.waitUntil(lambda: "are broken" in window.log.text)
+    qtbot.waitUntil(lambda: "are broken" in window.messages.log)
     qtbot.waitUntil(lambda: window.controls.exposure.value() == 20)
     assert not window.settings.wanted
 
@@ -107,8 +107,8 @@ def test_gap_of_a_setting_is_noted_in_the_recording(
     qtbot.waitUntil(lambda: acquisition.recording is not None and len(acquisition.recording.gaps) == 1)
     qtbot.waitUntil(lambda: "1 gap of" in window.recording_panel.text.text())
     window.recording_panel.record.click()
-    qtbot.waitUntil(lambda: "with 1 gap of" in window.log.text)
-    assert "(preparing the reconstruction with pupil modes 10)" in window.log.text
+    qtbot.waitUntil(lambda: "with 1 gap of" in window.messages.log)
+    assert "(preparing the reconstruction with pupil modes 10)" in window.messages.log
     recording = Recording(tmp_path / "run")
     gaps = [(line.gap_s, line.gap_cause) for line in map(recording.line, range(len(recording))) if line.gap_s]
     assert len(gaps) == 1

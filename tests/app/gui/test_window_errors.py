@@ -26,7 +26,7 @@ def test_inspected_lenslet_is_forgotten_with_its_bench(live: tuple[MainWindow, F
     assert window.shown.wavefront is None
     assert not panel._inspected_box.isVisible()
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "35 of 35")
-    assert "display failed" not in window.log.text
+    assert "display failed" not in window.messages.log
 
 
 @pytest.mark.slow
@@ -44,11 +44,11 @@ def test_error_in_a_refresh_is_shown_once(
         patch.setattr(window.panels.camera, "show_measurement", fail)
         said = "The display failed (IndexError: index 8 is out of bounds; test_window_errors.py:"
         qtbot.waitUntil(lambda: len(calls) > 3 and said in window.messages.text.text())
-    assert window.log.text.count("display failed") == 1
+    assert window.messages.log.count("display failed") == 1
     assert len(printed) == 1
     window.messages.escape()
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
-    assert window.log.text.count("display failed") == 1
+    assert window.messages.log.count("display failed") == 1
 
 
 @pytest.mark.slow
@@ -66,7 +66,7 @@ def test_error_in_a_slot_is_shown_and_ends_nothing(
             window.controls.requested.emit("light", False)
     assert len(printed) == 1
     qtbot.waitUntil(lambda: "The display failed (IndexError: list index out of range" in window.messages.text.text())
-    assert window.log.text.count("display failed") == 1
+    assert window.messages.log.count("display failed") == 1
     qtbot.waitUntil(lambda: not camera.light.shines)
 
 
