@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
     from support.gui_bench import FakeCamera
     from support.window_tools import MakeWindow
 
-    from app.gui.main_window import MainWindow
+    from app.gui.shell.main_window import MainWindow
 
 _WATCHED = {"gui", "acquisition"}  # others leave threads of Dask and of process pools
 
@@ -141,7 +141,7 @@ def qtbot(qapp: QApplication, request: pytest.FixtureRequest) -> QtBot:  # noqa:
 @pytest.fixture
 def restored_theme(qapp: QApplication) -> Iterator[None]:
     """Restore colours, palette and style sheet after the test."""
-    from app.gui.theme import _LIGHT  # noqa: PLC0415 - only where a window is wanted
+    from app.gui.widgets.theme import _LIGHT  # noqa: PLC0415 - only where a window is wanted
 
     colours = [(colour, colour.name()) for colour, _ in _LIGHT]
     palette, style = qapp.palette(), qapp.styleSheet()

@@ -16,7 +16,8 @@ from support.optics import sensor_of
 
 import svwfs
 from app.evaluation.frames import SimulatedFrames
-from app.gui.coefficients_panel import CoefficientsPanel
+from app.gui.panels.coefficients import CoefficientsPanel
+from app.gui.panels.panel import Shown
 from app.results.coefficients import FieldMaps
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Sensor
@@ -111,7 +112,7 @@ def test_unknown_names_are_refused(images: SimulatedFrames) -> None:
 
 
 def test_every_list_of_bases_is_the_same(qtbot: QtBot) -> None:
-    panel = CoefficientsPanel()
+    panel = CoefficientsPanel(Shown())
     qtbot.addWidget(panel)
     shown = [panel.basis.itemData(index) for index in range(panel.basis.count())]
     given = get_type_hints(FieldMaps, include_extras=True)["basis"].__args__[0]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -43,6 +44,26 @@ Kind = Literal["switch", "choice", "integer", "number", "text", "toml"]
 _KINDS: dict[Any, Kind] = {bool: "switch", int: "integer", str: "text", float: "number"}
 
 
+def typed_number(text: str, unit: str, factor: float) -> float | None:
+    """Return the number in SI units that a text such as "27,5 mA" stands for; None if it is none.
+
+    Without a unit it counts in `unit`, which is `factor` times that without its prefix. Other prefixes of it are
+    understood, and a comma or a point separates decimals.
+    """
+    match = _NUMBER.fullmatch(text.strip())
+    if match is None:
+        return None
+    value, typed = float(match[1].replace(",", ".")), match[2].strip()
+    base = unit[1:] if factor != 1 else unit
+    scale: float | None = factor
+    if typed not in {"", unit}:
+        is_of_unit = base and typed.lower().endswith(base.lower())
+        scale = _TYPED_PREFIXES.get(typed[: -len(base)]) if is_of_unit else None
+    if scale is None or math.isinf(value):
+        return None
+    return float(f"{value * scale:.12g}")  # without the rounding error of the factor: 462 nm are 462e-9 m
+
+
 @dataclasses.dataclass(frozen=True, slots=True)
 class FormField:
     """One setting; a number is shown in its unit, value = shown number x `factor`."""
@@ -72,21 +93,12 @@ class FormField:
                 return tomllib.loads(f"value = {text}")["value"]
             except ValueError as error:
                 raise InputError(f"{self.label}: write it as in TOML, for example {self.text or '{ }'}") from error
-        number = self._number(text)
+        number = typed_number(text, self.unit, self.factor)
+        if number is None:
+            raise InputError(f"{self.label}: type a number{f' in {self.unit}' if self.unit else ''}")
         if self.kind == "integer" and number != round(number):
             raise InputError(f"{self.label}: must be a whole number")
         return round(number) if self.kind == "integer" else number
-
-    def _number(self, text: str) -> float:
-        match = _NUMBER.fullmatch(text)
-        if match is not None:
-            value, unit = float(match[1].replace(",", ".")), match[2].strip()
-            if not unit or unit == self.unit:
-                return _rounded(value * self.factor)
-            base = self.unit[1:] if self.factor != 1 else self.unit
-            if base and unit.endswith(base) and unit.removesuffix(base) in _TYPED_PREFIXES:
-                return _rounded(value * _TYPED_PREFIXES[unit.removesuffix(base)])
-        raise InputError(f"{self.label}: type a number{f' in {self.unit}' if self.unit else ''}")
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -268,8 +280,3 @@ def _text(kind: Kind, value: Any, factor: float) -> str:
 
 def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
-
-
-def _rounded(value: float) -> float:
-    """Drop the rounding error of a factor: 462 nm are 462e-9 m."""
-    return float(f"{value:.12g}")

@@ -52,6 +52,6 @@ def _show(lines: list[str]) -> None:
     from app.commands.live import use_display
 
     if use_display():
-        from app.gui.ending_dialog import show_ending
+        from app.gui.splash import show_ending
 
         show_ending(lines[-1].removeprefix("svwfs: "), "\n".join(lines[:-1]))

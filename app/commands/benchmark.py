@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from app.evaluation.benchmark.live_path.course import Course
     from app.evaluation.benchmark.live_path.figures import LiveFigures
     from app.evaluation.benchmark.live_path.plan import LivePlan
-    from app.gui.main_window import MainWindow
+    from app.gui.shell.main_window import MainWindow
     from app.timing import StageTimes
 
 _LIVE_BENCH = "live_demo"
@@ -155,8 +155,8 @@ def _run_in_window(course: Course, *, with_panels: bool) -> None:
 
     def open_course(window: MainWindow) -> None:
         if with_panels:
-            tabs = window.tabs
-            window.docks.float_panels(tabs.coefficients, tabs.history, tabs.histogram)
+            panels = window.panels
+            window.docks.float_panels(panels.coefficients, panels.history, panels.histogram)
         window.open(lambda: course.acquisition, lambda _: course.begin())
 
     run_window(None, until=course.poll, open_first=open_course, remembers=False)

@@ -19,7 +19,7 @@ from app.files import check_outputs, make_folder
 if TYPE_CHECKING:
     from app.acquisition.worker import Acquisition, Measurement
     from app.bench.config import Bench
-    from app.gui.main_window import MainWindow
+    from app.gui.shell.main_window import MainWindow
     from app.results.player import Player
 
 

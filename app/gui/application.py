@@ -12,14 +12,12 @@ from app.acquisition.session import FirstWavefront
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError, ended_by
-from app.gui.controller import CLOSING_S
-from app.gui.main_window import MainWindow
-from app.gui.preferences import apply_preferences
-from app.gui.theme import apply_theme
-from app.gui.tour import offer_tour
-from app.gui.window_layout import WINDOW_SIZE
-from app.gui.window_state import settings_file
-from app.gui.wording import left_behind
+from app.gui.shell.controller import CLOSING_S
+from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
+from app.gui.shell.state import apply_preferences, settings_file
+from app.gui.shell.wording import left_behind
+from app.gui.widgets.basics import timer
+from app.gui.widgets.theme import apply_theme
 
 _FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run
 
@@ -84,13 +82,13 @@ def run_window(
         signals.append(number)
         QTimer.singleShot(0, window.close)  # works before the event loop starts, too
 
-    with window.guard.of_slots(), ended_by(end):  # Python handles signals when the window's timer fires
+    with window.errors.reported(), ended_by(end):  # Python handles signals when the window's timer fires
         try:
             window.show()
             if settings is None:
                 window.resize(WINDOW_SIZE)  # the screen of Qt's offscreen platform is small
             else:
-                offer_tour(window, settings)
+                window.offer_tour()
             open_first(window)
             status = application.exec()
         finally:
@@ -129,9 +127,7 @@ class _Watch:
     def __init__(self, window: MainWindow, is_done: Callable[[], bool]) -> None:
         self._window, self._is_done = window, is_done
         self._error: Exception | None = RunError("the window was closed before the run had finished")
-        self._timer = QTimer(window)
-        self._timer.setInterval(100)
-        self._timer.timeout.connect(self._poll)
+        self._timer = timer(window, 100, self._poll)
         self._timer.start()
 
     def check(self) -> None:
@@ -171,7 +167,7 @@ class _UnattendedRun:
     def _note(self, measurement: Measurement) -> None:
         if measurement.wavefront is not None:
             self._last = measurement
-        if measurement.wavefront is not None or self._window.controller.pending.is_empty:  # not of a routine
+        if measurement.wavefront is not None or self._window.controller.is_settled:  # not of a routine
             self._first.take(measurement)
 
     def is_done(self) -> bool:

@@ -17,6 +17,7 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.files import atomic_write, require_suffix
 from app.images import fits_file
+from app.measurement.measurement import Measurement
 from app.progress import Progress, between
 from app.results import layers
 from app.results.analysis import Analysis, Frames, From
@@ -248,29 +249,21 @@ def wrapped(phase_rad: Floats) -> NDArray[np.uint8]:
     return np.asarray(np.rint(np.mod(phase_rad, 2 * math.pi) / (2 * math.pi) * _GREY) % _GREY, np.uint8)
 
 
-@dataclass(frozen=True, slots=True)
-class CorrectorRequest(layers.Request):
-    """Asks what a corrector would leave of a measurement."""
-
-    corrector: Corrector
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundCorrectors:
     """Correctors at every distance, see `correction_dataset`, or the problem."""
 
-    request: CorrectorRequest
     problem: str = ""
     found: xr.Dataset | None = None
 
 
-def find_shown_correctors(request: CorrectorRequest) -> FoundCorrectors:
+def find_shown_correctors(measurement: Measurement, origin: layers.Origin, corrector: Corrector) -> FoundCorrectors:
     """Compare correctors at every distance."""
-    calibration, wavefront = request.measurement.calibration, request.measurement.wavefront
+    calibration, wavefront = measurement.calibration, measurement.wavefront
     if calibration is None or wavefront is None:
-        return FoundCorrectors(request, layers.NO_WAVEFRONT)
+        return FoundCorrectors(layers.NO_WAVEFRONT)
     try:
-        made = compare_correctors(wavefront.at, wavefront.sensor, wavefront.field, request.corrector)
+        made = compare_correctors(wavefront.at, wavefront.sensor, wavefront.field, corrector)
     except ValueError as error:
-        return FoundCorrectors(request, str(error))
-    return FoundCorrectors(request, found=correction_dataset(made, calibration.bench, request.origin))
+        return FoundCorrectors(str(error))
+    return FoundCorrectors(found=correction_dataset(made, calibration.bench, origin))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 import typer
@@ -303,32 +303,10 @@ NO_WAVEFRONT = "there is no wavefront"
 _none = partial(np.zeros, 0)
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
-    """A measurement and what to answer about it."""
-
-    measurement: Measurement
-    origin: Origin  # of distances
-    interval_s: float
-
-    def follows(self, other: Self) -> bool:
-        """Return whether only the measurement differs."""
-        return replace(self, measurement=other.measurement) == other
-
-
-@dataclass(frozen=True, slots=True)
-class LayersRequest(Request):
-    """Asks which layers are in a measurement."""
-
-    count: int  # of layers to search for; 0 for one that is known
-    ratio: float | None  # of field to pupil position at the known layer
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundLayers:
     """Layers found in a measurement, or the problem."""
 
-    request: LayersRequest
     problem: str = ""  # why there are none
     origin: Origin = "lenslets"  # of the distances, see `possible_origin`
     ratios: tuple[float, ...] = ()  # of the layers
@@ -342,30 +320,34 @@ class FoundLayers:
     curve_m: Floats = field(default_factory=_none)  # distances tried; NaN where `origin` has none
 
 
-def find_shown_layers(request: LayersRequest, check: Callable[[], None]) -> FoundLayers:
-    """Search for layers, or fit one at the known distance; an exception of `check` ends the search."""
-    calibration, wavefront = request.measurement.calibration, request.measurement.wavefront
+def find_shown_layers(
+    measurement: Measurement, origin: Origin, *, count: int, ratio: float, check: Callable[[], None]
+) -> FoundLayers:
+    """Search for `count` layers, or fit one at a known `ratio` of field to pupil position if `count` is 0.
+
+    Distances are measured from the `origin`, if possible. An exception of `check` ends the search.
+    """
+    calibration, wavefront = measurement.calibration, measurement.wavefront
     if calibration is None or wavefront is None:
-        return FoundLayers(request, NO_WAVEFRONT)
+        return FoundLayers(NO_WAVEFRONT)
     try:
-        reconstructor = _reconstructor(calibration)
-        if request.ratio is not None:
-            return _shown(request, calibration, reconstructor.layers(wavefront.displacement).fit(request.ratio))
-        search = find_layers(reconstructor.layers(wavefront.displacement), request.count, check=check)
+        layers = _reconstructor(calibration).layers(wavefront.displacement)
+        if not count:
+            return _shown(layers.fit(ratio), origin, calibration)
+        search = find_layers(layers, count, check=check)
     except ReconstructionError as error:
-        return FoundLayers(request, str(error))
-    found = _shown(request, calibration, search.fit)
+        return FoundLayers(str(error))
+    found = _shown(search.fit, origin, calibration)
     return replace(found, search=search, curve_m=distance_m(search.ratios, found.origin, calibration.bench))
 
 
-def _shown(request: LayersRequest, calibration: Calibration, fit: LayerFit) -> FoundLayers:
+def _shown(fit: LayerFit, wanted: Origin, calibration: Calibration) -> FoundLayers:
     ratios = tuple(layer.ratio for layer in fit.layers)
-    origin = possible_origin(request.origin, ratios)
+    origin = possible_origin(wanted, ratios)
     distances_m, sigma_m = distances_and_sigma_m(fit.layers, origin, calibration.bench)
     x_m, y_m, maps = layer_maps(fit.layers, origin, Layer.phase, _SHOWN_POINTS)
     phases, limits_rad = zip(*map(centred, maps), strict=True)
     return FoundLayers(
-        request,
         origin=origin,
         ratios=ratios,
         distances_m=distances_m,

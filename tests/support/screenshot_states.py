@@ -12,8 +12,7 @@ from PyQt6.QtWidgets import QApplication, QFileDialog, QLineEdit
 
 from app.acquisition.worker import Acquisition
 from app.bench.presets import PRESETS
-from app.gui.file_dialogs import export_view
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 from drivers.light_source import ManualLight, ManualLightSettings
 from support.gui_bench import FakeCamera, opener
 from support.manual_bench import MANUAL
@@ -27,7 +26,7 @@ _CLIPPING_S, _USUAL_S = 0.1, 0.025
 
 def show_calibration(of: Photographer, window: MainWindow) -> None:
     """Take the guide while it takes its steps, and when it has ended."""
-    guide = window.controller.guide
+    guide = window.guide
     window.controls.calibrate.click()
     of._wait(lambda: any("found" in one.text().lower() for one in guide.results.values()))
     of._save("calibration", guide, settle_ms=300)
@@ -73,7 +72,7 @@ def _faulty_benches(folder: Path) -> dict[str, str]:
 
 def show_panel_states(of: Photographer, window: MainWindow) -> None:
     """Take a pinned coefficient, all charts of the history, floating and closed panels, and a clipped frame."""
-    tabs, docks = window.tabs, window.docks
+    tabs, docks = window.panels, window.docks
     docks.show_panel(tabs.coefficients)
     tabs.coefficients.pin(3)
     of._wait(lambda: tabs.coefficients.map.maps is not None)
@@ -94,11 +93,11 @@ def show_panel_states(of: Photographer, window: MainWindow) -> None:
         dock.close()
     of._save("no_panels", window, settle_ms=300)
     docks.restore_default()
-    window.controls.exposure_requested.emit(_CLIPPING_S)
-    of._wait(lambda: "clipped" in window.camera_panel.caption.text())
+    window.controls.requested.emit("exposure_s", _CLIPPING_S)
+    of._wait(lambda: "clipped" in window.panels.camera.caption.text())
     of._save("clipped", window)
-    window.controls.exposure_requested.emit(_USUAL_S)
-    of._wait(lambda: "clipped" not in window.camera_panel.caption.text())
+    window.controls.requested.emit("exposure_s", _USUAL_S)
+    of._wait(lambda: "clipped" not in window.panels.camera.caption.text())
 
 
 def show_export(of: Photographer, window: MainWindow) -> None:
@@ -106,7 +105,7 @@ def show_export(of: Photographer, window: MainWindow) -> None:
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "wavefronts.png"
         with patch.object(QFileDialog, "getSaveFileName", lambda *_: (str(picture), "")):
-            export_view(window)
+            window.panels.wavefronts.export()
         of._save("exported", window)
         (of._folder / "exported_view.png").write_bytes(picture.read_bytes())
 
@@ -120,7 +119,7 @@ def show_other_windows(of: Photographer) -> None:
     camera.light = ManualLight()  # type: ignore[assignment] # the camera sees whether it is on
     window = of._open(MainWindow(lambda: Acquisition(bench, opener(camera))))
     window.connect_devices()
-    of._wait(lambda: camera.is_running and window.controller.pending.is_empty)
+    of._wait(lambda: camera.is_running and window.controller.is_settled)
     window.controls.dark.click()
     QApplication.processEvents()
     of._save("manual_light", window)

@@ -24,16 +24,14 @@ from PyQt6.QtWidgets import QApplication, QDialog, QWidget
 from app.acquisition.devices import open_devices
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
-from app.gui.corrector_panel import CorrectorPanel
-from app.gui.layers_panel import LayersPanel
-from app.gui.main_window import MainWindow
-from app.gui.theme import apply_theme
-from app.gui.tour import Tour
+from app.gui.shell.main_window import MainWindow
+from app.gui.shell.tour import Tour
+from app.gui.widgets.theme import apply_theme
 from app.results.player import Player
 from app.results.view_analysis import Quantity
 from support.paths import DOCS, ROOT
 from support.screenshot_states import show_benches, show_calibration, show_export, show_other_windows, show_panel_states
-from support.window_tools import use_font
+from support.window_tools import tabs, use_font
 
 _WAIT_S = 300.0
 _SETTLE_MS = 2000  # numbers, plots in the background and notices
@@ -87,7 +85,7 @@ class Photographer:
         """Take the pictures of the variant."""
         bench = load_bench("live_demo")
         window = self._open(MainWindow(lambda: Acquisition(bench, open_devices)))
-        window.controller.recordings_folder = self._runs
+        window.recording_bar.recordings_folder = self._runs
         window.connect_devices()
         self._wait(lambda: window.controller.status is not None)
         self._save("starting", window, settle_ms=0)
@@ -133,24 +131,25 @@ class Photographer:
         bar.done.click()
 
     def _show_panels(self, window: MainWindow) -> None:
-        window.wavefront_panel.choose(Quantity.PSF)
+        window.panels.wavefronts.choose(Quantity.PSF)
         self._save("psf", window)
-        window.wavefront_panel.choose(Quantity.UNCERTAINTY)
+        window.panels.wavefronts.choose(Quantity.UNCERTAINTY)
         self._save("uncertainty", window)
-        window.wavefront_panel.choose(Quantity.WAVEFRONT)
-        for name, panel in window.tabs.panels.items():
+        window.panels.wavefronts.choose(Quantity.WAVEFRONT)
+        for name, panel in tabs(window).items():
             if name == "Lenslet":
-                window.tabs.inspect(7, 7)
+                window.panels.lenslet.inspect(7, 7)
             window.docks.show_panel(panel)
-            if isinstance(panel, LayersPanel | CorrectorPanel):
-                self._wait(panel.sentence.text)  # their analyses take seconds
+            if panel.is_slow:
+                thread = window.analyses.threads[panel]
+                self._wait(lambda panel=panel, thread=thread: panel in thread.requests and not thread.is_busy)  # type: ignore[misc]
             self._save(name.lower(), window)
-        window.wavefront_panel.menu.change(views=9)
+        window.panels.wavefronts.menu.change(views=9)
         window.status_line.timing_row.toggle()
         self._save("nine_views_and_times", window)
         window.status_line.timing_row.toggle()
-        window.wavefront_panel.menu.change(views=None)
-        window.wavefront_panel.enlarge()
+        window.panels.wavefronts.menu.change(views=None)
+        window.panels.wavefronts.enlarge()
         self._save_others("enlarged", window)
 
     def _show_dialogs(self, window: MainWindow) -> None:
@@ -172,7 +171,7 @@ class Photographer:
                 _pause(200)
                 self._save(f"menu_{menu.text().replace('&', '').lower()}", shown, settle_ms=0)
                 shown.close()
-        Tour(window).begin()
+        window.show_tour()
         tour = window.findChild(Tour)
         for step in range(1, 6):
             if tour is not None:
@@ -190,7 +189,7 @@ class Photographer:
             line.setText("2000")
         self._save("refused_number", window, settle_ms=300)
         window.controls.exposure.clearFocus()
-        window.controls.exposure_requested.emit(0.03)
+        window.controls.requested.emit("exposure_s", 0.03)
         self._save("stale", window)
         window.controls.light.click()
         self._save("light_off", window)
@@ -212,7 +211,7 @@ class Photographer:
 
     def _is_live(self, window: MainWindow) -> bool:
         measurement = None if window.controller.acquisition is None else window.controller.acquisition.newest
-        is_ready = measurement is not None and measurement.wavefront is not None and window.controller.pending.is_empty
+        is_ready = measurement is not None and measurement.wavefront is not None and window.controller.is_settled
         if window.controller.failure:
             raise RuntimeError(window.controller.failure)
         return is_ready

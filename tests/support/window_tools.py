@@ -16,7 +16,8 @@ from PyQt6.QtWidgets import QApplication, QTabBar, QWidget
 from pytestqt.qtbot import QtBot
 
 from app.acquisition.worker import Acquisition
-from app.gui.main_window import MainWindow
+from app.gui.panels.panel import Panel
+from app.gui.shell.main_window import MainWindow
 from reconstruction.arrays import Floats
 from support.gui_bench import BENCH, SENSOR, FakeCamera, opener
 from support.patience import HANG_S
@@ -70,7 +71,7 @@ def windows() -> Iterator[MakeWindow]:
 
 def wait_for_wavefront(qtbot: QtBot, window: MainWindow) -> None:
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    qtbot.waitUntil(lambda: window.controller.is_settled)
 
 
 def press(qtbot: QtBot, widget: QWidget, key: Qt.Key) -> None:
@@ -79,6 +80,11 @@ def press(qtbot: QtBot, widget: QWidget, key: Qt.Key) -> None:
 
 def click(qtbot: QtBot, widget: QWidget, at: QPoint) -> None:
     qtbot.mouseClick(widget, Qt.MouseButton.LeftButton, pos=at)  # type: ignore[no-untyped-call] # pytest-qt again
+
+
+def tabs(window: MainWindow) -> dict[str, Panel]:
+    """Panels that are tabs, by title."""
+    return {panel.title: panel for panel in window.panels if panel.place == "tab"}
 
 
 def tab(window: MainWindow, title: str) -> tuple[QTabBar, QPoint]:

@@ -35,7 +35,7 @@ from app.evaluation.benchmark.live_path.course import Course, Span
 from app.evaluation.benchmark.live_path.figures import LiveFigures
 from app.evaluation.benchmark.live_path.plan import LivePlan, recording_folder
 from app.evaluation.benchmark.live_path.tally import FrameCounts, Tally, resident_mb
-from app.gui.coefficients_panel import CoefficientsPanel
+from app.gui.panels.coefficients import CoefficientsPanel
 from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState
@@ -117,7 +117,7 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("QT_QPA_PLATFORM", "offscreen")
-        patch.setattr(CoefficientsPanel, "show_coefficients", show_bars)
+        patch.setattr(CoefficientsPanel, "show_result", show_bars)
         patch.setattr("app.acquisition.devices.open_devices", open_watched)
         patch.setattr(shutil, "rmtree", inspect_and_remove)
         patch.setattr(Tally, "take", take_and_time)

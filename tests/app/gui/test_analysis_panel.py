@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,13 +13,13 @@ from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, make_measurement
 from support.patience import HANG_S
-from support.wavefronts import bowl
+from support.wavefronts import U, V, bowl
 from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, picture, press, views, wait_for_wavefront
 
-from app.gui.analysis_panel import verdict
-from app.gui.colours import bright, diverging, uncertain
-from app.gui.main_window import MainWindow
-from app.results.view_analysis import Analysis, AnalysisRequest, Quantity, analyse
+from app.gui.panels.quality import verdict
+from app.gui.shell.main_window import MainWindow
+from app.gui.widgets.scales import bright, diverging, uncertain
+from app.results.view_analysis import Quantity, QuantityMaps, quantity_maps
 from reconstruction.arrays import Floats
 from reconstruction.quality.isoplanatism import Isoplanatism, StructureCurve
 from reconstruction.wavefront import Wavefront
@@ -27,27 +28,27 @@ KEYS = (Qt.Key.Key_1, Qt.Key.Key_2, Qt.Key.Key_3, Qt.Key.Key_4, Qt.Key.Key_5, Qt
 
 
 def shown(window: MainWindow) -> Floats:
-    maps = window.wavefront_panel.grid.maps
+    maps = window.panels.wavefronts.grid.maps
     assert maps is not None
     return maps.values
 
 
 def is_shown(window: MainWindow, quantity: Quantity) -> bool:
-    now = window.wavefront_panel._maps
+    now = window.panels.wavefronts._maps
     return now is not None and now[0] is quantity
 
 
 def show(window: MainWindow, wavefront: Wavefront | None) -> None:
     """Show a wavefront as the window does, without a camera."""
-    window._analysis.use_settings(BENCH.reconstruction)
-    window.wavefront_panel.show_wavefront(wavefront)
+    window.shown.settings = BENCH.reconstruction
+    window.panels.wavefronts.show_wavefront(wavefront)
 
 
 @pytest.mark.slow
 def test_keys_choose_the_quantity(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.activateWindow()
-    panel = window.wavefront_panel
+    panel = window.panels.wavefronts
     for key, quantity, shape, caption in (
         (KEYS[1], Quantity.PSF, None, "Strehl"),
         (KEYS[2], Quantity.MEASURED, LENSLETS, "RMS"),
@@ -69,20 +70,20 @@ def test_keys_choose_the_quantity(live: tuple[MainWindow, FakeCamera], qtbot: Qt
 
 def test_psf_peaks_in_the_middle_and_caption_states_strehl(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
-    window.wavefront_panel.choose(Quantity.PSF)
+    window.panels.wavefronts.choose(Quantity.PSF)
     flat = bowl()
     flat.views[:] = 0.0
     flat.views[2, 0] = np.nan
     show(window, flat)
-    qtbot.waitUntil(lambda: window.wavefront_panel.grid.maps is not None)
+    qtbot.waitUntil(lambda: window.panels.wavefronts.grid.maps is not None)
     maps = shown(window)
     assert maps.shape[2] == maps.shape[3]
     middle = maps.shape[2] // 2
     assert maps[1, 1, middle, middle] == maps[1, 1].max() == pytest.approx(1)
-    captions = window.wavefront_panel.grid.captions
+    captions = window.panels.wavefronts.grid.captions
     assert captions[1, 1][0] == ("Strehl 1.00   peak 1.00", "Strehl 1.00", "1.00")
     assert captions[2, 0][0][1] == "Strehl \N{EN DASH}"
-    grid = window.wavefront_panel.grid
+    grid = window.panels.wavefronts.grid
     seen = picture(grid).astype(int)
     bright_tile, lost_tile = part(seen, grid.tile(1, 1)), part(seen, grid.tile(2, 0))
     assert bright_tile[bright_tile.shape[0] // 2, bright_tile.shape[1] // 2].min() > 130
@@ -94,7 +95,7 @@ def test_psf_peaks_in_the_middle_and_caption_states_strehl(make_window: MakeWind
 def test_clicks_and_arrow_keys_select_the_view_of_the_mtf(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     show(window, bowl())
-    grid, mtf = window.wavefront_panel.grid, window.analysis_panel.mtf
+    grid, mtf = window.panels.wavefronts.grid, window.panels.quality.mtf
     qtbot.waitUntil(lambda: mtf.title.text() == "MTF at 0, 0 mm")
     click(qtbot, grid, grid.tile(0, 2).center())
     qtbot.waitUntil(lambda: mtf.title.text() == "MTF at +0.50, \N{MINUS SIGN}0.50 mm")
@@ -115,24 +116,38 @@ def test_hidden_panel_requests_no_analysis(make_window: MakeWindow, qtbot: QtBot
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     press(qtbot, window, Qt.Key.Key_I)
-    assert not window.analysis_panel.isVisible()
+    assert not window.panels.quality.isVisible()
     show(window, bowl())
     qtbot.wait(200)
-    assert window._analysis._thread._request is None
-    assert window.wavefront_panel.grid.selection is None
+    assert not window.analyses.threads[window.panels.quality].requests
+    assert window.panels.wavefronts.grid.selection is None
     press(qtbot, window, Qt.Key.Key_I)
-    qtbot.waitUntil(lambda: bool(window.analysis_panel.sentence.text()))
+    qtbot.waitUntil(lambda: bool(window.panels.quality.sentence.text()))
+
+
+def test_isoplanatism_is_that_of_the_growth_over_the_field(make_window: MakeWindow) -> None:
+    window = make_window()
+    show(window, bowl())
+    window.shown.choose_view(0, 2)
+    request = window.panels.quality.request()
+    assert request is not None
+    where, transfer, found = request.compute(lambda: None)
+    assert where == "+0.50, \N{MINUS SIGN}0.50 mm"
+    assert transfer is not None
+    # the wavefronts differ by the growth of the bowl alone: 5e5 r^2 over the half width of the field
+    growth_rad = np.std(5e5 * (U**2 + V**2))
+    np.testing.assert_allclose(found.curve.most_rad[0], growth_rad * 2 / 7)
 
 
 def test_lost_wavefront_clears_maps_and_plots(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     show(window, bowl())
-    window.wavefront_panel.choose(Quantity.PSF)
-    panel = window.analysis_panel
-    qtbot.waitUntil(lambda: window.wavefront_panel._maps is not None and bool(panel.sentence.text()))
+    window.panels.wavefronts.choose(Quantity.PSF)
+    panel = window.panels.quality
+    qtbot.waitUntil(lambda: window.panels.wavefronts._maps is not None and bool(panel.sentence.text()))
     show(window, None)
     qtbot.wait(100)
-    assert window.wavefront_panel.grid.maps is None
+    assert window.panels.wavefronts.grid.maps is None
     assert panel.sentence.text() == ""
     assert panel.mtf.title.text() == "MTF"
     for curve in (*panel.mtf._curves, *(item for items in panel.structure._curves for item in items)):
@@ -146,25 +161,28 @@ def test_views_without_values_are_shown_for_every_quantity(make_window: MakeWind
     unknown.solution.valid[:] = False  # type: ignore[union-attr] # a zonal one
     unknown.displacement.outcome[:] = 3
     show(window, unknown)
-    thread = window._analysis._thread
+    panel = window.panels.wavefronts
+    thread = window.analyses.threads[panel]
 
     def is_analysed(quantity: Quantity) -> bool:
-        return thread._future is None and thread._request is not None and thread._request.quantity is quantity
+        if thread.is_busy or quantity is Quantity.WAVEFRONT:
+            return not thread.is_busy
+        return panel in thread.requests and thread.requests[panel].choice[0] is quantity  # type: ignore[index] # a tuple
 
     for quantity in Quantity:
-        window.wavefront_panel.choose(quantity)
+        window.panels.wavefronts.choose(quantity)
         qtbot.waitUntil(partial(is_analysed, quantity))
         picture(window)
-    assert window.analysis_panel.sentence.text() == "No lenslet is valid over the whole field"
+    assert window.panels.quality.sentence.text() == "No lenslet is valid over the whole field"
 
 
 def test_failing_analysis_is_shown_and_window_continues(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     measurement = make_measurement(dim_frame(), views())  # its solution cannot be evaluated
-    window._analysis.use_settings(BENCH.reconstruction)
+    window.shown.settings = BENCH.reconstruction
     window.show_measurement(measurement)
     qtbot.waitUntil(lambda: "Analysis failed" in window.messages._notice)
-    assert window.wavefront_panel.grid.maps is not None
+    assert window.panels.wavefronts.grid.maps is not None
 
 
 @pytest.mark.slow
@@ -172,27 +190,28 @@ def test_redraw_continues_while_analysis_hangs_and_thread_ends_with_window(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, _ = live
-    window.wavefront_panel.choose(Quantity.PSF)
-    qtbot.waitUntil(lambda: window.wavefront_panel._maps is not None and bool(window.analysis_panel.sentence.text()))
+    window.panels.wavefronts.choose(Quantity.PSF)
+    qtbot.waitUntil(lambda: window.panels.wavefronts._maps is not None and bool(window.panels.quality.sentence.text()))
     hangs, may_go_on = threading.Event(), threading.Event()
 
-    def hang(request: AnalysisRequest) -> Analysis:
+    def hang(*arguments: Any) -> QuantityMaps | None:
         hangs.set()
         assert may_go_on.wait(HANG_S)
-        return analyse(request)
+        return quantity_maps(*arguments)
 
-    monkeypatch.setattr(window._analysis._thread, "_analyse", hang)
+    monkeypatch.setattr("app.gui.panels.wavefronts.quantity_maps", hang)
     qtbot.waitUntil(hangs.is_set)
     before = window.status_line.shown
     qtbot.waitUntil(lambda: window.status_line.shown > before + 15)
     may_go_on.set()
     window.close()
-    assert not any(thread.is_alive() for thread in window._analysis._thread._executor._threads)
+    threads = window.analyses.threads.values()
+    assert not any(one.is_alive() for thread in threads for one in thread._executor._threads)
 
 
 def test_frozen_scale_keeps_colours_and_reach(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
-    panel = window.wavefront_panel
+    panel = window.panels.wavefronts
     panel.choose(Quantity.PSF)
     show(window, bowl())
     qtbot.waitUntil(lambda: panel.grid.maps is not None)
@@ -210,7 +229,7 @@ def test_frozen_scale_keeps_colours_and_reach(make_window: MakeWindow, qtbot: Qt
 
 def test_limit_of_a_frozen_scale_is_chosen_in_the_shown_unit(make_window: MakeWindow) -> None:
     window = make_window()
-    panel = window.wavefront_panel
+    panel = window.panels.wavefronts
     window.show_measurement(make_measurement(dim_frame(), views()))
     assert not panel.limit.isVisible()
     panel.freeze_scale.click()
@@ -231,7 +250,7 @@ def test_limit_of_a_frozen_scale_is_chosen_in_the_shown_unit(make_window: MakeWi
 def test_captions_shorten_in_narrow_tiles(make_window: MakeWindow) -> None:
     window = make_window()
     window.show_measurement(make_measurement(dim_frame(), views()))
-    grid = window.wavefront_panel.grid
+    grid = window.panels.wavefronts.grid
     QApplication.processEvents()
     wide = [grid._wording(line) for line in (0, 1)]
     grid.resize(260, 260)
@@ -267,6 +286,6 @@ def test_space_variant_sample_leaves_an_error_of_single_correction(make_window: 
     window = make_window(FakeCamera())
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
-    sentence = window.analysis_panel.sentence
+    sentence = window.panels.quality.sentence
     qtbot.waitUntil(lambda: sentence.text().startswith("A single correction"))
     assert float(sentence.text().partition("leave ")[2].partition(" rad")[0]) > 0.1

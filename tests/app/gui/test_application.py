@@ -97,7 +97,7 @@ def test_slow_computation_raises_no_false_alarm_about_the_light(
         wait_until(lambda: acquisition.status is not None and not acquisition.status.is_light_on)
 
     monkeypatch.setattr(Acquisition, "begin_close", begin_close_in_the_dark)
-    monkeypatch.setattr("app.gui.controller.CLOSING_S", 0.5)
+    monkeypatch.setattr("app.gui.shell.controller.CLOSING_S", 0.5)
     monkeypatch.setattr(Instrument, "take_dark", lambda *_, **__: release.wait())
     acquisition = Acquisition(BENCH, opener(camera))
     try:

@@ -3,95 +3,102 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
+from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH
 from support.patience import HANG_S
 from support.wavefronts import bowl
 
-from app.gui.analysis_thread import AnalysisThread
-from app.results.view_analysis import Analysis, AnalysisRequest, Quantity, analyse
-from reconstruction.arrays import Floats
-from reconstruction.wavefront import Wavefront
-
-
-def request(quantity: Quantity, wavefront: Wavefront | None = None) -> AnalysisRequest:
-    return AnalysisRequest(wavefront or bowl(), BENCH.reconstruction, quantity, None, None)
+from app.gui.panels.panel import Panel, Request, Shown
+from app.gui.shell.analyses import AnalysisThread, Result
+from app.results.view_analysis import Quantity, quantity_maps
 
 
 @pytest.fixture
-def thread() -> Iterator[AnalysisThread[AnalysisRequest, Analysis]]:
-    made = AnalysisThread(analyse)
+def panel(qtbot: QtBot) -> Panel:
+    made = Panel(Shown())
+    qtbot.addWidget(made)
+    return made
+
+
+@pytest.fixture
+def thread() -> Iterator[AnalysisThread]:
+    made = AnalysisThread(lambda: None)
     yield made
     made.close()
 
 
-def wait(thread: AnalysisThread[AnalysisRequest, Analysis]) -> Analysis:
+def request(quantity: Quantity) -> Request:
+    wavefront = bowl()
+    return Request(wavefront, quantity, lambda _: quantity_maps(wavefront, quantity, BENCH.reconstruction))
+
+
+def made(of: object, compute: Callable[[], Any], *, choice: object = None, interval_s: float = 0.0) -> Request:
+    return Request(of, choice, lambda _: compute(), interval_s)
+
+
+def wait(thread: AnalysisThread) -> Result:
     deadline_s = time.monotonic() + HANG_S
     while time.monotonic() < deadline_s:
-        analysis = thread.take()
-        if analysis is not None:
-            return analysis
+        if results := thread.take():
+            (result,) = results
+            return result
         time.sleep(0.005)
     raise TimeoutError
 
 
-def test_repeated_request_is_ignored_and_new_wavefront_waits(thread: AnalysisThread[AnalysisRequest, Analysis]) -> None:
+def test_repeated_request_is_ignored_and_new_wavefront_waits(thread: AnalysisThread, panel: Panel) -> None:
     first = request(Quantity.PSF)
     began_s = time.monotonic()  # the second waits from here, however long the first takes
-    thread.submit(first)
+    thread.submit({panel: first})
     assert wait(thread).request is first
-    thread.submit(first)
-    assert thread._future is None
-    second = request(Quantity.PSF)
-    while thread._future is None:
-        thread.submit(second)
+    thread.submit({panel: first})
+    assert not thread.is_busy
+    while not thread.is_busy:
+        thread.submit({panel: request(Quantity.PSF)})
     assert time.monotonic() - began_s > 0.1
     wait(thread)
-    thread.submit(replace(second, quantity=Quantity.DIFFERENCE))  # a choice of the user is analysed immediately
-    assert thread._future is not None
+    thread.submit({panel: request(Quantity.DIFFERENCE)})  # a choice of the user is analysed immediately
+    assert thread.is_busy
 
 
-def test_error_of_analysis_is_raised_and_thread_continues(thread: AnalysisThread[AnalysisRequest, Analysis]) -> None:
-    class Broken:
-        def wavefront(self, field_modes: Floats) -> Floats:
-            raise NotImplementedError("broken")
+def test_error_of_analysis_is_returned_and_thread_continues(thread: AnalysisThread, panel: Panel) -> None:
+    def fail() -> None:
+        raise NotImplementedError("broken")
 
-        sigma = wavefront
-
-    thread.submit(request(Quantity.UNCERTAINTY, replace(bowl(), solution=Broken())))  # type: ignore[arg-type] # a stand-in
-    with pytest.raises(NotImplementedError, match="broken"):
-        wait(thread)
-    thread.submit(request(Quantity.PSF))
-    assert wait(thread).maps is not None
+    thread.submit({panel: made(1, fail)})
+    result = wait(thread)
+    assert result.value is None
+    assert isinstance(result.error, NotImplementedError)
+    thread.submit({panel: request(Quantity.PSF)})
+    assert wait(thread).value is not None
 
 
-@dataclass(frozen=True)
-class Numbered:
-    """A request that a newer one replaces at once."""
+def test_error_of_one_panel_leaves_the_others_their_results(thread: AnalysisThread, qtbot: QtBot) -> None:
+    panels = [Panel(Shown()) for _ in range(3)]
+    for each in panels:
+        qtbot.addWidget(each)
+    thread.submit({each: made(0, partial(divmod, 7, index)) for index, each in enumerate(panels)})
+    deadline_s = time.monotonic() + HANG_S
+    while not (results := thread.take()) and time.monotonic() < deadline_s:
+        time.sleep(0.005)
+    assert [result.value for result in results] == [None, (7, 0), (3, 1)]
+    assert [type(result.error) for result in results] == [ZeroDivisionError, type(None), type(None)]
 
-    number: int
-    interval_s: float = 0.0
 
-    def follows(self, other: Numbered) -> bool:
-        return isinstance(other, Numbered)
-
-
-def test_slow_analysis_leaves_the_measurement_most_of_a_core() -> None:
+def test_slow_analysis_leaves_the_measurement_most_of_a_core(thread: AnalysisThread, panel: Panel) -> None:
     requested_s: list[float] = []
-    thread = AnalysisThread[Numbered, None](lambda _: time.sleep(0.05))
-    try:
-        number = 0
-        while len(requested_s) < 5:
-            number += 1
-            thread.submit(Numbered(number))
-            thread.take()
-            if thread._requested_s not in requested_s:
-                requested_s.append(thread._requested_s)
-            time.sleep(0.002)
-        assert np.diff(requested_s).min() >= 4.9 * 0.05
-    finally:
-        thread.close()
+    number = 0
+    while len(requested_s) < 5:
+        number += 1
+        thread.submit({panel: made(number, partial(time.sleep, 0.05))})
+        thread.take()
+        if thread._requested_s not in requested_s:
+            requested_s.append(thread._requested_s)
+        time.sleep(0.002)
+    assert np.diff(requested_s).min() >= 4.9 * 0.05

@@ -16,7 +16,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.bench.presets import PRESETS
 from app.errors import InputError
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 
 LIBRARY = '[camera]\ndriver = "dcam"\nlibrary = "{}"\n[light]\ndriver = "manual"\n'
 
@@ -58,7 +58,7 @@ def benches(make_window: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def is_live(benches: Opened, count: int) -> bool:
     controller = benches.window.controller
-    return len(benches.opened) == count and controller.status is not None and controller.pending.is_empty
+    return len(benches.opened) == count and controller.status is not None and controller.is_settled
 
 
 @pytest.mark.slow

@@ -13,8 +13,8 @@ from test_window_calibration import is_about, move_lattice
 
 from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE, STEPS, CalibrationStep
 from app.acquisition.worker import Acquisition
-from app.gui.calibration_guide import CalibrationGuide
-from app.gui.main_window import MainWindow
+from app.gui.shell.calibration import CalibrationGuide
+from app.gui.shell.main_window import MainWindow
 from drivers.interface import Frame
 
 
@@ -49,7 +49,7 @@ def state(guide: CalibrationGuide, step: CalibrationStep) -> str:
 
 @pytest.mark.slow
 def test_button_takes_all_steps(window: MainWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
-    guide = window.controller.guide
+    guide = window.guide
     window.controls.calibrate.click()
     assert guide.isVisible()
     assert state(guide, LATTICE) == "running"
@@ -75,7 +75,7 @@ def test_button_takes_all_steps(window: MainWindow, qtbot: QtBot, camera: Expose
 @pytest.mark.slow
 @pytest.mark.parametrize("is_used", [True, False])
 def test_another_lattice_is_used_only_when_accepted(window: MainWindow, qtbot: QtBot, is_used: bool) -> None:
-    guide = window.controller.guide
+    guide = window.guide
     move_lattice(window, qtbot, 211.0)
     window.controls.calibrate.click()
     qtbot.waitUntil(guide.yes.isVisible)
@@ -89,7 +89,7 @@ def test_another_lattice_is_used_only_when_accepted(window: MainWindow, qtbot: Q
 def test_lattice_is_sought_again_after_the_exposure(
     window: MainWindow, qtbot: QtBot, camera: ExposedCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    guide = window.controller.guide
+    guide = window.guide
     camera.fill = 1.2
     window.controls.exposure.setValue(90.0)  # clips the light
     qtbot.waitUntil(lambda: camera.exposure_s == 0.09)
@@ -111,7 +111,7 @@ def test_lattice_is_sought_again_after_the_exposure(
 
 @pytest.mark.slow
 def test_esc_cancels_and_restores_the_devices(window: MainWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
-    guide = window.controller.guide
+    guide = window.guide
     window.controls.frames.setValue(10_000)
     window.controls.calibrate.click()
     qtbot.waitUntil(lambda: state(guide, DARK) == "running" and not camera.light.shines)
@@ -119,7 +119,7 @@ def test_esc_cancels_and_restores_the_devices(window: MainWindow, qtbot: QtBot, 
     assert guide.isVisible()
     assert state(guide, DARK) == "failed"
     assert state(guide, REFERENCE) == "waiting"
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    qtbot.waitUntil(lambda: window.controller.is_settled)
     assert camera.light.shines
     assert camera.is_running
     assert state(guide, REFERENCE) == "waiting"  # nothing follows
@@ -127,7 +127,7 @@ def test_esc_cancels_and_restores_the_devices(window: MainWindow, qtbot: QtBot, 
 
 @pytest.mark.slow
 def test_failed_step_can_be_repeated(window: MainWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
-    guide = window.controller.guide
+    guide = window.guide
     camera.fill = 0.0
     window.controls.calibrate.click()
     qtbot.waitUntil(guide.yes.isVisible)
@@ -142,9 +142,9 @@ def test_failed_step_can_be_repeated(window: MainWindow, qtbot: QtBot, camera: E
 def test_person_is_asked_to_take_the_sample_out(make_window: MakeWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
     window = make_window()
     window.open(lambda: Acquisition(MANUAL, opener(camera)))
-    qtbot.waitUntil(lambda: camera.is_running and window.controller.pending.is_empty)
+    qtbot.waitUntil(lambda: camera.is_running and window.controller.is_settled)
     window.controls.frames.setValue(5)
-    guide = window.controller.guide
+    guide = window.guide
     window.refresh()
     window.controls.calibrate.click()
     assert guide.question.text() == "Make sure that the sample is out of the beam"

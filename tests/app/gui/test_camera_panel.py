@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QApplication
 from support.gui_bench import FULL_SCALE, LATTICE, SENSOR, make_measurement
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
 
-from app.gui.lattice_overlay import arrow_length_px
+from app.gui.widgets.camera_image import arrow_length_px
 from app.results.pictures import FrameStatistics, frame_statistics
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Arrangement
@@ -20,11 +20,11 @@ from reconstruction.geometry import Arrangement
 
 def test_image_is_oriented_as_on_the_camera(make_window: MakeWindow) -> None:
     window = make_window()
-    window.camera_panel.arrows_toggle.setChecked(False)
+    window.panels.camera.arrows_toggle.setChecked(False)
     pixels = dim_frame()
     pixels[:60, -40:] = 60000  # the upper right corner: row 0 is on top, column 0 on the left
     window.show_measurement(make_measurement(pixels, views()))
-    graphics = window.camera_panel._graphics
+    graphics = window.panels.camera._graphics
     QApplication.processEvents()
     seen = picture(graphics).min(axis=2)
     row, column = np.nonzero(seen > 200)
@@ -41,7 +41,7 @@ def test_lost_lenslet_is_crossed_out_with_its_reason(make_window: MakeWindow, ar
     window, lattice = make_window(), replace(LATTICE, arrangement=arrangement)
     outcome = np.zeros(LENSLETS, np.int8)
     outcome[1, 10] = Outcome.SATURATED
-    panel = window.camera_panel
+    panel = window.panels.camera
     panel.show_bench(replace(SENSOR, arrangement=arrangement), lattice, FULL_SCALE)
     window.show_measurement(make_measurement(dim_frame(), views(), outcome=outcome))
     QApplication.processEvents()
@@ -58,7 +58,7 @@ def test_lost_lenslet_is_crossed_out_with_its_reason(make_window: MakeWindow, ar
 
 def test_colours_reach_from_the_black_to_the_white_level(make_window: MakeWindow) -> None:
     window = make_window()
-    panel = window.camera_panel
+    panel = window.panels.camera
     panel.show_bench(SENSOR, LATTICE, FULL_SCALE)
     panel.contrast.setCurrentText("full range")
     pixels = dim_frame()
@@ -85,7 +85,7 @@ def test_few_arrows_are_as_long_as_the_longest_needs() -> None:
 
 def test_arrows_point_along_the_displacement(make_window: MakeWindow) -> None:
     window = make_window()
-    panel = window.camera_panel
+    panel = window.panels.camera
     panel.show_bench(SENSOR, LATTICE, FULL_SCALE)
     moved = np.full((*LENSLETS, 2), np.nan)
     outcome = np.full(LENSLETS, Outcome.DARK, np.int8)
@@ -107,21 +107,20 @@ def test_pointer_computes_no_statistics(make_window: MakeWindow, monkeypatch: py
         counted.append(pixels)
         return frame_statistics(pixels, full_scale)
 
-    monkeypatch.setattr("app.gui.main_window.frame_statistics", count)
-    monkeypatch.setattr(window.camera_panel, "show_statistics", counted.append)
-    panel = window.camera_panel
+    monkeypatch.setattr("app.gui.shell.main_window.frame_statistics", count)
+    panel = window.panels.camera
     for x in range(30):
         panel._graphics.scene().sigMouseMoved.emit(panel._view.mapViewToScene(QPoint(x, 5).toPointF()))
         assert f"x {x}  y 5: 1000 counts" in panel.caption.text()
     assert not counted
     window.update_text()  # five times a second
-    assert len(counted) == 2
+    assert len(counted) == 1
 
 
 def test_pixel_is_named_only_under_the_pointer(make_window: MakeWindow) -> None:
     window = make_window()
     window.show_measurement(make_measurement(dim_frame(), views()))
-    panel = window.camera_panel
+    panel = window.panels.camera
     panel._point_at(panel._view.mapViewToScene(QPoint(7, 5).toPointF()))
     assert "x 7  y 5: 1000 counts" in panel.caption.text()
     QApplication.sendEvent(panel._graphics, QEvent(QEvent.Type.Leave))

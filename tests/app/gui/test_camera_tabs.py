@@ -17,8 +17,8 @@ from support.gui_bench import BENCH, FULL_SCALE, LATTICE, SENSOR, FakeCamera, ma
 from support.wavefronts import bowl
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
 
-from app.gui.camera_panel import CameraPanel
-from app.gui.main_window import MainWindow
+from app.gui.panels.camera import CameraPanel
+from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
 from reconstruction.displacement import Outcome
 
@@ -26,9 +26,9 @@ from reconstruction.displacement import Outcome
 @pytest.fixture
 def window(make_window: MakeWindow) -> MainWindow:
     made = make_window()
-    made.camera_panel.show_bench(SENSOR, LATTICE, FULL_SCALE)
-    made.camera_panel.arrows_toggle.setChecked(False)
-    made._analysis.use_settings(BENCH.reconstruction)
+    made.panels.camera.show_bench(SENSOR, LATTICE, FULL_SCALE)
+    made.panels.camera.arrows_toggle.setChecked(False)
+    made.shown.settings = BENCH.reconstruction
     return made
 
 
@@ -49,7 +49,7 @@ def show_pixels(window: MainWindow, pixels: NDArray[np.uint16]) -> None:
 
 
 def redness(window: MainWindow) -> int:
-    seen = picture(window.camera_panel._graphics).astype(int)
+    seen = picture(window.panels.camera._graphics).astype(int)
     return int(np.count_nonzero((seen[..., 0] > 200) & (seen[..., 1] < 130)))
 
 
@@ -67,10 +67,10 @@ def test_clipped_pixels_are_red_and_nearly_clipped_ones_warned_of(
     pixels = dim_frame()
     pixels[100:130, 50:90] = level if is_red else np.linspace(0.9 * level, level, 40)
     show_pixels(window, pixels)
-    assert text in window.camera_panel.caption.text()
+    assert text in window.panels.camera.caption.text()
     assert (redness(window) > 300) is is_red
     show_pixels(window, dim_frame())
-    assert "saturated" not in window.camera_panel.caption.text()
+    assert "saturated" not in window.panels.camera.caption.text()
     assert redness(window) == 0
 
 
@@ -78,12 +78,12 @@ def test_full_well_below_full_scale_is_red(window: MainWindow) -> None:
     pixels = dim_frame()
     pixels[100:130, 50:90] = np.random.default_rng(2).integers(63990, 64000, (30, 40), np.uint16)
     show_pixels(window, pixels)
-    assert "peak 98 % of full scale, 0.9 % of the pixels clipped" in window.camera_panel.caption.text()
+    assert "peak 98 % of full scale, 0.9 % of the pixels clipped" in window.panels.camera.caption.text()
     assert redness(window) > 300
 
 
 def test_histogram_follows_the_frame_while_it_is_shown(window: MainWindow) -> None:
-    panel = window.tabs.histogram
+    panel = window.panels.histogram
     pixels = np.random.default_rng(1).integers(0, 60000, (300, 430), np.uint16)
     window.show_measurement(make_measurement(pixels, views()))
     window.update_text()
@@ -104,15 +104,15 @@ def shown(measurement: Measurement) -> Measurement:
 
 
 def test_click_on_a_lenslet_opens_its_inspector(window: MainWindow, qtbot: QtBot) -> None:
-    panel = window.tabs.lenslet
+    panel = window.panels.lenslet
     window.show_measurement(shown(inspected()))
-    assert panel.wanted() is None
-    click_lenslet(window.camera_panel, 4, 7)
+    assert panel.request() is None
+    click_lenslet(window.panels.camera, 4, 7)
     qtbot.waitUntil(panel.isVisible)  # a double click would have shown the whole frame
-    assert not window.tabs.quality.isVisible()
+    assert not window.panels.quality.isVisible()
     assert panel.numbers.text() == "computing \N{HORIZONTAL ELLIPSIS}"
     qtbot.waitUntil(lambda: bool(panel.quality.text()))
-    assert panel.title.text() == "Lenslet row 4, column 7: converged"
+    assert panel.name.text() == "Lenslet row 4, column 7: converged"
     assert panel.numbers.text().startswith(
         "displacement x +1.300 \N{PLUS-MINUS SIGN} 0.020, y \N{MINUS SIGN}0.800 \N{PLUS-MINUS SIGN} 0.030 px"
     )
@@ -124,7 +124,7 @@ def test_click_on_a_lenslet_opens_its_inspector(window: MainWindow, qtbot: QtBot
     assert back is not None
     middle = reference.values.shape[2] // 2
     assert back.values[0, 0, middle, middle] == pytest.approx(reference.values[0, 0, middle, middle], rel=0.01)
-    outline = window.camera_panel._inspected_box.ends.T
+    outline = window.panels.camera._inspected_box.ends.T
     centre = LATTICE.lenslet_centers_px(*LENSLETS)[4, 7]
     np.testing.assert_allclose([outline[0].mean(), outline[1].mean()], centre)
 
@@ -135,24 +135,24 @@ def test_lost_lenslet_is_inspected_with_its_reason(window: MainWindow, qtbot: Qt
     outcome = measurement.registered.outcome.copy()
     outcome[2, 3] = Outcome.LEFT_CELL
     window.show_measurement(shown(replace(measurement, registered=replace(measurement.registered, outcome=outcome))))
-    click_lenslet(window.camera_panel, 2, 3)
-    panel = window.tabs.lenslet
+    click_lenslet(window.panels.camera, 2, 3)
+    panel = window.panels.lenslet
     qtbot.waitUntil(lambda: panel.tiles["Frame"].maps is not None)
-    assert panel.title.text() == "Lenslet row 2, column 3: lost, left its cell"
+    assert panel.name.text() == "Lenslet row 2, column 3: lost, left its cell"
     assert panel.tiles["Residual"].maps is None
 
 
 def test_lenslet_without_reference_is_explained(window: MainWindow, qtbot: QtBot) -> None:
     window.show_measurement(shown(make_measurement(dim_frame(), views())))
-    click_lenslet(window.camera_panel, 2, 3)
-    panel = window.tabs.lenslet
+    click_lenslet(window.panels.camera, 2, 3)
+    panel = window.panels.lenslet
     qtbot.waitUntil(lambda: panel.numbers.text().startswith("nothing to inspect"))
-    click_lenslet(window.camera_panel, 4, 4)
-    qtbot.waitUntil(lambda: panel.title.text() == "Lenslet row 4, column 4")
+    click_lenslet(window.panels.camera, 4, 4)
+    qtbot.waitUntil(lambda: panel.name.text() == "Lenslet row 4, column 4")
 
 
 def test_double_or_right_click_inspects_nothing(window: MainWindow, qtbot: QtBot) -> None:
-    panel, camera = window.tabs.lenslet, window.camera_panel
+    panel, camera = window.panels.lenslet, window.panels.camera
     window.show_measurement(shown(inspected()))
     click_lenslet(camera, 4, 7)
     camera._view.setRange(QRectF(100, 100, 50, 50))
@@ -176,19 +176,19 @@ def menu_at(widget: QWidget, at: QPoint) -> dict[str, QAction]:
 def test_context_menus_copy_picture_and_numbers(window: MainWindow) -> None:
     window.show_measurement(make_measurement(dim_frame(), views(3)))
     QApplication.processEvents()
-    grid, clipboard = window.wavefront_panel.grid, QApplication.clipboard()
+    grid, clipboard = window.panels.wavefronts.grid, QApplication.clipboard()
     assert clipboard is not None
     entries = menu_at(grid, grid.tile(1, 2).center())
     entries["Copy numbers"].trigger()
     np.testing.assert_allclose(np.loadtxt(StringIO(clipboard.text()), delimiter="\t"), views(3)[1, 2], rtol=1e-6)
     entries["Copy picture"].trigger()
     assert clipboard.pixmap().size() == grid.grab().size()
-    camera = window.camera_panel._graphics
+    camera = window.panels.camera._graphics
     menu_at(camera, camera.rect().center())["Copy numbers"].trigger()
     heads, *rows = clipboard.text().splitlines()
     assert heads.split("\t") == ["row", "column", "x (px)", "y (px)"]
     assert len(rows) == np.prod(LENSLETS)
-    plot = window.tabs.quality.mtf
+    plot = window.panels.quality.mtf
     plot._curves[0].setData([0.0, 1.0], [1.0, 0.5])
     menu_at(plot, QPoint(5, 5))["Copy numbers"].trigger()
     assert clipboard.text().endswith("x\ty\n0\t1\n1\t0.5")
@@ -196,7 +196,7 @@ def test_context_menus_copy_picture_and_numbers(window: MainWindow) -> None:
 
 def test_right_click_on_a_view_selects_nothing(window: MainWindow) -> None:
     window.show_measurement(make_measurement(dim_frame(), views()))
-    grid = window.wavefront_panel.grid
+    grid = window.panels.wavefronts.grid
     QApplication.processEvents()
     selected: list[tuple[int, int]] = []
     grid.selected.connect(lambda *view: selected.append(view))
@@ -207,8 +207,8 @@ def test_right_click_on_a_view_selects_nothing(window: MainWindow) -> None:
 @pytest.mark.slow
 def test_lenslet_is_excluded_by_hand_and_used_again(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
-    camera, lenslet = window.camera_panel, window.tabs.lenslet
-    camera._view.setRange(camera._area(window._measurement.frame))  # type: ignore[union-attr] # live
+    camera, lenslet = window.panels.camera, window.panels.lenslet
+    camera._view.setRange(camera._area(window.shown.measurement.frame))  # type: ignore[union-attr] # live
     x, y = LATTICE.lenslet_centers_px(*LENSLETS)[3, 5]
     at = camera._graphics.mapFromScene(camera._view.mapViewToScene(QPointF(x, y)))
     menu_at(camera._graphics, at)["Exclude lenslet row 3, column 5, or use it again"].trigger()
@@ -216,16 +216,16 @@ def test_lenslet_is_excluded_by_hand_and_used_again(live: tuple[MainWindow, Fake
     assert window._status is not None
     assert window._status.bench_in_force.registration.excluded == ((3, 5),)  # saved and recorded with the bench
     assert "1 lost: excluded by hand" in window.status_line.valid.toolTip()
-    window.tabs.inspect(3, 5)
+    window.panels.lenslet.inspect(3, 5)
     qtbot.waitUntil(lambda: lenslet.exclude.text() == "Use again")
-    assert lenslet.title.text() == "Lenslet row 3, column 5: lost, excluded by hand"
+    assert lenslet.name.text() == "Lenslet row 3, column 5: lost, excluded by hand"
     lenslet.exclude.click()
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
     qtbot.waitUntil(lambda: lenslet.exclude.text() == "Exclude")
 
 
 def test_two_handles_set_the_contrast_of_the_camera_picture(window: MainWindow) -> None:
-    camera, levels = window.camera_panel, window.tabs.histogram.levels
+    camera, levels = window.panels.camera, window.panels.histogram.levels
     window.show_measurement(make_measurement(dim_frame(), views()))
     assert levels.getRegion() == camera._levels.levels
     levels.lines[0].setValue(900.0)

@@ -14,8 +14,8 @@ from support.gui_bench import BENCH, make_measurement
 from support.wavefronts import modal
 from support.window_tools import MakeWindow, click, dim_frame, tab, views
 
-from app.gui.coefficients_panel import CoefficientsPanel
-from app.gui.main_window import MainWindow
+from app.gui.panels.coefficients import CoefficientsPanel
+from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
 from app.results.history import DELAY, RMS, TEMPERATURE
 from app.results.shown_wavefront import Unit
@@ -36,12 +36,12 @@ def open_tab(window: MainWindow, title: str) -> None:
 @pytest.fixture
 def window(make_window: MakeWindow, qtbot: QtBot) -> MainWindow:
     made = make_window()
-    made._analysis.use_settings(BENCH.reconstruction)
+    made.shown.settings = BENCH.reconstruction
     made.show_measurement(measurement(0.5))
     open_tab(made, "Coefficients")
-    panel = made.tabs.coefficients
+    panel = made.panels.coefficients
     panel.basis.setCurrentText("Legendre")
-    qtbot.waitUntil(lambda: panel._shown is not None and panel._shown.choice.basis == "legendre")
+    qtbot.waitUntil(lambda: panel._found is not None and panel._found.choice.basis == "legendre")
     return made
 
 
@@ -53,51 +53,51 @@ def click_bar(panel: CoefficientsPanel, mode: int) -> None:
 
 
 def test_bars_are_the_coefficients_of_the_selected_view(window: MainWindow, qtbot: QtBot) -> None:
-    panel = window.tabs.coefficients
+    panel = window.panels.coefficients
     height = np.asarray(panel._bars.opts["height"])
     np.testing.assert_allclose(height[[1, 2]], [0, 0.5], atol=1e-4)
     ends = panel._errors.getData()[1].reshape(-1, 2)
     np.testing.assert_allclose(ends.mean(axis=1), height, atol=1e-9)
     assert (np.ptp(ends, axis=1)[:5] > 1e-3).all()  # the modes of the reconstruction
-    grid = window.wavefront_panel.grid
+    grid = window.panels.wavefronts.grid
     click(qtbot, grid, grid.tile(1, 2).center())  # x = +0.5 mm of 0.6
-    qtbot.waitUntil(lambda: panel._shown is not None and panel._shown.choice.view == (1, 2))
+    qtbot.waitUntil(lambda: panel._found is not None and panel._found.choice.view == (1, 2))
     np.testing.assert_allclose(panel._bars.opts["height"][1], 0.4 * 0.5 / 0.6, atol=1e-4)
     panel.of.setCurrentIndex(2)
-    qtbot.waitUntil(lambda: panel._shown is not None and panel._shown.choice.field_mode == 1)
+    qtbot.waitUntil(lambda: panel._found is not None and panel._found.choice.field_mode == 1)
     np.testing.assert_allclose(panel._bars.opts["height"][[1, 2]], [0.4, 0], atol=1e-4)
 
 
 def test_click_on_a_bar_maps_and_records_it_until_the_next_click(window: MainWindow, qtbot: QtBot) -> None:
-    panel = window.tabs.coefficients
+    panel = window.panels.coefficients
     assert panel.map.maps is None
     click_bar(panel, 2)
     qtbot.waitUntil(lambda: panel.map.maps is not None)
     assert panel.map.maps is not None
     np.testing.assert_allclose(panel.map.maps.values[0, 0, 5], np.linspace(-0.4, 0.4, 21), atol=1e-4)
     assert panel.name == "L2 P1(y), view"
-    assert panel.title.text().endswith(" rad, L2 P1(y)")  # the numbers come first: a narrow panel cuts the name
+    assert panel.plot.title.text().endswith(" rad, L2 P1(y)")  # the numbers come first: a narrow panel cuts the name
     open_tab(window, "History")  # the pinned coefficient is still computed
     for defocus in (0.5, 0.6):
-        before = panel._shown
+        before = panel._found
         window.show_measurement(measurement(defocus))
-        qtbot.waitUntil(lambda before=before: panel._shown is not before)
-        assert window._measurement is not None
-        window.tabs.record(window._measurement, full_scale=65535, temperature_c=-60.0)
-    time_s, values = window.tabs.history.history.series("L2 P1(y), view")
+        qtbot.waitUntil(lambda before=before: panel._found is not before)
+        assert window.shown.measurement is not None
+        window.panels.history.record(window.shown.measurement, full_scale=65535, temperature_c=-60.0)
+    time_s, values = window.panels.history.history.series("L2 P1(y), view")
     np.testing.assert_allclose(values, 0, atol=1e-4)
     assert len(values) == 2
     assert time_s[0] < 0 == time_s[1]
-    assert list(window.tabs.history.charts) == ["L2 P1(y), view", RMS]
+    assert list(window.panels.history.charts) == ["L2 P1(y), view", RMS]
     open_tab(window, "Coefficients")
     click_bar(panel, 2)
     assert panel.name == ""
     assert panel.map.maps is None
-    assert list(window.tabs.history.charts) == [RMS]
+    assert list(window.panels.history.charts) == [RMS]
 
 
 def test_history_charts_are_chosen_and_share_the_time_axis(window: MainWindow, qtbot: QtBot) -> None:
-    history = window.tabs.history
+    history = window.panels.history
     open_tab(window, "History")
     for name in (DELAY, TEMPERATURE):
         click(qtbot, history.toggles[name], history.toggles[name].rect().center())
@@ -125,7 +125,7 @@ def test_history_charts_are_chosen_and_share_the_time_axis(window: MainWindow, q
 def test_history_shows_the_drift_of_the_last_samples_and_exports_it(
     window: MainWindow, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    history = window.tabs.history
+    history = window.panels.history
     open_tab(window, "History")
     for index in range(120):
         history.add(index / 5, {RMS: 100.0 if index < 20 else 2.0 + (index % 2)})
@@ -141,28 +141,28 @@ def test_history_shows_the_drift_of_the_last_samples_and_exports_it(
 
 
 def test_history_of_phases_follows_the_unit(window: MainWindow) -> None:
-    history = window.tabs.history
+    history = window.panels.history
     open_tab(window, "History")
     click(QtBot, history.toggles[DELAY], history.toggles[DELAY].rect().center())  # type: ignore[arg-type] # static
     for unit, per_rad in ((0, 1.0), (1, 1 / (2 * np.pi)), (2, 462 / (2 * np.pi))):
-        window.wavefront_panel.menu.units[unit].trigger()
+        window.panels.wavefronts.menu.units[unit].trigger()
         window.show_measurement(measurement(0.5))
-        assert window._measurement is not None
-        window.tabs.record(window._measurement, full_scale=65535, temperature_c=None)
+        assert window.shown.measurement is not None
+        window.panels.history.record(window.shown.measurement, full_scale=65535, temperature_c=None)
         rms_rad = history.history.series(RMS)[1][-1]
         value, name = history.charts[RMS].value.text().split(" ")
-        assert name == window.wavefront_panel.menu.unit
+        assert name == window.panels.wavefronts.menu.unit
         assert float(value) == pytest.approx(rms_rad * per_rad, rel=5e-3)
         assert history.charts[RMS].curve.getData()[1][-1] == pytest.approx(rms_rad * per_rad)
         assert history.charts[DELAY].value.text() == "4.00 ms"
 
 
 def test_table_copies_all_rows_or_the_selected_ones(window: MainWindow, qtbot: QtBot) -> None:
-    panel = window.tabs.coefficients
-    window.wavefront_panel.menu.units[2].trigger()
-    assert window.wavefront_panel.menu.unit is Unit.NM
+    panel = window.panels.coefficients
+    window.panels.wavefronts.menu.units[2].trigger()
+    assert window.panels.wavefronts.menu.unit is Unit.NM
     window.show_measurement(measurement(-0.5))
-    qtbot.waitUntil(lambda: panel.title.text().startswith("Coefficients (nm)"))
+    qtbot.waitUntil(lambda: panel.plot.title.text().startswith("Coefficients (nm)"))
     click(qtbot, panel.table_toggle, panel.table_toggle.rect().center())
     QtBot.keyClick(panel.table, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call]
     clipboard = QApplication.clipboard()
@@ -179,9 +179,10 @@ def test_table_copies_all_rows_or_the_selected_ones(window: MainWindow, qtbot: Q
 
 def test_hidden_tabs_compute_nothing(window: MainWindow) -> None:
     open_tab(window, "History")
-    window._analysis.poll()
-    assert window.tabs.coefficients.choice((1, 1), 3) is None
-    before = window._analysis._thread._request
+    window.analyses.poll()
+    assert window.panels.coefficients.request() is None
+    thread = window.analyses.threads[window.panels.coefficients]
+    before = thread.requests
     window.show_measurement(measurement(0.7))
-    window._analysis.poll()
-    assert window._analysis._thread._request is before
+    window.analyses.poll()
+    assert thread.requests is before

@@ -15,9 +15,9 @@ from support.gui_bench import FakeCamera
 from support.window_tools import press
 
 from app.acquisition.kept_averages import Validity
-from app.gui import theme
-from app.gui.main_window import MainWindow
-from app.gui.names import NAMES
+from app.gui.shell.main_window import MainWindow
+from app.gui.widgets import theme
+from app.gui.widgets.basics import NAMES
 from app.measurement.averages import AVERAGED_FRAMES
 from reconstruction.settings import Method, PupilBasis
 
@@ -33,14 +33,14 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
         (lambda: controls.exposure.setValue(30.4), lambda: camera.exposure_s == 0.03),
         (lambda: controls.em_gain.setValue(7), lambda: camera.em_gain == 7),
         (lambda: controls.current.setValue(120), lambda: camera.light.current_a == pytest.approx(0.12)),
-        (lambda: controls.mask_requested.emit("stars"), lambda: camera.stage.mask == "stars"),
+        (lambda: controls.requested.emit("mask", "stars"), lambda: camera.stage.mask == "stars"),
         (controls.start.click, lambda: camera.is_running),
-        (lambda: controls.amplifier_requested.emit("normal"), lambda: camera.amplifier == "normal"),
+        (lambda: controls.requested.emit("amplifier", "normal"), lambda: camera.amplifier == "normal"),
     )
     for act, is_done in acts:
         act()
         qtbot.waitUntil(is_done)
-        qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+        qtbot.waitUntil(lambda: window.controller.is_settled)
     assert camera.is_running
     qtbot.waitUntil(lambda: controls.exposure.value() == 30.0)  # as rounded by the camera
     qtbot.waitUntil(lambda: controls.light.text() == "Light off")  # after "Switching off"
@@ -55,17 +55,17 @@ def test_tooltips_name_what_automatic_has_chosen(live: tuple[MainWindow, FakeCam
     controls, counts = window.controls, {"affine": 3, "quadratic": 6, "cubic": 10, "quartic": 15}
 
     def tells_warp_in_use() -> bool:
-        wavefront = None if window._measurement is None else window._measurement.wavefront
+        wavefront = None if window.shown.measurement is None else window.shown.measurement.wavefront
         told = controls.warp.toolTip().rpartition(": ")[2]
         return wavefront is not None and counts.get(told) == wavefront.displacement.coefficients.shape[2]
 
-    controls.setting_requested.emit("registration", "warp", None)
+    controls.requested.emit("registration.warp", None)
     qtbot.waitUntil(partial(tells_choice, controls.warp, is_automatic=True))
     qtbot.waitUntil(tells_warp_in_use)
     assert "Chosen now" not in controls.pupil_modes.toolTip()  # 28, as set
     for warp, modes in (("affine", None), (None, 21)):
-        controls.setting_requested.emit("registration", "warp", warp)
-        controls.setting_requested.emit("reconstruction", "pupil_modes", modes)
+        controls.requested.emit("registration.warp", warp)
+        controls.requested.emit("reconstruction.pupil_modes", modes)
         qtbot.waitUntil(partial(tells_choice, controls.warp, is_automatic=warp is None))
         qtbot.waitUntil(partial(tells_choice, controls.pupil_modes, is_automatic=modes is None))
 
@@ -93,7 +93,7 @@ def test_return_applies_typed_number_and_escape_restores_it(live: tuple[MainWind
             press(qtbot, field, Qt.Key(ord(key)))
         press(qtbot, field, end)
         qtbot.waitUntil(partial(is_exposed, camera, exposure_s))
-        qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+        qtbot.waitUntil(lambda: window.controller.is_settled)
         assert field.value() == 40
         assert field.text() == "40.000 ms"
         assert not field.hasFocus()  # digits are shortcuts again
@@ -106,7 +106,7 @@ def test_return_applies_typed_number_and_escape_restores_it(live: tuple[MainWind
 def test_notice_disappears_at_the_next_command(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.gui.message_strip._NOTICE_S", 1e9)  # it does not expire
+    monkeypatch.setattr("app.gui.shell.messages._NOTICE_S", 1e9)  # it does not expire
     window, _ = live
     window.messages.inform("the exposure was found")
     window.update_text()
@@ -118,16 +118,16 @@ def test_notice_disappears_at_the_next_command(
 @pytest.mark.slow
 def test_changed_settings_reach_the_reconstruction(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
-    window.controls.setting_requested.emit("registration", "warp", "affine")
+    window.controls.requested.emit("registration.warp", "affine")
     window.controls.pupil_modes.setValue(15)
-    window.controls.setting_requested.emit("reconstruction", "method", "zonal")
+    window.controls.requested.emit("reconstruction.method", "zonal")
 
     def is_changed() -> bool:
-        measurement = window._measurement
+        measurement = window.shown.measurement
         assert measurement is not None
         return measurement.wavefront is not None and measurement.wavefront.displacement.coefficients.shape[2] == 3
 
-    qtbot.waitUntil(lambda: not window.controller.settings.wanted)
+    qtbot.waitUntil(lambda: not window.settings.wanted)
     qtbot.waitUntil(is_changed)
     assert window._status is not None
     assert window._status.bench.reconstruction.pupil_modes == 15
@@ -141,10 +141,10 @@ def test_fields_take_their_limits_from_settings_and_devices(live: tuple[MainWind
     assert status is not None
     reconstruction = replace(status.bench.reconstruction, pupil_modes=500)
     bench = replace(status.bench, reconstruction=reconstruction)
-    controls.show_status(replace(status, bench=bench), is_settled=True)
+    controls.show_status(replace(status, bench=bench))
     assert controls.pupil_modes.value() == 500
     assert controls.pupil_modes.maximum() == 500  # as in force
-    controls.show_status(status, is_settled=True)
+    controls.show_status(status)
     assert controls.pupil_modes.maximum() == 9 * 13  # one for each lenslet
     assert (controls.frames.minimum(), controls.frames.maximum()) == (AVERAGED_FRAMES[0], AVERAGED_FRAMES[-1])
     for field, unit, allowed in (
@@ -162,7 +162,7 @@ def test_lamps_show_validity_of_dark_and_reference(live: tuple[MainWindow, FakeC
 
     def lamps(dark_validity: Validity, reference_validity: Validity) -> tuple[str, str]:
         shown = replace(status, dark=dark_validity, reference=reference_validity)
-        window.controls.show_status(shown, is_settled=True)
+        window.controls.show_status(shown)
         images = [
             button.icon().pixmap(32, 32).toImage() for button in (window.controls.dark, window.controls.reference)
         ]
@@ -186,8 +186,8 @@ def test_steps_show_time_and_brightness_in_the_order_of_work(live: tuple[MainWin
     assert len({place.y() for place in places}) == 1
     taken = window.controls.dark.toolTip().partition("20 frames at ")[2][:5]
     assert controls.dark.text() == f"3 Dark  {taken}"
-    assert window._measurement is not None
-    share = window._measurement.frame.pixels.max() / 65535
+    assert window.shown.measurement is not None
+    share = window.shown.measurement.frame.pixels.max() / 65535
     window.update_text()
     assert controls.auto_exposure.text() == f"2 Exposure  {100 * share:.0f} %"
     assert "Good" in controls.auto_exposure.toolTip()
@@ -199,13 +199,13 @@ def test_method_has_a_human_name_and_keeps_its_word(live: tuple[MainWindow, Fake
     window, _ = live
     choice = window.controls.registration
     assert choice.currentText() == "Gauss-Newton"
-    sent: list[tuple[str, str, object]] = []
-    window.controls.setting_requested.connect(lambda *one: sent.append(one))
+    sent: list[tuple[str, object]] = []
+    window.controls.requested.connect(lambda *one: sent.append(one))
     choice.setCurrentText("centroids")
     choice.activated.emit(choice.currentIndex())
-    assert sent == [("registration", "method", "centroids")]
+    assert sent == [("registration.method", "centroids")]
     window.controls.basis.activated.emit(1)
-    assert sent[1] == ("reconstruction", "basis", "zernike")
+    assert sent[1] == ("reconstruction.basis", "zernike")
 
 
 @pytest.mark.slow
@@ -224,7 +224,7 @@ def test_warp_is_enabled_only_where_it_has_an_effect(
     window, _ = live
     assert window._status is not None
     bench = replace(window._status.bench, registration=replace(window._status.bench.registration, **changes))
-    window.controls.show_status(replace(window._status, bench=bench), is_settled=True)
+    window.controls.show_status(replace(window._status, bench=bench))
     assert window.controls.warp.isEnabled() == is_used
 
 

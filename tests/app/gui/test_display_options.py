@@ -14,10 +14,10 @@ from support.gui_bench import BENCH, SENSOR
 from support.wavefronts import bowl, modal
 from support.window_tools import MakeWindow, click, part, picture, press
 
-from app.gui.enlarged_view import EnlargedView
-from app.gui.main_window import MainWindow
-from app.gui.plot import Plot
-from app.gui.presentation import number, signed
+from app.gui.shell.main_window import MainWindow
+from app.gui.widgets.enlarged_view import EnlargedView
+from app.gui.widgets.plot import Plot
+from app.gui.widgets.presentation import number, signed
 from app.results.dataset import result_dataset
 from app.results.result_file import write_results
 from app.results.view_analysis import Quantity
@@ -29,14 +29,14 @@ from reconstruction.wavefront import Wavefront
 @pytest.fixture
 def window(make_window: MakeWindow) -> MainWindow:
     made = make_window()
-    made._analysis.use_settings(BENCH.reconstruction)
-    made.wavefront_panel.show_wavefront(bowl(3000.0))
-    made.wavefront_panel.update_text()
+    made.shown.settings = BENCH.reconstruction
+    made.panels.wavefronts.show_wavefront(bowl(3000.0))
+    made.panels.wavefronts.show_numbers()
     return made
 
 
 def shown(window: MainWindow) -> Floats:
-    maps = window.wavefront_panel.grid.maps
+    maps = window.panels.wavefronts.grid.maps
     assert maps is not None
     return maps.values
 
@@ -55,7 +55,7 @@ def choose(qtbot: QtBot, menu: QMenu | None, *texts: str) -> None:
 
 
 def test_menu_changes_what_is_shown(window: MainWindow, qtbot: QtBot) -> None:
-    panel, menu = window.wavefront_panel, window.wavefront_panel.menu
+    panel, menu = window.panels.wavefronts, window.panels.wavefronts.menu
     whole = shown(window).copy()
     choose(qtbot, menu, "Remove tilt")
     flat = shown(window).copy()
@@ -77,7 +77,7 @@ def test_menu_changes_what_is_shown(window: MainWindow, qtbot: QtBot) -> None:
 
 
 def test_stored_wavefront_is_subtracted_until_it_is_cleared(window: MainWindow, qtbot: QtBot) -> None:
-    panel, menu = window.wavefront_panel, window.wavefront_panel.menu
+    panel, menu = window.panels.wavefronts, window.panels.wavefronts.menu
     assert not menu.clear_stored.isEnabled()
     choose(qtbot, menu, "Subtract the present wavefront")
     np.testing.assert_allclose(shown(window), 0, atol=1e-9)
@@ -95,14 +95,14 @@ def test_unsuitable_file_is_refused_in_words(
     path = tmp_path / "zonal.nc"
     write_results(path, result_dataset(bowl()), bench=BENCH, inputs={})
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (str(path), ""))
-    with qtbot.waitSignal(window.wavefront_panel.refused) as refused:
-        choose(qtbot, window.wavefront_panel.menu, "Subtract a wavefront from a file ...")
+    with qtbot.waitSignal(window.panels.wavefronts.warned) as refused:
+        choose(qtbot, window.panels.wavefronts.menu, "Subtract a wavefront from a file ...")
     assert "zonal.nc: holds no coefficients" in refused.args[0]
-    assert window.wavefront_panel.menu.options.stored is None
+    assert window.panels.wavefronts.menu.options.stored is None
 
 
 def test_options_apply_to_analysed_quantities(window: MainWindow, qtbot: QtBot) -> None:
-    panel = window.wavefront_panel
+    panel = window.panels.wavefronts
     panel.menu.tilt.setChecked(True)
     panel.menu.defocus.setChecked(True)
     panel.choose(Quantity.PSF)
@@ -112,7 +112,7 @@ def test_options_apply_to_analysed_quantities(window: MainWindow, qtbot: QtBot) 
 
 
 def test_double_click_opens_the_enlarged_view(window: MainWindow, qtbot: QtBot) -> None:
-    panel = window.wavefront_panel
+    panel = window.panels.wavefronts
     corner = panel.grid.tile(2, 0).center()
     click(qtbot, panel.grid, corner)
     qtbot.mouseDClick(panel.grid, Qt.MouseButton.LeftButton, pos=corner)  # type: ignore[no-untyped-call]
@@ -143,7 +143,7 @@ def test_numbers_of_axes_have_the_minus_sign_of_other_numbers(qtbot: QtBot) -> N
 
 
 def test_enlarged_view_paints_contours_and_a_surface_that_turns(window: MainWindow, qtbot: QtBot) -> None:
-    window.wavefront_panel.enlarge()
+    window.panels.wavefronts.enlarge()
     enlarged = window.findChild(EnlargedView)
     assert enlarged is not None
     QApplication.processEvents()
@@ -185,12 +185,12 @@ def test_columns_of_hexagonal_maps_are_straight(make_window: MakeWindow) -> None
     sensor = replace(SENSOR, arrangement="hexagonal")
     x_m = sensor.lenslet_centers_m[..., 0]
     window, tilted = make_window(), bowl()
-    window._analysis.use_settings(BENCH.reconstruction)
+    window.shown.settings = BENCH.reconstruction
     views = np.broadcast_to(1e3 * x_m, (3, 3, *x_m.shape))
-    window.wavefront_panel.show_wavefront(
+    window.panels.wavefronts.show_wavefront(
         Wavefront(sensor, tilted.field, tilted.displacement, tilted.solution, views, FREE)
     )
-    maps = window.wavefront_panel.grid.maps
+    maps = window.panels.wavefronts.grid.maps
     assert maps is not None
     half_m = (sensor.lenslet_columns - 1) / 2 * sensor.lenslet_pitch_m
     np.testing.assert_allclose(maps.values[1, 1, :, -1], 1e3 * half_m, rtol=1e-6)
@@ -198,14 +198,14 @@ def test_columns_of_hexagonal_maps_are_straight(make_window: MakeWindow) -> None
 
 
 def test_rms_below_its_noise_is_no_number(make_window: MakeWindow) -> None:
-    panel = make_window().wavefront_panel
+    panel = make_window().panels.wavefronts
     coefficients = np.zeros((10, 3))
     coefficients[4, 0] = 1e-5
     for tilt_rad, is_below in ((1e-5, True), (1.0, False)):
         coefficients[1, 0] = tilt_rad
         wavefront = modal(coefficients)
         panel.show_wavefront(wavefront)
-        panel.update_text()
+        panel.show_numbers()
         noise_rad = float(np.sqrt(np.mean(wavefront.sigma() ** 2)))
         below = f"mean RMS below noise ({number(noise_rad)} rad)"
         assert (panel._summary.text() == below) == is_below

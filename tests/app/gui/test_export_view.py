@@ -14,7 +14,7 @@ from support.gui_bench import SENSOR, FakeCamera
 from support.window_tools import MakeWindow
 
 from app.bench.config import load_bench
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 
 
 def export(window: MainWindow, monkeypatch: pytest.MonkeyPatch, path: Path) -> None:
@@ -29,14 +29,14 @@ def test_picture_and_results_are_those_that_are_shown(
     window, _ = live
     window.controls.start.click()
     qtbot.waitUntil(lambda: window.controls.start.text() == "Start")
-    window.wavefront_panel.menu.tilt.trigger()
-    window.wavefront_panel.menu.change(views=2)
+    window.panels.wavefronts.menu.tilt.trigger()
+    window.panels.wavefronts.menu.change(views=2)
     export(window, monkeypatch, tmp_path / "seen.png")
-    assert f"Saved {tmp_path / 'seen.png'} and seen.nc" in window.log.text
-    shown = window.wavefront_panel.shown
+    assert f"Saved {tmp_path / 'seen.png'} and seen.nc" in window.messages.log
+    shown = window.shown.wavefront
     assert shown is not None
     image = QImage(str(tmp_path / "seen.png"))
-    assert image.width() == round(window.wavefront_panel.width() * window.devicePixelRatioF())
+    assert image.width() == round(window.panels.wavefronts.width() * window.devicePixelRatioF())
     with xr.open_dataset(tmp_path / "seen.nc") as results:
         np.testing.assert_array_equal(results["wavefront"].values, shown.views)
         assert results["wavefront"].shape[:2] == (2, 2)
@@ -55,7 +55,7 @@ def test_existing_results_are_not_replaced_unasked(
     window, _ = live
     (tmp_path / "seen.nc").write_text("mine")
     export(window, monkeypatch, tmp_path / "seen.png")
-    assert "seen.nc: exists already" in window.log.text
+    assert "seen.nc: exists already" in window.messages.log
     assert [path.name for path in tmp_path.iterdir()] == ["seen.nc"]
     assert (tmp_path / "seen.nc").read_text() == "mine"
 
@@ -63,7 +63,7 @@ def test_existing_results_are_not_replaced_unasked(
 def test_nothing_to_export_is_announced(make_window: MakeWindow, monkeypatch: pytest.MonkeyPatch) -> None:
     window = make_window()
     export(window, monkeypatch, Path("/nowhere/x.png"))
-    assert "There is no wavefront to export" in window.log.text
+    assert "There is no wavefront to export" in window.messages.log
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from support.gui_bench import FakeCamera
 from support.records import make_record, write
 from support.window_tools import press
 
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 
 
 def drop(window: MainWindow, *paths: Path) -> None:
@@ -43,7 +43,7 @@ def test_recording_opens_another_window(
     (tmp_path / "photos").mkdir()
     drop(window, tmp_path / "photos")
     assert len(started) == 1
-    assert "holds no recording" in window.log.text
+    assert "holds no recording" in window.messages.log
 
 
 @pytest.mark.slow
@@ -53,7 +53,7 @@ def test_dragging_across_opens_nothing(
     """A move event is also a `QDropEvent` in Qt."""
     window, _ = live
     opened: list[Path] = []
-    monkeypatch.setattr(window.drop, "open", opened.append)
+    monkeypatch.setattr(window, "open_file", opened.append)
     data = QMimeData()
     data.setUrls([QUrl.fromLocalFile(str(tmp_path))])
     for kind in (QDragEnterEvent, QDragMoveEvent, QDragMoveEvent):
@@ -87,7 +87,7 @@ def test_frame_is_reconstructed_until_the_camera_starts(
     reference = 500 + 40000 * camera._images[0]
     tifffile.imwrite(tmp_path / "flat.tif", np.rint(reference).astype(np.uint16))
     drop(window, tmp_path / "flat.tif")
-    qtbot.waitUntil(lambda: "  flat.tif is shown" in window.log.text)
+    qtbot.waitUntil(lambda: "  flat.tif is shown" in window.messages.log)
     newest = window.controller.acquisition.newest
     assert newest is not None
     np.testing.assert_array_equal(newest.frame.pixels, np.rint(reference).astype(np.uint16))
@@ -114,7 +114,7 @@ def test_unusable_frame_is_refused(
     window, camera = live
     np.save(tmp_path / "frame.npy", pixels)
     drop(window, tmp_path / "frame.npy")
-    qtbot.waitUntil(lambda: problem in window.log.text)
+    qtbot.waitUntil(lambda: problem in window.messages.log)
     assert camera.state == "running"  # nothing was shown instead
     assert not window.controller.failure
 
@@ -122,12 +122,12 @@ def test_unusable_frame_is_refused(
 @pytest.mark.slow
 def test_frame_is_refused_during_a_recording(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, _ = live
-    window.controller.recordings_folder = tmp_path / "runs"
+    window.recording_bar.recordings_folder = tmp_path / "runs"
     press(qtbot, window, Qt.Key.Key_W)
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     np.save(tmp_path / "frame.npy", np.zeros((300, 430), np.uint16))
     drop(window, tmp_path / "frame.npy")
-    assert "is not shown during a recording" in window.log.text
+    assert "is not shown during a recording" in window.messages.log
 
 
 @pytest.mark.slow
@@ -135,4 +135,4 @@ def test_other_files_are_refused(live: tuple[MainWindow, FakeCamera], tmp_path: 
     window, _ = live
     (tmp_path / "notes.txt").write_text("x")
     drop(window, tmp_path / "notes.txt")
-    assert "  notes.txt: drop a recording's folder" in window.log.text
+    assert "  notes.txt: drop a recording's folder" in window.messages.log

@@ -15,10 +15,9 @@ from support.gui_bench import FakeCamera
 from support.paths import ROOT
 from support.window_tools import MakeWindow
 
-from app.gui.help_menu import PAPER, documentation
-from app.gui.main_window import MainWindow
-from app.gui.text_dialog import TextDialog
-from app.gui.tour import Tour, offer_tour
+from app.gui.shell.help import PAPER, TextDialog, documentation
+from app.gui.shell.main_window import MainWindow
+from app.gui.shell.tour import Tour
 
 
 def choose(window: MainWindow, entry: str) -> None:
@@ -36,7 +35,7 @@ def opened(window: MainWindow, name: str) -> TextDialog:
 
 def test_log_keeps_notices_with_their_times(make_window: MakeWindow, tmp_path: Path) -> None:
     window = make_window()
-    window.controller.use_recordings_folder(tmp_path)
+    window.recording_bar.use_recordings_folder(tmp_path)
     window.messages.warn("it is Monday")
     window.messages.warn("it is Monday")
     choose(window, "Message log")
@@ -50,7 +49,7 @@ def test_log_keeps_notices_with_their_times(make_window: MakeWindow, tmp_path: P
     dialog.copy.click()
     clipboard = QApplication.clipboard()
     assert clipboard is not None
-    assert clipboard.text() == window.log.text == dialog.view.toPlainText()
+    assert clipboard.text() == window.messages.log == dialog.view.toPlainText()
     dialog.close()
     window.messages.inform("closed")  # must not reach the deleted dialog
 
@@ -60,8 +59,8 @@ def test_log_tells_what_failed(make_window: MakeWindow, qtbot: QtBot) -> None:
     camera.fault = RuntimeError("smoke")
     window = make_window(camera)
     window.messages.show_state(failure="the camera was unplugged", warning="", advice="F1", way_out="off")
-    qtbot.waitUntil(lambda: "The camera was unplugged" in window.log.text)
-    assert "F1" not in window.log.text
+    qtbot.waitUntil(lambda: "The camera was unplugged" in window.messages.log)
+    assert "F1" not in window.messages.log
 
 
 def test_documentation_opens_and_its_links_lead_on(make_window: MakeWindow) -> None:
@@ -86,7 +85,7 @@ def test_missing_documentation_is_reported(make_window: MakeWindow, monkeypatch:
     assert documentation() is None
     window = make_window()
     choose(window, "Documentation")
-    assert "documentation is not installed" in window.log.text
+    assert "documentation is not installed" in window.messages.log
 
 
 def test_citation_agrees_with_the_citation_file(make_window: MakeWindow) -> None:
@@ -112,8 +111,8 @@ def test_about_names_version_and_libraries(make_window: MakeWindow) -> None:
 
 def test_tour_is_offered_once_and_ends(make_window: MakeWindow, tmp_path: Path) -> None:
     settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
-    window = make_window()
-    offer_tour(window, settings)
+    window = make_window(settings=settings)
+    window.offer_tour()
     tour = window.findChild(Tour)
     assert tour is not None
     titles = []
@@ -126,7 +125,7 @@ def test_tour_is_offered_once_and_ends(make_window: MakeWindow, tmp_path: Path) 
     assert not tour.isVisible()
     window.resize(900, 700)  # before it is deleted
     QApplication.sendPostedEvents(None, 52)  # deferred deletion
-    offer_tour(window, settings)
+    window.offer_tour()
     assert window.findChild(Tour) is None
 
 

@@ -9,8 +9,8 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import dim_frame, views
 
-from app.gui.late_measurements import LateMeasurements
-from app.gui.main_window import MainWindow
+from app.gui.shell.base_window import LateMeasurements
+from app.gui.shell.main_window import MainWindow
 
 
 def test_one_redraw_of_three_is_left_out_while_results_are_late() -> None:

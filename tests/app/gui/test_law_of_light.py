@@ -20,7 +20,7 @@ from test_window_small import open_help
 
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 from drivers.interface import Devices
 
 
@@ -40,14 +40,14 @@ def test_light_off_between_two_steps_ends_the_guided_calibration(make_window: Ma
     window = make_window(camera)
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
-    guide = window.controller.guide
+    guide = window.guide
     window._timer.stop()  # no answer is seen yet
     window.controls.calibrate.click()
-    qtbot.waitUntil(window.controller.pending._pending[-1][0].done)
+    qtbot.waitUntil(window.controller._pending[-1][0].done)
     window.controls.light.click()
     qtbot.waitUntil(lambda: not camera.light.shines)
     window._timer.start()
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty and not window.controller.light.is_switching_off)
+    qtbot.waitUntil(lambda: window.controller.is_settled and not window.light.is_switching_off)
     assert guide.question.text() == "Ended: the light was switched off"
     assert not camera.light.shines
     press(qtbot, guide, Qt.Key.Key_Escape)
@@ -64,18 +64,18 @@ def test_light_key_during_a_dark_keeps_the_light_off(live: tuple[MainWindow, Fak
     qtbot.waitUntil(lambda: window.controls.light.text() == "Light off")
     activate(window, qtbot)
     press(qtbot, window, Qt.Key.Key_L)
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty and not window.controller.light.is_switching_off)
+    qtbot.waitUntil(lambda: window.controller.is_settled and not window.light.is_switching_off)
     assert not camera.light.shines
     assert camera.is_running
 
 
 def enlarged(window: MainWindow) -> None:
-    window.wavefront_panel.enlarge()
+    window.panels.wavefronts.enlarge()
 
 
 DIALOGS: dict[str, Callable[[MainWindow], object]] = {
-    "guide": lambda window: window.controller.guide.show(),
-    "region": lambda window: window.region_dialog.begin(window._status),  # type: ignore[arg-type] # is live
+    "guide": lambda window: window.guide.show(),
+    "region": lambda window: window.region_dialog.show(),
     "settings": lambda window: window.benches.edit(),
     "fault": lambda window: window.benches.dialog.show_message("Faulty bench", "It is faulty", ()),
     "enlarged": enlarged,
@@ -106,7 +106,7 @@ def test_light_key_is_never_swallowed(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, field: str
 ) -> None:
     window, camera = live
-    window.controller.recordings_folder = tmp_path
+    window.recording_bar.recordings_folder = tmp_path
     activate(window, qtbot)
     for stage in ("recording", "finished"):
         press(qtbot, window, Qt.Key.Key_W)
@@ -115,7 +115,7 @@ def test_light_key_is_never_swallowed(
         window.recording_bar.name.setFocus()  # as by a click
     else:
         window.controls.current.edit()
-    guide = window.controller.guide
+    guide = window.guide
     guide.show()
     activate(guide, qtbot)
     guide.close()
@@ -146,7 +146,7 @@ def test_click_elsewhere_gives_the_light_its_key_back(
     click(qtbot, name, QPoint(5, 5))
     press(qtbot, focused(window), Qt.Key.Key_L)
     assert name.text() == "l"  # is typed
-    graphics = window.camera_panel.findChild(GraphicsView)
+    graphics = window.panels.camera.findChild(GraphicsView)
     clicked = window.controls.sample if elsewhere == "button" else graphics and graphics.viewport()
     assert isinstance(clicked, QWidget)
     click(qtbot, clicked, QPoint(5, 5))
@@ -178,7 +178,7 @@ def test_second_light_key_keeps_off_what_is_lighting_up(live: tuple[MainWindow, 
     window, camera = live
     activate(window, qtbot)
     press(qtbot, window, Qt.Key.Key_L)
-    qtbot.waitUntil(lambda: window.controls.light.text() == "Light off" and window.controller.pending.is_empty)
+    qtbot.waitUntil(lambda: window.controls.light.text() == "Light off" and window.controller.is_settled)
     busy = threading.Event()
     acquisition = window.controller.acquisition
     assert acquisition is not None
@@ -187,9 +187,9 @@ def test_second_light_key_keeps_off_what_is_lighting_up(live: tuple[MainWindow, 
         press(qtbot, window, Qt.Key.Key_L)
         window.controls.light.setChecked(False)
     busy.set()
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty and not window.controller.light.is_switching_off)
+    qtbot.waitUntil(lambda: window.controller.is_settled and not window.light.is_switching_off)
     assert not camera.light.shines
-    assert "light stays off" in window.log.text
+    assert "light stays off" in window.messages.log
 
 
 def test_light_key_at_start_keeps_the_light_off(
@@ -210,7 +210,7 @@ def test_light_key_at_start_keeps_the_light_off(
     qtbot.waitUntil(lambda: lighting.is_set() and window.controls.isEnabled())
     press(qtbot, window, Qt.Key.Key_L)
     go.set()
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty and not window.controller.light.is_switching_off)
+    qtbot.waitUntil(lambda: window.controller.is_settled and not window.light.is_switching_off)
     assert not camera.light.shines
 
 
@@ -219,7 +219,7 @@ def test_stopping_a_recording_leaves_its_name(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
     window, _ = live
-    window.controller.recordings_folder = tmp_path
+    window.recording_bar.recordings_folder = tmp_path
     activate(window, qtbot)
     press(qtbot, window, Qt.Key.Key_W)
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
@@ -246,11 +246,11 @@ def test_space_stops_the_camera_although_nothing_was_clicked(live: tuple[MainWin
     activate(window, qtbot)
     press(qtbot, focused(window), Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: not camera.is_running)
-    assert window.camera_panel.lattice_toggle.isChecked()
+    assert window.panels.camera.lattice_toggle.isChecked()
     press(qtbot, focused(window), Qt.Key.Key_N)
     qtbot.waitUntil(window.messages.accept.isVisible)
     press(qtbot, focused(window), Qt.Key.Key_Return)
-    qtbot.waitUntil(lambda: "lattice is in use" in window.log.text)
+    qtbot.waitUntil(lambda: "lattice is in use" in window.messages.log)
 
 
 @pytest.mark.slow
@@ -272,7 +272,7 @@ def test_light_key_keeps_the_light_off_while_a_bench_opens(
     assert not window.controls.light.isEnabled()
     press(qtbot, window, Qt.Key.Key_L)
     release.set()
-    qtbot.waitUntil(lambda: window.controller.status is not None and window.controller.pending.is_empty)
+    qtbot.waitUntil(lambda: window.controller.status is not None and window.controller.is_settled)
     assert camera.is_running
     assert True not in lit
 

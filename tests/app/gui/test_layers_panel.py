@@ -17,11 +17,11 @@ from support.window_tools import MakeWindow, click, press, tab
 
 from app.bench.config import load_bench
 from app.evaluation.frames import simulate
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement
-from app.results.layers import FoundLayers, LayersRequest, find_shown_layers
+from app.results.layers import FoundLayers, Origin, find_shown_layers
 from simulated_devices.sample import make_sample
 
 DISTANCE_M = 0.195  # of the screen in small_demo
@@ -59,7 +59,7 @@ def open_tab(qtbot: QtBot, window: MainWindow, title: str) -> None:
 @pytest.mark.slow
 def test_layer_is_found_with_curve_and_map(window: MainWindow, qtbot: QtBot) -> None:
     open_tab(qtbot, window, "Layers")
-    panel = window.tabs.layers
+    panel = window.panels.layers
     qtbot.waitUntil(lambda: panel.map.maps is not None)
     assert panel.sentence.text().startswith("One layer 19")
     assert " mm in front of the lenslets: " in panel.sentence.text()
@@ -80,7 +80,7 @@ def test_layer_is_found_with_curve_and_map(window: MainWindow, qtbot: QtBot) -> 
     inner = slice(8, -8)
     assert np.std((maps.values[0, 0] - true)[inner, inner]) < 0.05 * np.std(true)
     assert "mm on the layer: " in panel.map._value_at(panel.map.tile(0, 0).center())
-    window.wavefront_panel.menu.units[2].trigger()  # nm
+    window.panels.wavefronts.menu.units[2].trigger()  # nm
     panel.mode.setCurrentIndex(2)  # the layer as found
     qtbot.waitUntil(lambda: panel.map.maps is not None and panel.map.maps.scale.title == "nm")
     in_nm = panel.map.maps
@@ -92,7 +92,7 @@ def test_known_distance_is_fitted_to_every_measurement(
     window: MainWindow, qtbot: QtBot, measurement: Measurement
 ) -> None:
     open_tab(qtbot, window, "Layers")
-    panel = window.tabs.layers
+    panel = window.panels.layers
     qtbot.waitUntil(lambda: panel.map.maps is not None)
     assert not panel.distance.isEnabled()
     panel.mode.setCurrentIndex(2)
@@ -107,13 +107,12 @@ def test_known_distance_is_fitted_to_every_measurement(
     before = panel.map.maps
     window.show_measurement(replace(measurement))
     qtbot.waitUntil(lambda: panel.map.maps is not before)
-    assert window._analysis._layers._request is not None
-    assert window._analysis._layers._request.measurement is window._measurement
+    assert window.analyses.threads[panel].requests[panel].of is window.shown.measurement
 
 
 def test_distances_from_the_mask(window: MainWindow, qtbot: QtBot) -> None:
     open_tab(qtbot, window, "Layers")
-    panel = window.tabs.layers
+    panel = window.panels.layers
     panel.origin.setCurrentIndex(1)
     qtbot.waitUntil(lambda: "from the mask" in panel.sentence.text())
     assert panel.distance.value() == pytest.approx(200 / (1 + 0.975), abs=1)  # of the screen: f1 / (1 + r), mm
@@ -127,7 +126,7 @@ def test_layer_behind_the_lenslets_is_measured_from_them(make_window: MakeWindow
     window = make_window()
     window.show_measurement(measured("simulation.screen.distance_m=-0.1"))
     open_tab(qtbot, window, "Layers")
-    panel = window.tabs.layers
+    panel = window.panels.layers
     panel.origin.setCurrentIndex(1)  # from the mask
     qtbot.waitUntil(lambda: " mm behind the lenslets: " in panel.sentence.text())
     assert panel.origin.currentData() == "lenslets"
@@ -139,15 +138,15 @@ def test_layer_behind_the_lenslets_is_measured_from_them(make_window: MakeWindow
 def test_closed_panels_compute_nothing(window: MainWindow, qtbot: QtBot, measurement: Measurement) -> None:
     open_tab(qtbot, window, "Histogram")
     window.show_measurement(replace(measurement))
-    window._analysis.poll()
-    assert window._analysis._layers._request is None
-    assert window._analysis._correctors._request is None
+    window.analyses.poll()
+    for panel in (window.panels.layers, window.panels.corrector):
+        assert not window.analyses.threads[panel].requests
 
 
 @pytest.mark.slow
 def test_lost_wavefront_makes_the_map_grey(window: MainWindow, qtbot: QtBot, measurement: Measurement) -> None:
     open_tab(qtbot, window, "Layers")
-    panel = window.tabs.layers
+    panel = window.panels.layers
     qtbot.waitUntil(lambda: panel.map.maps is not None and not panel.map.is_stale)
     window.show_measurement(replace(measurement, wavefront=None, problem="no light"))
     qtbot.waitUntil(lambda: panel.map.is_stale)
@@ -160,11 +159,11 @@ def test_fresh_map_is_repainted_with_its_colour_bar(
     window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     open_tab(qtbot, window, "Layers")
-    panel = window.tabs.layers
+    panel = window.panels.layers
     qtbot.waitUntil(lambda: panel.map.maps is not None and not panel.map.is_stale)
     grid, parts = panel.map, list[tuple[object, ...]]()
     monkeypatch.setattr(grid, "update", lambda *part: parts.append(part))
-    panel.show_stale()
+    panel.show_nothing()
     assert parts.pop() == ()  # all of it, not only the maps
     grid.is_stale = False  # as it shows layers
     grid.show_maps(grid.maps)
@@ -176,7 +175,7 @@ def test_displacements_alike_over_the_field_show_no_layer(make_window: MakeWindo
     window = make_window()
     window.show_measurement(measured("registration.warp=translation"))
     open_tab(qtbot, window, "Layers")
-    panel = window.tabs.layers
+    panel = window.panels.layers
     before = panel.map.empty  # the search has not ended
     qtbot.waitUntil(lambda: bool(panel.sentence.text()))
     assert panel.sentence.text() == "No layer: the distance of a layer needs displacements that change over the field"
@@ -186,16 +185,19 @@ def test_displacements_alike_over_the_field_show_no_layer(make_window: MakeWindo
 def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
     begun = threading.Event()
 
-    def find_until_closed(request: LayersRequest, check: Callable[[], None]) -> FoundLayers:
+    def find_until_closed(
+        measurement: Measurement, origin: Origin, *, count: int, ratio: float, check: Callable[[], None]
+    ) -> FoundLayers:
         def check_when_closing() -> None:
             begun.set()
-            wait_until(lambda: window._analysis._is_closing)
+            wait_until(lambda: window.analyses.is_closing)
             check()
 
-        return find_shown_layers(request, check_when_closing)
+        return find_shown_layers(measurement, origin, count=count, ratio=ratio, check=check_when_closing)
 
-    monkeypatch.setattr("app.gui.background_analysis.find_shown_layers", find_until_closed)
-    panel, thread = window.tabs.layers, window._analysis._layers
+    monkeypatch.setattr("app.gui.panels.layers.find_shown_layers", find_until_closed)
+    panel = window.panels.layers
+    thread = window.analyses.threads[panel]
     panel.mode.setCurrentIndex(1)
     open_tab(qtbot, window, "Layers")
     qtbot.waitUntil(begun.is_set)
@@ -206,7 +208,7 @@ def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: py
 
 def test_corrector_leaves_least_in_the_layer(window: MainWindow, qtbot: QtBot) -> None:
     open_tab(qtbot, window, "Corrector")
-    panel = window.tabs.corrector
+    panel = window.panels.corrector
     qtbot.waitUntil(lambda: bool(panel.sentence.text()))
     distance_mm, residual_rad = panel._curve.getData()
     assert abs(distance_mm[np.argmin(residual_rad)] - DISTANCE_M * 1e3) < 20

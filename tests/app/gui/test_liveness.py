@@ -14,28 +14,29 @@ from support.gui_bench import FakeCamera
 from support.window_tools import press
 
 from app.acquisition.worker import Activity
-from app.gui.main_window import MainWindow
-from app.gui.situation import Liveness, liveness
+from app.gui.panels.panel import Liveness
+from app.gui.shell.main_window import MainWindow
+from app.gui.shell.wording import liveness
 from drivers.interface import Disconnected
 
 
 def is_grey(window: MainWindow) -> bool:
-    tiles = [window.wavefront_panel.grid, *window.tabs.lenslet.tiles.values()]
+    tiles = [window.panels.wavefronts.grid, *window.panels.lenslet.tiles.values()]
     states = {tile.is_stale for tile in tiles}
     assert len(states) == 1
-    is_dim: bool = window.camera_panel._view.childGroup.opacity() < 1
+    is_dim: bool = window.panels.camera._view.childGroup.opacity() < 1
     assert states == {is_dim}
     return is_dim
 
 
 def badges(window: MainWindow) -> tuple[str, str, str]:
-    camera, wavefront, lenslet = window.camera_panel.badge, window.wavefront_panel.stale, window.tabs.lenslet.title
+    camera, wavefront, lenslet = window.panels.camera.badge, window.panels.wavefronts.stale, window.panels.lenslet.name
     return camera.text() if camera.isVisible() else "", wavefront.text(), lenslet.text()
 
 
 def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:
     window, _ = live
-    status, newest = window.controller.status, window._measurement
+    status, newest = window.controller.status, window.shown.measurement
     assert status is not None
     assert newest is not None
     now = replace(newest, exposure_end_s=1e18)  # not older than any test takes
@@ -53,8 +54,8 @@ def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:
 @pytest.mark.slow
 def test_paused_and_disconnected_frames_are_grey(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
-    window.tabs.inspect(4, 6)
-    qtbot.waitUntil(lambda: window.tabs.lenslet.title.text() == "Lenslet row 4, column 6: converged")
+    window.panels.lenslet.inspect(4, 6)
+    qtbot.waitUntil(lambda: window.panels.lenslet.name.text() == "Lenslet row 4, column 6: converged")
     assert not is_grey(window)
     press(qtbot, window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: badges(window)[0].startswith("PAUSED, "))
@@ -76,7 +77,7 @@ def test_paused_and_disconnected_frames_are_grey(live: tuple[MainWindow, FakeCam
 def test_frame_of_a_file_says_so(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, camera = live
     tifffile.imwrite(tmp_path / "flat.tif", np.rint(500 + 40000 * camera._images[0]).astype(np.uint16))
-    window.drop.open(tmp_path / "flat.tif")
+    window.open_file(tmp_path / "flat.tif")
     qtbot.waitUntil(lambda: badges(window)[:2] == ("FILE flat.tif", "FILE flat.tif: Space returns to the camera"))
     press(qtbot, window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: badges(window)[:2] == ("", ""))
@@ -88,17 +89,17 @@ def test_lenslet_without_wavefront_gives_the_reason(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, is_inspected: bool
 ) -> None:
     window, _ = live
-    panel = window.tabs.lenslet
+    panel = window.panels.lenslet
     if is_inspected:
-        window.tabs.inspect(4, 6)
-        qtbot.waitUntil(lambda: panel.title.text().endswith("converged"))
+        window.panels.lenslet.inspect(4, 6)
+        qtbot.waitUntil(lambda: panel.name.text().endswith("converged"))
     window.controls.light.click()
-    qtbot.waitUntil(lambda: window.wavefront_panel.shown is None)
+    qtbot.waitUntil(lambda: window.shown.wavefront is None)
     if not is_inspected:
-        window.tabs.inspect(4, 6)
+        window.panels.lenslet.inspect(4, 6)
     qtbot.waitUntil(lambda: panel.numbers.text() == "nothing to inspect: the light is off: switch it on (L)")
-    assert panel.title.text() == "Lenslet row 4, column 6: not measured"
+    assert panel.name.text() == "Lenslet row 4, column 6: not measured"
     assert all(tile.is_stale for tile in panel.tiles.values())
     window.controls.light.click()
-    qtbot.waitUntil(lambda: panel.title.text() == "Lenslet row 4, column 6: converged")
+    qtbot.waitUntil(lambda: panel.name.text() == "Lenslet row 4, column 6: converged")
     assert not any(tile.is_stale for tile in panel.tiles.values())

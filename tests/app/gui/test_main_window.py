@@ -17,8 +17,8 @@ from support.patience import HANG_S, own_time, wait_until
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, press, views, wait_for_wavefront
 
 from app.acquisition.worker import Activity
-from app.gui import theme
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
+from app.gui.widgets import theme
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals
 from app.recording.recorder import RecordingState
@@ -37,8 +37,8 @@ def test_shows_a_recorded_measurement_without_any_device(make_window: MakeWindow
     black, white = np.percentile(pixels[::4, ::4], (1, 99.8))
     expected = np.clip((pixels - black) / (white - black), 0, 1) * 255
     for channel in (0, 8, 16):  # grey
-        np.testing.assert_allclose(window.camera_panel._image.pixels >> channel & 0xFF, expected, atol=1)
-    captions = window.wavefront_panel.grid.captions
+        np.testing.assert_allclose(window.panels.camera._image.pixels >> channel & 0xFF, expected, atol=1)
+    captions = window.panels.wavefronts.grid.captions
     assert len(captions) == 9
     for (row, column), (numbers, place) in captions.items():
         view = shown[row, column]
@@ -102,9 +102,9 @@ def test_small_window_stays_readable(make_window: MakeWindow) -> None:
     window.resize(400, 300)
     window.show_measurement(make_measurement(dim_frame(), views()))
     QApplication.processEvents()
-    panel = window.camera_panel
+    panel = window.panels.camera
     assert panel.caption.geometry().top() > panel._graphics.geometry().bottom()
-    assert window.wavefront_panel.grid.places.has_captions
+    assert window.panels.wavefronts.grid.places.has_captions
     narrowest = window.width()
     assert 900 <= narrowest < 1024  # the controls may need more than 900, but fit on the smallest usual screen
     panel.caption.setText("a very long line " * 20)
@@ -130,7 +130,7 @@ def test_frame_without_wavefront_shows_reason_and_no_old_wavefront(
     window, _ = live
     window.controls.light.click()
     qtbot.waitUntil(lambda: window.messages.text.text() == "The light is off: switch it on (L)")
-    assert window.wavefront_panel.grid.maps is None
+    assert window.panels.wavefronts.grid.maps is None
     assert window.status_line.valid.text() == "\N{EN DASH}"
 
 
@@ -253,18 +253,18 @@ def test_slow_redraw_shows_the_newest_frame(
     camera.period_s = 0.04
     drawn: list[int] = []
     newest_before: list[int] = []  # at the end of the previous drawing
-    draw = window.wavefront_panel.show_wavefront
+    draw = window.panels.wavefronts.show_wavefront
 
     def draw_slowly(wavefront: object) -> None:
-        assert window._measurement is not None
-        drawn.append(window._measurement.frame.index)
+        assert window.shown.measurement is not None
+        drawn.append(window.shown.measurement.frame.index)
         time.sleep(0.2)
         draw(wavefront)  # type: ignore[arg-type] # passed through
         assert window.controller.acquisition is not None
         assert window.controller.acquisition.newest is not None
         newest_before.append(window.controller.acquisition.newest.frame.index)
 
-    monkeypatch.setattr(window.wavefront_panel, "show_wavefront", draw_slowly)
+    monkeypatch.setattr(window.panels.wavefronts, "show_wavefront", draw_slowly)
     qtbot.waitUntil(lambda: len(newest_before) >= 15)
     assert all(later >= newest for later, newest in zip(drawn[1:], newest_before, strict=False))
     behind = np.median(np.subtract(newest_before, drawn))  # counted in frames: a slow computer has fewer of them

@@ -9,10 +9,10 @@ from PyQt6.QtCore import QByteArray, QRect, QSettings, Qt
 from PyQt6.QtWidgets import QApplication, QMenu, QToolButton
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
-from support.window_tools import MakeWindow, click, dim_frame, press, tab, views
+from support.window_tools import MakeWindow, click, dim_frame, press, tab, tabs, views
 
-from app.gui.main_window import MainWindow
-from app.gui.panel_docks import Dock
+from app.gui.shell.docks import Dock
+from app.gui.shell.main_window import MainWindow
 
 Layout = dict[str, tuple[QRect, bool, bool]]
 
@@ -124,9 +124,9 @@ def test_header_floats_and_docks_a_panel(window: MainWindow, title: str) -> None
 
 
 def test_chosen_panels_float_visibly(window: MainWindow) -> None:
-    window.docks.float_panels(window.tabs.history, window.tabs.histogram)
+    window.docks.float_panels(window.panels.history, window.panels.histogram)
     QApplication.processEvents()
-    for title, panel in window.tabs.panels.items():
+    for title, panel in tabs(window).items():
         if title in {"History", "Histogram"}:
             assert panel.isVisible()
             assert panel.window() is not window
@@ -137,7 +137,7 @@ def test_chosen_panels_float_visibly(window: MainWindow) -> None:
 def test_closed_panel_returns_from_the_menu(window: MainWindow) -> None:
     before = layout(window)
     press_button(dock(window, "Camera"), "Close")
-    assert not window.camera_panel.isVisible()
+    assert not window.panels.camera.isVisible()
     choose(window, "Panels", "Camera")
     check_same(layout(window), before)
 
@@ -157,7 +157,7 @@ def test_panels_out_of_the_tabs_are_open_together_under_their_titles(window: Mai
 
 
 def test_last_tab_gets_its_title_back(window: MainWindow) -> None:
-    for title in window.tabs.panels:
+    for title in tabs(window):
         dock(window, title).setVisible(title == "Quality")
     layout(window)
     assert dock(window, "Quality").bar.isVisible()
@@ -212,9 +212,9 @@ def test_plots_are_closed_and_opened_by_their_key(window: MainWindow, qtbot: QtB
     qtbot.waitUntil(window.isActiveWindow)
     dock(window, "Lenslet").close()
     press(qtbot, window, Qt.Key.Key_I)
-    assert not any(state[2] for title, state in layout(window).items() if title in window.tabs.panels)
+    assert not any(state[2] for title, state in layout(window).items() if title in tabs(window))
     press(qtbot, window, Qt.Key.Key_I)
-    assert any(state[2] for title, state in layout(window).items() if title in window.tabs.panels)
+    assert any(state[2] for title, state in layout(window).items() if title in tabs(window))
     assert dock(window, "Lenslet").isHidden()
 
 
@@ -223,7 +223,7 @@ def test_entries_show_the_state_of_their_buttons(window: MainWindow, live: tuple
         return {one.text(): (one.isEnabled(), one.isChecked()) for one in menu(of, title).actions()}
 
     assert entries(window, "&Bench")["Take a dark"] == (False, False)  # no devices
-    window.camera_panel.arrows_toggle.click()
+    window.panels.camera.arrows_toggle.click()
     assert entries(window, "&View")["Arrows"] == (True, False)
     assert entries(window, "&View")["Lattice"] == (True, True)
     connected, _ = live

@@ -12,10 +12,10 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, wait_for_wavefront
 
-from app.gui import theme
-from app.gui.device_presets import DevicePresets
-from app.gui.main_window import MainWindow
-from app.gui.preferences import PreferencesDialog, apply_preferences
+from app.gui.shell.device_dialogs import DevicePresets
+from app.gui.shell.main_window import MainWindow
+from app.gui.shell.state import PreferencesDialog, apply_preferences
+from app.gui.widgets import theme
 
 
 @pytest.fixture
@@ -83,15 +83,15 @@ def test_preset_restores_exposure_and_mask_also_after_a_restart(
     assert not dialog.names.count()
     dialog.name.setText("cells")
     dialog.save.click()
-    for request, value in ((window.controls.exposure_requested, 0.03), (window.controls.mask_requested, "stars")):
-        request.emit(value)
+    for request, value in (("exposure_s", 0.03), ("mask", "stars")):
+        window.controls.requested.emit(request, value)
     qtbot.waitUntil(lambda: camera.exposure_s == 0.03 and camera.stage.mask == "stars")
-    again = DevicePresets(lambda: window.controller.status, window.controls, settings, window)
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    again = DevicePresets(window.controller, window.controls, settings, window)
+    qtbot.waitUntil(lambda: window.controller.is_settled)
     again.names.setCurrentRow(0)
     again.apply.click()
     qtbot.waitUntil(lambda: camera.exposure_s == 0.02 and camera.stage.mask == "square")
     again.delete.click()
     assert not again.names.count()
     settings.setValue("presets/devices", "no JSON")
-    assert not DevicePresets(lambda: None, window.controls, settings, window).names.count()
+    assert not DevicePresets(window.controller, window.controls, settings, window).names.count()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from PyQt6.QtCore import QSettings
 
-from app.gui.recent_files import RecentFiles
+from app.gui.shell.menus import RecentFiles
 
 _KEY = "recent/benches"
 

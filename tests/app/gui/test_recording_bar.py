@@ -13,8 +13,8 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, press
 
-from app.gui.main_window import MainWindow
-from app.gui.recent_files import RecentFiles
+from app.gui.shell.main_window import MainWindow
+from app.gui.shell.menus import RecentFiles
 from app.recording.reader import Recording
 
 
@@ -27,7 +27,7 @@ def type_into(qtbot: QtBot, field: QLineEdit, text: str) -> None:
 
 def record(qtbot: QtBot, window: MainWindow, folder: Path, *, frames: int) -> None:
     """Record some frames by the limit of the bar."""
-    window.controller.recordings_folder = folder
+    window.recording_bar.recordings_folder = folder
     bar = window.recording_bar
     line = bar.stop_after.lineEdit()
     assert line is not None
@@ -55,7 +55,7 @@ def test_single_frame_is_counted_in_the_singular(
 ) -> None:
     window, _ = live
     record(qtbot, window, tmp_path, frames=1)
-    qtbot.waitUntil(lambda: "  Recorded 1 frame in " in window.log.text)
+    qtbot.waitUntil(lambda: "  Recorded 1 frame in " in window.messages.log)
     assert window.recording_bar.text.text().startswith("1 frame in ")
     qtbot.waitUntil(lambda: window.recording_panel.text.text().startswith("1 frame   "))
 
@@ -100,7 +100,7 @@ def test_name_given_afterwards_renames_the_folder(
     assert window.messages.text.text() == "A name of a recording cannot contain /"  # while it is typed
     assert "color" in bar.name.styleSheet()
     press(qtbot, bar.name, Qt.Key.Key_Return)
-    assert "a name of a recording cannot contain /: a/b" in window.log.text.lower()
+    assert "a name of a recording cannot contain /: a/b" in window.messages.log.lower()
     assert Recording(next(tmp_path.iterdir())).run["note"] == "fed at noon"
     type_into(qtbot, bar.name, "sl")  # letters that are commands outside the field
     assert [path.name[15:] for path in tmp_path.iterdir()] == ["-sl"]
@@ -135,7 +135,7 @@ def test_report_and_export_run_beside_the_window(
 
     def is_written() -> bool:
         shown.add(bar.report.text())
-        return "The report is in" in window.log.text
+        return "The report is in" in window.messages.log
 
     qtbot.waitUntil(is_written)
     assert "Report 80 %" in shown  # the pages are still to be drawn
@@ -143,7 +143,7 @@ def test_report_and_export_run_beside_the_window(
     assert bar.report.isEnabled()
     assert opened == [bar.folder / "report.pdf"]
     assert (bar.folder / "report.pdf").read_bytes().startswith(b"%PDF")
-    qtbot.waitUntil(lambda: "Exported to" in window.log.text)
+    qtbot.waitUntil(lambda: "Exported to" in window.messages.log)
     assert len((tmp_path / "out.csv").read_text().splitlines()) == 3
     qtbot.waitUntil(lambda: not bar.commands.findChildren(QProcess))
 
@@ -198,8 +198,8 @@ def test_saved_seconds_and_recent_recordings(make_window: MakeWindow, qtbot: QtB
     settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
     window = make_window(FakeCamera(), settings=settings)
     window.connect_devices()
-    window.controller.recordings_folder = tmp_path / "runs"
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    window.recording_bar.recordings_folder = tmp_path / "runs"
+    qtbot.waitUntil(lambda: window.controller.is_settled)
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
     press(qtbot, window, Qt.Key.Key_K)
     qtbot.waitUntil(lambda: window.recording_bar.folder is not None)
@@ -215,10 +215,10 @@ def test_saved_seconds_and_recent_recordings(make_window: MakeWindow, qtbot: QtB
 @pytest.mark.slow
 def test_recording_in_the_dark_is_announced(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, camera = live
-    window.controller.recordings_folder = tmp_path
+    window.recording_bar.recordings_folder = tmp_path
     press(qtbot, window, Qt.Key.Key_L)
     qtbot.waitUntil(lambda: not camera.light.shines and window.controls.light.text() == "Light off")
     press(qtbot, window, Qt.Key.Key_W)
-    assert "Recording with the light off" in window.log.text
+    assert "Recording with the light off" in window.messages.log
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     assert window.controls.start.text() == "Stop"  # of the camera: another word

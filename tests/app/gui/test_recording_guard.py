@@ -13,7 +13,7 @@ from support.patience import HANG_S
 from support.window_tools import press, wait_for_wavefront
 
 from app.acquisition.worker import Acquisition
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 from app.recording.reader import Recording
 
 
@@ -21,7 +21,7 @@ from app.recording.reader import Recording
 def recording(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> MainWindow:
     """A window that records."""
     window, _ = live
-    window.controller.recordings_folder = tmp_path / "runs"
+    window.recording_bar.recordings_folder = tmp_path / "runs"
     press(qtbot, window, Qt.Key.Key_W)
     qtbot.waitUntil(lambda: stage(window) == "recording")
     return window
@@ -53,8 +53,8 @@ def test_another_bench_waits_for_an_answer(recording: MainWindow, qtbot: QtBot, 
     window.messages.accept.click()
     assert len(opened) == 1
     wait_for_wavefront(qtbot, window)
-    assert "ends if another bench is opened" in window.log.text
-    assert window.log.text.count("Recorded ") == 1
+    assert "ends if another bench is opened" in window.messages.log
+    assert window.messages.log.count("Recorded ") == 1
     (folder,) = (tmp_path / "runs").iterdir()
     assert Recording(folder).is_complete
     assert Recording(folder).run["note"] == "a note of the first bench"
@@ -73,7 +73,7 @@ def test_second_request_ends_a_recording_that_has_not_begun(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
     window, _ = live
-    window.controller.recordings_folder = tmp_path / "runs"
+    window.recording_bar.recordings_folder = tmp_path / "runs"
     release = threading.Event()
     assert window.controller.acquisition is not None
     held = window.controller.acquisition.submit(lambda _: release.wait(HANG_S))
@@ -83,7 +83,7 @@ def test_second_request_ends_a_recording_that_has_not_begun(
     press(qtbot, window, Qt.Key.Key_W)
     release.set()
     held.result(HANG_S)
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    qtbot.waitUntil(lambda: window.controller.is_settled)
     window.update_text()
     assert window.recording_panel.record.text() == "Record"
     assert stage(window) == ""

@@ -16,12 +16,12 @@ from support.window_tools import MakeWindow, click, tab, wait_for_wavefront
 
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 
 
 def references(window: MainWindow) -> dict[str, weakref.ref[object]]:
     """Large objects of the open bench that allow weak references."""
-    acquisition, measurement = window.controller.acquisition, window._measurement
+    acquisition, measurement = window.controller.acquisition, window.shown.measurement
     assert acquisition is not None
     assert measurement is not None
     assert measurement.wavefront is not None
@@ -45,21 +45,26 @@ def alive(found: dict[str, weakref.ref[object]]) -> list[str]:
 @pytest.mark.slow
 def test_closed_bench_dies_although_every_panel_has_shown_it(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
-    lenslet, layers, corrector = window.tabs.lenslet, window.tabs.layers, window.tabs.corrector
-    window.tabs.inspect(4, 6)
-    qtbot.waitUntil(lambda: lenslet.title.text().endswith("converged"))
+    lenslet, layers, corrector = window.panels.lenslet, window.panels.layers, window.panels.corrector
+    window.panels.lenslet.inspect(4, 6)
+    qtbot.waitUntil(lambda: lenslet.name.text().endswith("converged"))
     for title, sentence in (("Layers", layers.sentence), ("Corrector", corrector.sentence)):
         bar, at = tab(window, title)
         click(qtbot, bar, QPoint(at))
         qtbot.waitUntil(lambda sentence=sentence: bool(sentence.text()))  # type: ignore[misc] # mypy and defaults
-    window.wavefront_panel.menu.change(averaged=4)
-    window.wavefront_panel._store()
+    window.panels.wavefronts.menu.change(averaged=4)
+    window.panels.wavefronts._store()
     old = references(window)
     assert len(alive(old)) == len(old)
     window.open(lambda: Acquisition(BENCH, opener(FakeCamera())))
     wait_for_wavefront(qtbot, window)
     qtbot.waitUntil(lambda: not alive(old))
-    assert window.wavefront_panel.menu.options.stored is None
+    assert window.panels.wavefronts.menu.options.stored is None
+
+
+def reconstructed(window: MainWindow) -> int:
+    measurement = window.shown.measurement
+    return 0 if measurement is None else measurement.counts.reconstructed
 
 
 @pytest.mark.slow
@@ -69,7 +74,7 @@ def test_memory_does_not_grow_over_twenty_openings(make_window: MakeWindow, qtbo
     for index in range(22):
         bench = load_bench("live_demo" if index % 2 else small_toml)
         window.open(partial(Acquisition, bench))
-        qtbot.waitUntil(lambda: window._measurement is not None and window._measurement.counts.reconstructed > 20)
-        qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+        qtbot.waitUntil(lambda: reconstructed(window) > 20)
+        qtbot.waitUntil(lambda: window.controller.is_settled)
         sizes.append(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
     assert max(sizes[-2:]) < 1.1 * max(sizes[2:4])

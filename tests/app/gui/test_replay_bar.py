@@ -16,7 +16,7 @@ from support.recordings import record
 from support.window_tools import picture, press
 
 from app.acquisition.worker import Acquisition, FrameTotals
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
 from app.recording.folder import describe
 from app.recording.reader import Recording
@@ -156,7 +156,7 @@ def test_devices_are_disabled_and_reconstruction_is_not(window: MainWindow, qtbo
 def test_speed_multiplies_the_recorded_rate(window: MainWindow, qtbot: QtBot, recording: Recording) -> None:
     qtbot.waitUntil(lambda: window.replay.play.text() == "Pause")
     window.replay.speed.setCurrentIndex(0)
-    window.replay.speed.textActivated.emit(window.replay.speed.currentText())
+    window.replay.speed.activated.emit(0)
     times_s: list[float] = []
     window.measurement_shown.connect(lambda measurement: times_s.append(measurement.frame.camera_time_s))
     qtbot.waitUntil(lambda: len(times_s) >= 7)
@@ -253,8 +253,8 @@ def test_damaged_frames_are_skipped_with_a_notice_and_marked(
         bar.refresh()
         assert bar.text.text() == f"frame {end + 1} of {FRAMES}"
     assert bar.slider.marked == {3, 5}
-    assert "Frame 3 skipped: " in window.log.text
-    assert "Frame 5 skipped: " in window.log.text
+    assert "Frame 3 skipped: " in window.messages.log
+    assert "Frame 5 skipped: " in window.messages.log
     bar.slider.setValue(3)  # a known one
     qtbot.waitUntil(partial(is_at, window, player, 4))
     assert (picture(bar.slider)[:, :, 0].astype(int) - picture(bar.slider)[:, :, 2] > 100).any()  # red

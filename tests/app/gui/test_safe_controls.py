@@ -19,10 +19,10 @@ from support.patience import HANG_S
 from support.window_tools import part, picture, press
 
 from app.acquisition.instrument import Instrument
-from app.gui import theme
-from app.gui.main_window import MainWindow
-from app.gui.number_field import NumberField
-from app.gui.wording import warning
+from app.gui.shell.main_window import MainWindow
+from app.gui.shell.wording import warning
+from app.gui.widgets import theme
+from app.gui.widgets.fields import NumberField
 from app.measurement.measurement import Measurement
 from app.results.view_analysis import Quantity
 from drivers.interface import Frame, Range
@@ -198,14 +198,14 @@ def test_refused_number_is_explained_in_red_and_reaches_no_device(
     type_text(qtbot, window.controls.frames, "20000")
     window.controls.dark.click()  # does not take the focus
     assert camera.light.current_a == 0.35
-    assert window.controller.pending.is_empty
+    assert window.controller.is_settled
 
 
 @pytest.mark.slow
 def test_refused_number_is_explained_while_a_proposal_is_open(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.gui.message_strip._NOTICE_S", 1e9)  # it does not expire
+    monkeypatch.setattr("app.gui.shell.messages._NOTICE_S", 1e9)  # it does not expire
     window, _ = live
     window.activateWindow()
     messages, field = window.messages, window.controls.current
@@ -228,7 +228,7 @@ def test_refused_number_is_explained_while_a_proposal_is_open(
     press(qtbot, window, Qt.Key.Key_Escape)
     window.update_text()
     assert messages.text.text() == proposal
-    assert window.controller.pending.is_empty
+    assert window.controller.is_settled
     press(qtbot, window, Qt.Key.Key_Return)
     qtbot.waitUntil(lambda: says(window, "The lattice is in use; Ctrl+S saves it"))
 
@@ -248,7 +248,7 @@ def test_problem_of_earlier_settings_is_not_shown_as_the_present_one(
     monkeypatch.setattr(Instrument, "measure", measure)
     try:
         qtbot.waitUntil(lambda: says(window, "No stars are where they are expected"))
-        window.controls.setting_requested.emit("reconstruction", "method", "zonal")
+        window.controls.requested.emit("reconstruction.method", "zonal")
         qtbot.waitUntil(lambda: window._status is not None and window._status.bench.reconstruction.method == "zonal")
         window.update_text()
         assert not says(window, "No stars are where they are expected")
@@ -265,7 +265,7 @@ def test_typed_letters_and_space_are_no_shortcuts(live: tuple[MainWindow, FakeCa
     type_text(qtbot, window.controls.exposure, "40 ms")
     assert camera.is_running
     assert camera.stage.is_sample_in
-    assert window.controller.pending.is_empty
+    assert window.controller.is_settled
     press(qtbot, window.controls.exposure, Qt.Key.Key_Return)
     qtbot.waitUntil(lambda: camera.exposure_s == 0.04)
     assert camera.is_running
@@ -281,7 +281,7 @@ def test_escape_leaves_an_unchanged_field_and_digits_choose_the_view(
     press(qtbot, window.controls.exposure, Qt.Key.Key_Escape)
     assert not window.controls.exposure.hasFocus()
     press(qtbot, window, Qt.Key.Key_2)
-    assert window.wavefront_panel.quantity is tuple(Quantity)[1]
+    assert window.panels.wavefronts.quantity is tuple(Quantity)[1]
     assert camera.exposure_s == 0.02
 
 
@@ -302,8 +302,8 @@ def test_wheel_changes_a_field_or_choice_only_with_focus(live: tuple[MainWindow,
     window, camera = live
     window.activateWindow()
     controls = window.controls
-    requests: list[tuple[str, str, object]] = []
-    controls.setting_requested.connect(lambda *request: requests.append(request))
+    requests: list[tuple[str, object]] = []
+    controls.requested.connect(lambda *request: requests.append(request))
     for widget in (controls.exposure, controls.registration, controls.mask_choice):
         scroll(widget)
     assert controls.exposure.value() == 20
@@ -409,7 +409,7 @@ def test_light_off_ends_a_reference_and_stays_off(live: tuple[MainWindow, FakeCa
     qtbot.waitUntil(lambda: camera.stage.is_sample_in)  # the reference has ended
     qtbot.waitUntil(lambda: "taking the dark" in window.messages.progress.toolTip())
     press(qtbot, window, Qt.Key.Key_Escape)
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    qtbot.waitUntil(lambda: window.controller.is_settled)
     assert camera.is_running
     assert not camera.light.shines
     qtbot.waitUntil(lambda: controls.light.text() == "Light off")  # after "Switching off"
@@ -435,7 +435,7 @@ def test_message_names_the_actual_cause(live: tuple[MainWindow, FakeCamera], qtb
         ({}, unmatched),
     ):
         assert warning(replace(status, **changes), unmatched).startswith(text)
-    window.controls.mask_requested.emit("stars")
+    window.controls.requested.emit("mask", "stars")
     qtbot.waitUntil(lambda: "taken with the mask square" in window.messages.text.text())
 
 
@@ -457,7 +457,7 @@ def test_amplifier_change_says_what_else_it_changed(
         ("normal", "Exposure changed from 20 to 421 ms, gain changed from 7 to 1", (0.421, 1.0)),
         ("em", "Exposure changed from 421 to 20 ms, gain changed from 1 to 7", (0.02, 7.0)),
     ):
-        window.controls.amplifier_requested.emit(amplifier)
+        window.controls.requested.emit("amplifier", amplifier)
         qtbot.waitUntil(partial(says, window, text))
         assert (camera.exposure_s, camera.em_gain) == state
 
@@ -465,7 +465,7 @@ def test_amplifier_change_says_what_else_it_changed(
 @pytest.mark.slow
 def test_stale_calibration_greys_the_wavefronts_and_says_why(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
-    panel, controls = window.wavefront_panel, window.controls
+    panel, controls = window.panels.wavefronts, window.controls
 
     def colourfulness() -> int:
         seen = picture(panel.grid).astype(int)

@@ -11,7 +11,7 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, press, wait_for_wavefront
 
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 from drivers.interface import CameraCapabilities, Frame, Region
 
 SENSOR = Region(0, 0, 300, 430)
@@ -70,7 +70,7 @@ def text(window: MainWindow) -> str:
 def test_region_is_applied_and_calibrated_again(
     window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.gui.message_strip._NOTICE_S", 1e9)  # it does not expire
+    monkeypatch.setattr("app.gui.shell.messages._NOTICE_S", 1e9)  # it does not expire
     press(qtbot, window, Qt.Key.Key_P)
     dialog = window.region_dialog
     assert dialog.isVisible()
@@ -111,7 +111,7 @@ def test_region_without_most_lenslets_is_to_be_enlarged(window: MainWindow, qtbo
     window.messages.clear_notice()
     assert text(window) == advice  # and no advice to take a reference, which could not be used
     window.controls.reference.click()
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    qtbot.waitUntil(lambda: window.controller.is_settled)
     window.messages.clear_notice()
     qtbot.waitUntil(lambda: text(window) == advice)
 
@@ -133,7 +133,7 @@ def test_buttons_fill_in_lattice_and_whole_sensor(window: MainWindow, qtbot: QtB
 
 @pytest.mark.slow
 def test_region_is_refused_while_recording(window: MainWindow, qtbot: QtBot, tmp_path: Path) -> None:
-    window.controller.recordings_folder = tmp_path
+    window.recording_bar.recordings_folder = tmp_path
     window.recording_panel.record.click()
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     window.controls.sensor_region.click()

@@ -14,9 +14,9 @@ from support.window_tools import MakeWindow
 
 from app.bench.config import Bench, load_bench
 from app.bench.device_kinds import DeviceKind
-from app.gui.bench_files import BenchFiles
-from app.gui.main_window import MainWindow
-from app.gui.settings_dialog import SettingsDialog
+from app.gui.shell.benches import Benches
+from app.gui.shell.main_window import MainWindow
+from app.gui.shell.settings_dialog import SettingsDialog
 from drivers.device import DiscoveredDevice
 from drivers.genicam import GenicamSettings
 from drivers.light_source import ManualLightSettings
@@ -34,11 +34,11 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Bench]:
 
 
 @pytest.fixture
-def benches(make_window: MakeWindow, opened: list[Bench]) -> BenchFiles:  # noqa: ARG001 - no device is opened
+def benches(make_window: MakeWindow, opened: list[Bench]) -> Benches:  # noqa: ARG001 - no device is opened
     return make_window().benches
 
 
-def dialog_of(benches: BenchFiles) -> SettingsDialog:
+def dialog_of(benches: Benches) -> SettingsDialog:
     assert benches.settings is not None
     return benches.settings
 
@@ -59,7 +59,7 @@ def choose(dialog: SettingsDialog, path: str, text: str) -> None:
     choice.activated.emit(choice.currentIndex())
 
 
-def test_changed_settings_are_opened(benches: BenchFiles, opened: list[Bench]) -> None:
+def test_changed_settings_are_opened(benches: Benches, opened: list[Bench]) -> None:
     benches.edit()
     dialog = dialog_of(benches)
     assert dialog.devices.isHidden()
@@ -73,7 +73,7 @@ def test_changed_settings_are_opened(benches: BenchFiles, opened: list[Bench]) -
     assert opened[0].camera == load_bench("live_demo").camera
 
 
-def test_wrong_setting_is_red_and_not_opened(benches: BenchFiles, opened: list[Bench]) -> None:
+def test_wrong_setting_is_red_and_not_opened(benches: Benches, opened: list[Bench]) -> None:
     benches.edit()
     dialog = dialog_of(benches)
     for text, sentence in (("462 mm", "Wavelength must be 100 ... 20000 nm"), ("blue", "type a number in nm")):
@@ -89,7 +89,7 @@ def test_wrong_setting_is_red_and_not_opened(benches: BenchFiles, opened: list[B
 
 
 def test_new_bench_has_the_connected_camera(
-    benches: BenchFiles, opened: list[Bench], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    benches: Benches, opened: list[Bench], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     benches.make()
     dialog = dialog_of(benches)
@@ -142,7 +142,7 @@ def test_reconstruction_changes_without_opening_devices(
     assert [bench.sensor.wavelength_m for bench in opened] == [500e-9]
 
 
-def test_reason_of_a_failed_search_is_shown(benches: BenchFiles, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reason_of_a_failed_search_is_shown(benches: Benches, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
     unusable = replace(CAMERA, missing="install Aravis")
 
     def discover(kind: DeviceKind) -> tuple[tuple[DiscoveredDevice, ...], str]:

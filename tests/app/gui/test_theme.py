@@ -9,10 +9,10 @@ from PyQt6.QtGui import QColor, QPalette
 from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
-from support.window_tools import picture
+from support.window_tools import picture, tabs
 
-from app.gui import theme
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
+from app.gui.widgets import theme
 
 
 class Desktop(QObject):
@@ -73,23 +73,23 @@ def test_open_window_follows_the_desktop(
 ) -> None:
     window, _ = live
     theme.apply_theme(qapp)
-    for panel in window.tabs.panels.values():
+    for panel in tabs(window).values():
         window.docks.show_panel(panel)
         QApplication.processEvents()
-    window.docks.show_panel(window.tabs.quality)
+    window.docks.show_panel(window.panels.quality)
     dark = {id(colour): colour.name() for colour, _ in theme._LIGHT}
-    qtbot.waitUntil(lambda: share(window.tabs.quality, theme.AMBER.name()) > 0)
+    qtbot.waitUntil(lambda: share(window.panels.quality, theme.AMBER.name()) > 0)
     assert share(window, theme.BACKGROUND.name()) > 1e5
     desktop.change(Qt.ColorScheme.Light)
-    for panel in (*window.tabs.panels.values(), window.camera_panel, window.wavefront_panel):
+    for panel in (*tabs(window).values(), window.panels.camera, window.panels.wavefronts):
         window.docks.show_panel(panel)
         qtbot.waitUntil(lambda panel=panel: share(panel, theme.BACKGROUND.name()) > 3000)  # type: ignore[misc]
         assert theme.BACKGROUND.name() == "#eef0f3"
         for colour in (theme.BACKGROUND, theme.SURFACE, theme.LINE):
             assert share(panel, dark[id(colour)]) < 30, (type(panel).__name__, dark[id(colour)])
-    window.docks.show_panel(window.tabs.quality)
-    qtbot.waitUntil(lambda: share(window.tabs.quality, theme.AMBER.name()) > 0)
-    assert share(window.tabs.quality, dark[id(theme.AMBER)]) == 0
+    window.docks.show_panel(window.panels.quality)
+    qtbot.waitUntil(lambda: share(window.panels.quality, theme.AMBER.name()) > 0)
+    assert share(window.panels.quality, dark[id(theme.AMBER)]) == 0
     qtbot.waitUntil(lambda: share(window.controls, theme.GREEN.name()) > 20)  # the lamps
     assert share(window.controls, dark[id(theme.GREEN)]) == 0
     desktop.change(Qt.ColorScheme.Dark)

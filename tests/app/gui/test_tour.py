@@ -11,18 +11,19 @@ from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 from support.window_tools import MakeWindow, press
 
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
+from app.gui.shell.tour import Tour
 from app.gui.splash import Splash
-from app.gui.theme import apply_theme
-from app.gui.tour import Tour
+from app.gui.widgets.theme import apply_theme
 
 
 def begun(make_window: MakeWindow) -> tuple[MainWindow, Tour]:
     window = make_window()
     window.activateWindow()
     window.setFocus()
-    made = Tour(window)
-    made.begin()
+    window.show_tour()
+    made = window.findChild(Tour)
+    assert made is not None
     QApplication.processEvents()
     return window, made
 
@@ -46,7 +47,8 @@ def look(request: pytest.FixtureRequest, qapp: QApplication, restored_theme: Non
 def test_button_stays_in_place_while_the_parts_are_outlined(make_window: MakeWindow) -> None:
     window, bubble = begun(make_window)
     at, outlined = place(bubble.next), list[QWidget]()
-    for part in (window.camera_panel, window.wavefront_panel, window.controls, window.messages, window.recording_panel):
+    panels = (window.panels.camera, window.panels.wavefronts, window.controls)
+    for part in (*panels, window.messages, window.recording_panel):
         QApplication.processEvents()
         assert place(bubble.next) == at
         assert bubble._outline.size() == part.size()
@@ -72,8 +74,8 @@ def test_escape_ends_the_tour_and_nothing_else(tour: tuple[MainWindow, Tour], qt
 
 def test_no_panel_lies_over_the_bubble(tour: tuple[MainWindow, Tour], qtbot: QtBot) -> None:
     window, bubble = tour
-    window.tabs.inspect(3, 3)
-    lenslet, corner = window.tabs.lenslet, bubble.mapTo(window, QPoint(8, bubble.height() - 8))
+    window.panels.lenslet.inspect(3, 3)
+    lenslet, corner = window.panels.lenslet, bubble.mapTo(window, QPoint(8, bubble.height() - 8))
     qtbot.waitUntil(lambda: lenslet.isVisible() and not window.unpainted)
     assert lenslet.rect().contains(lenslet.mapFrom(window, corner))
     qtbot.waitUntil(lambda: window.childAt(corner) in {bubble, *bubble.findChildren(QWidget)})

@@ -15,10 +15,9 @@ from support.gui_bench import make_measurement
 from support.wavefronts import bowl
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, part, picture, views
 
-from app.gui.adaptive_scale import MAGNIFICATIONS, RANGES, AdaptiveScale
-from app.gui.colours import ColourScale, diverging
-from app.gui.presentation import NOTHING, with_error
-from app.gui.view_grid import Maps, ViewGrid
+from app.gui.widgets.presentation import NOTHING, with_error
+from app.gui.widgets.scales import MAGNIFICATIONS, RANGES, AdaptiveScale, ColourScale, diverging
+from app.gui.widgets.view_grid import Maps, ViewGrid
 from reconstruction.arrays import Floats
 
 
@@ -31,7 +30,7 @@ def test_views_lie_as_in_the_field_and_lenslets_as_in_the_pupil(make_window: Mak
     shown = np.zeros((3, 3, *LENSLETS))
     shown[0, 2, 1, 10] = 5.0  # the view on top at the right; in it a lenslet in the second row, near the right edge
     window.show_measurement(make_measurement(dim_frame(), shown))
-    grid = window.wavefront_panel.grid
+    grid = window.panels.wavefronts.grid
     show(grid, shown, 5.0)
     seen = picture(grid).astype(int)
     tiles = grid.tile(0, 0).united(grid.tile(2, 2))
@@ -45,7 +44,7 @@ def test_views_lie_as_in_the_field_and_lenslets_as_in_the_pupil(make_window: Mak
 
 
 def test_stale_map_is_grey_and_keeps_its_sign(make_window: MakeWindow) -> None:
-    grid = make_window().wavefront_panel.grid
+    grid = make_window().panels.wavefronts.grid
     shown = np.zeros((3, 3, *LENSLETS))
     shown[1, 0], shown[1, 2] = -2, 2
     show(grid, shown, 2.0)
@@ -66,7 +65,7 @@ def test_positive_is_red_and_negative_is_blue(make_window: MakeWindow) -> None:
     window = make_window()
     shown = np.zeros((3, 3, *LENSLETS))
     shown[1, 0], shown[1, 2] = -2, 2
-    grid = window.wavefront_panel.grid
+    grid = window.panels.wavefronts.grid
     show(grid, shown, 2.0)
     seen = picture(grid).astype(int)
     left, middle, right = (part(seen, grid.tile(1, column)).mean(axis=(0, 1)) for column in range(3))
@@ -81,10 +80,10 @@ def test_only_what_has_changed_is_painted_again(
     """The captions and the colour bar cost as much as the maps, which change with every frame."""
     window = make_window()
     window._timer.stop()
-    window._analysis.close()
+    window.analyses.close()
     shown = np.zeros((3, 3, *LENSLETS))
     window.show_measurement(make_measurement(dim_frame(), shown))
-    grid = window.wavefront_panel.grid
+    grid = window.panels.wavefronts.grid
     show(grid, shown, 2.0)
     around: list[bool] = []
     paint = ViewGrid.paintEvent
@@ -121,7 +120,7 @@ def test_lost_lenslet_is_hatched_not_zero(make_window: MakeWindow) -> None:
     shown = np.zeros((3, 3, *LENSLETS))
     shown[1, 1, 2, 3] = np.nan
     window.show_measurement(make_measurement(dim_frame(), shown))
-    grid = window.wavefront_panel.grid
+    grid = window.panels.wavefronts.grid
     tile = part(picture(grid).astype(int), grid.tile(1, 1))
     step_y, step_x = tile.shape[0] / LENSLETS[0], tile.shape[1] / LENSLETS[1]
     lost = tile[int(2.25 * step_y) : int(2.75 * step_y), int(3.25 * step_x) : int(3.75 * step_x)]
@@ -137,11 +136,11 @@ def test_captions_ignore_lenslets_without_value(make_window: MakeWindow) -> None
     shown = np.concatenate([np.full((*shown.shape[:3], 1), np.nan), shown], axis=3)  # lost in every view
     shown[0, 0] = np.nan  # a view outside the field
     window.show_measurement(make_measurement(dim_frame(), shown))
-    captions = window.wavefront_panel.grid.captions
+    captions = window.panels.wavefronts.grid.captions
     assert captions[0, 0][0][0] == "RMS \N{EN DASH}   PV \N{EN DASH}"
     assert {captions[at][0][0] for at in captions if at != (0, 0)} == {"RMS 1.00   PV 2.00"}
-    assert window.wavefront_panel._summary.text() == "mean RMS 1.00 rad"
-    picture(window.wavefront_panel.grid)
+    assert window.panels.wavefronts._summary.text() == "mean RMS 1.00 rad"
+    picture(window.panels.wavefronts.grid)
 
 
 def test_scale_rises_at_once_and_falls_only_when_clearly_too_large() -> None:
@@ -153,7 +152,7 @@ def test_scale_rises_at_once_and_falls_only_when_clearly_too_large() -> None:
 def test_largest_number_stands_at_the_top_of_the_colour_bar(
     make_window: MakeWindow, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    grid = make_window().wavefront_panel.grid
+    grid = make_window().panels.wavefronts.grid
     monkeypatch.setattr(grid, "_ticks", lambda *_: ((0.0, ""), (1.0, "8888")))
     show(grid, np.zeros((3, 3, *LENSLETS)), 2.0)
     assert grid.maps is not None
@@ -185,11 +184,11 @@ def test_color_bar_gives_way_to_small_maps(qtbot: QtBot) -> None:
 def test_small_views_stand_apart_so_that_positions_fit(make_window: MakeWindow) -> None:
     window = make_window()
     window.resize(1440, 900)
-    window.wavefront_panel.menu.change(views=6)
+    window.panels.wavefronts.menu.change(views=6)
     window.show_measurement(replace(make_measurement(dim_frame(), views()), wavefront=bowl()))
     window.update_text()
     QApplication.processEvents()
-    grid = window.wavefront_panel.grid
+    grid = window.panels.wavefronts.grid
     assert grid.places.size.width() < 80
     assert grid._wording(1) is not None
     assert grid.tile(0, 5).right() + grid.places.bar_space < grid.width()

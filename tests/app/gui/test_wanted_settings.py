@@ -12,7 +12,7 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.patience import HANG_S
 
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 from app.measurement.calibration import Calibration
 from app.recording.reader import Recording
 from reconstruction.pipeline import Reconstructor
@@ -55,10 +55,10 @@ def test_last_of_many_choices_wins_and_the_others_are_not_built(
     controls = window.controls
     with held_up(monkeypatch):
         for modes in (10, 15, 21, 6, 12):
-            controls.setting_requested.emit("reconstruction", "pupil_modes", modes)
+            controls.requested.emit("reconstruction.pupil_modes", modes)
         for basis in ("zernike", "legendre", "zernike"):
-            controls.setting_requested.emit("reconstruction", "basis", basis)
-        controls.mask_requested.emit("stars")
+            controls.requested.emit("reconstruction.basis", basis)
+        controls.requested.emit("mask", "stars")
         window.refresh()
         assert controls.mask_choice.currentText() == "stars"
         assert (controls.pupil_modes.value(), controls.basis.currentText()) == (12, "Zernike")
@@ -71,8 +71,8 @@ def test_last_of_many_choices_wins_and_the_others_are_not_built(
             )
         )
         assert window.messages.progress.isVisible()
-    qtbot.waitUntil(lambda: not window.controller.settings.wanted)
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    qtbot.waitUntil(lambda: not window.settings.wanted)
+    qtbot.waitUntil(lambda: window.controller.is_settled)
     assert made == [10, 12]
     assert camera.stage.mask == "stars"
     qtbot.waitUntil(lambda: not controls.pupil_modes.property("wanted"))
@@ -85,9 +85,9 @@ def test_last_of_many_choices_wins_and_the_others_are_not_built(
 def test_refused_choice_gives_way_to_the_value_in_force(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.controls.exposure.setValue(55)  # which the camera refuses
-    qtbot.waitUntil(lambda: "are broken" in window.log.text)
+    qtbot.waitUntil(lambda: "are broken" in window.messages.log)
     qtbot.waitUntil(lambda: window.controls.exposure.value() == 20)
-    assert not window.controller.settings.wanted
+    assert not window.settings.wanted
 
 
 @pytest.mark.slow
@@ -95,20 +95,20 @@ def test_gap_of_a_setting_is_noted_in_the_recording(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, _ = live
-    window.controller.recordings_folder = tmp_path
+    window.recording_bar.recordings_folder = tmp_path
     acquisition = window.controller.acquisition
     assert acquisition is not None
     acquisition.start_recording(tmp_path / "run").result(HANG_S)
     qtbot.waitUntil(lambda: acquisition.recording is not None and acquisition.recording.frames > 3)
     with held_up(monkeypatch):
-        window.controls.setting_requested.emit("reconstruction", "pupil_modes", 10)
+        window.controls.requested.emit("reconstruction.pupil_modes", 10)
         qtbot.waitUntil(lambda: window._activity.text.startswith("preparing"))
         qtbot.wait(300)
     qtbot.waitUntil(lambda: acquisition.recording is not None and len(acquisition.recording.gaps) == 1)
     qtbot.waitUntil(lambda: "1 gap of" in window.recording_panel.text.text())
     window.recording_panel.record.click()
-    qtbot.waitUntil(lambda: "with 1 gap of" in window.log.text)
-    assert "(preparing the reconstruction with pupil modes 10)" in window.log.text
+    qtbot.waitUntil(lambda: "with 1 gap of" in window.messages.log)
+    assert "(preparing the reconstruction with pupil modes 10)" in window.messages.log
     recording = Recording(tmp_path / "run")
     gaps = [(line.gap_s, line.gap_cause) for line in map(recording.line, range(len(recording))) if line.gap_s]
     assert len(gaps) == 1

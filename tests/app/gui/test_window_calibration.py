@@ -16,7 +16,7 @@ from support.window_tools import press
 
 from app.acquisition.instrument import Instrument
 from app.bench.config import Bench, load_bench
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 
 
 def bench_of(window: MainWindow) -> Bench:
@@ -53,12 +53,12 @@ def test_lattice_is_used_only_when_accepted(live: tuple[MainWindow, FakeCamera],
         qtbot.waitUntil(window.messages.accept.isVisible)
         assert "pitch 31.25" in window.messages.text.text()
         assert "117 of 117 illuminated" in window.messages.text.text()
-        assert window.camera_panel._proposed_lines.isVisible()
+        assert window.panels.camera._proposed_lines.isVisible()
         assert center_of(window) == 211.0
         press(qtbot, window, key)
         qtbot.waitUntil(lambda: not window.messages.accept.isVisible())
-        assert not window.camera_panel._proposed_lines.isVisible()
-        qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+        assert not window.panels.camera._proposed_lines.isVisible()
+        qtbot.waitUntil(lambda: window.controller.is_settled)
         qtbot.waitUntil(partial(is_about, window, center_x_px))
 
 
@@ -86,7 +86,7 @@ def test_saved_bench_holds_settings_in_force(
 def test_failed_auto_exposure_is_shown(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     press(qtbot, window, Qt.Key.Key_X)  # the fake camera's light does not depend on its exposure
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    qtbot.waitUntil(lambda: window.controller.is_settled)
     window.update_text()
     assert window.messages._notice_colour.name() == "#f0b64a"
     assert camera.light.is_on

@@ -10,23 +10,23 @@ from support.gui_bench import BENCH, FakeCamera, opener
 from support.optics import sensor_of
 
 from app.acquisition.worker import Acquisition
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 from app.results.history import RMS
 
 
 @pytest.mark.slow
 def test_inspected_lenslet_is_forgotten_with_its_bench(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
-    panel, lenslet = window.camera_panel, window.tabs.lenslet
-    panel.picker.clicked.emit((8, 12))
+    panel, lenslet = window.panels.camera, window.panels.lenslet
+    panel.inspect((8, 12))
     assert lenslet.lenslet == (8, 12)
     smaller = replace(BENCH, sensor=sensor_of(5, 7))
     window.open(lambda: Acquisition(smaller, opener(FakeCamera())))
     assert lenslet.lenslet is None
-    assert window.wavefront_panel.shown is None
+    assert window.shown.wavefront is None
     assert not panel._inspected_box.isVisible()
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "35 of 35")
-    assert "display failed" not in window.log.text
+    assert "display failed" not in window.messages.log
 
 
 @pytest.mark.slow
@@ -40,15 +40,15 @@ def test_error_in_a_refresh_is_shown_once(
         calls.append(arguments)
         raise IndexError("index 8 is out of bounds")
 
-    with qtbot.capture_exceptions() as printed, monkeypatch.context() as patch:
-        patch.setattr(window.camera_panel, "show_frame", fail)
+    with qtbot.capture_exceptions() as printed, window.errors.reported(), monkeypatch.context() as patch:
+        patch.setattr(window.panels.camera, "show_measurement", fail)
         said = "The display failed (IndexError: index 8 is out of bounds; test_window_errors.py:"
         qtbot.waitUntil(lambda: len(calls) > 3 and said in window.messages.text.text())
-    assert window.log.text.count("display failed") == 1
+    assert window.messages.log.count("display failed") == 1
     assert len(printed) == 1
     window.messages.escape()
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
-    assert window.log.text.count("display failed") == 1
+    assert window.messages.log.count("display failed") == 1
 
 
 @pytest.mark.slow
@@ -61,12 +61,12 @@ def test_error_in_a_slot_is_shown_and_ends_nothing(
         raise IndexError("list index out of range")
 
     monkeypatch.setattr(window.controls, "show_switching_off", fail)
-    with qtbot.capture_exceptions() as printed, window.guard.of_slots():
+    with qtbot.capture_exceptions() as printed, window.errors.reported():
         for _ in range(2):
-            window.controls.light_requested.emit(False)
-    assert len(printed) == 2
+            window.controls.requested.emit("light", False)
+    assert len(printed) == 1
     qtbot.waitUntil(lambda: "The display failed (IndexError: list index out of range" in window.messages.text.text())
-    assert window.log.text.count("display failed") == 1
+    assert window.messages.log.count("display failed") == 1
     qtbot.waitUntil(lambda: not camera.light.shines)
 
 
@@ -75,7 +75,7 @@ def test_history_and_pinned_coefficient_are_forgotten_with_their_bench(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:
     window, _ = live
-    coefficients, history = window.tabs.coefficients, window.tabs.history
+    coefficients, history = window.panels.coefficients, window.panels.history
     coefficients.pin(4)
     qtbot.waitUntil(lambda: len(history.history.series(coefficients.name)[0]) > 1)
     name = coefficients.name

@@ -14,7 +14,7 @@ from support.manual_bench import MANUAL
 from support.window_tools import MakeWindow, press
 
 from app.acquisition.worker import Acquisition
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 from drivers.interface import Devices, Disconnected
 from drivers.light_source import ManualLight, ManualLightSettings
 
@@ -30,7 +30,7 @@ def by_hand(make_window: MakeWindow, qtbot: QtBot) -> tuple[MainWindow, ManualLi
     window.controller._make_acquisition = lambda: Acquisition(BENCH, opener(camera))
     window.connect_devices()
     qtbot.waitUntil(lambda: window.controls.light.text() == "Light\nby hand")
-    qtbot.waitUntil(lambda: camera.is_running and window.controller.pending.is_empty)
+    qtbot.waitUntil(lambda: camera.is_running and window.controller.is_settled)
     window.activateWindow()
     return window, light
 

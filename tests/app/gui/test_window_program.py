@@ -12,8 +12,8 @@ from PyQt6.QtCore import QTimer
 from PyQt6.QtWidgets import QApplication, QLabel, QMessageBox
 
 from app.cli.window import main
-from app.gui.bench_dialog import BenchDialog
-from app.gui.main_window import MainWindow
+from app.gui.shell.benches import BenchDialog
+from app.gui.shell.main_window import MainWindow
 
 pytestmark = pytest.mark.usefixtures("qapp", "display", "restored_theme")
 
@@ -94,7 +94,7 @@ def test_faulty_bench_is_shown_in_the_window_and_not_again(monkeypatch: pytest.M
                 window.close()
         return bool(seen)
 
-    monkeypatch.setattr("app.gui.ending_dialog.show_ending", lambda *_: pytest.fail("shown twice"))
+    monkeypatch.setattr("app.gui.splash.show_ending", lambda *_: pytest.fail("shown twice"))
     with watched(see):
         assert start(monkeypatch, "--bench", tmp_path / "bad.toml") == 2
     assert any("bad.toml: sensor.lenslet_columns is missing" in text for text in seen)
@@ -112,5 +112,5 @@ def test_fault_of_the_program_is_shown_with_its_traceback(monkeypatch: pytest.Mo
 
 def test_window_that_its_user_closes_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.commands.live.bench_window", lambda *_, **__: 0)
-    monkeypatch.setattr("app.gui.ending_dialog.show_ending", lambda *_: pytest.fail("a dialog"))
+    monkeypatch.setattr("app.gui.splash.show_ending", lambda *_: pytest.fail("a dialog"))
     assert start(monkeypatch) == 0

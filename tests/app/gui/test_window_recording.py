@@ -10,7 +10,7 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, press, wait_for_wavefront
 
-from app.gui.main_window import MainWindow
+from app.gui.shell.main_window import MainWindow
 from app.recording.reader import Recording
 from drivers.interface import Disconnected
 
@@ -25,7 +25,7 @@ def test_every_frame_between_start_and_stop_is_recorded(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
     window, _ = live
-    window.controller.recordings_folder = tmp_path / "here"
+    window.recording_bar.recordings_folder = tmp_path / "here"
     panel = window.recording_panel
     press(qtbot, window, Qt.Key.Key_W)
     qtbot.waitUntil(lambda: panel.record.text() == "Stop recording")
@@ -43,7 +43,7 @@ def test_every_frame_between_start_and_stop_is_recorded(
 @pytest.mark.slow
 def test_last_seconds_are_saved(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, _ = live
-    window.controller.recordings_folder = tmp_path
+    window.recording_bar.recordings_folder = tmp_path
     acquisition = window.controller.acquisition
     assert acquisition is not None
     qtbot.waitUntil(lambda: acquisition.counts.acquired > 2)
@@ -59,8 +59,8 @@ def test_impossible_folder_is_reported(
 ) -> None:
     window, _ = live
     (tmp_path / "file").write_text("no folder")
-    window.controller.recordings_folder = tmp_path / name
-    window.controller._disk_due_s = 0.0  # query the disk space at once
+    window.recording_bar.recordings_folder = tmp_path / name
+    window.recording_bar._disk_due_s = 0.0  # query the disk space at once
     window.recording_panel.record.click()
     qtbot.waitUntil(lambda: str(tmp_path / name[:4]) in window.messages.text.text())
     qtbot.waitUntil(lambda: not window.recording_panel.record.isChecked())
@@ -72,7 +72,7 @@ def test_impossible_folder_is_reported(
 def test_unplugged_camera_leaves_a_complete_recording(make_window: MakeWindow, qtbot: QtBot, tmp_path: Path) -> None:
     first, second = FakeCamera(), FakeCamera()
     window = make_window(first, second)
-    window.controller.recordings_folder = tmp_path
+    window.recording_bar.recordings_folder = tmp_path
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
     window.recording_panel.record.click()
@@ -94,7 +94,7 @@ def test_unplugged_camera_leaves_a_complete_recording(make_window: MakeWindow, q
 @pytest.mark.slow
 def test_early_end_is_shown_until_dismissed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, camera = live
-    window.controller.recordings_folder = tmp_path
+    window.recording_bar.recordings_folder = tmp_path
     window.recording_panel.record.click()
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     assert window.controller.acquisition is not None
@@ -111,7 +111,7 @@ def test_closing_the_window_finishes_the_recording(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
     window, _ = live
-    window.controller.recordings_folder = tmp_path
+    window.recording_bar.recordings_folder = tmp_path
     window.recording_panel.record.click()
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     window.close()

@@ -27,11 +27,11 @@ from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import MakeWindow, dim_frame, press, views, wait_for_wavefront
 
 from app.acquisition.worker import Activity
-from app.gui.main_window import MainWindow
-from app.gui.number_field import NumberField
-from app.gui.status_line import StatusLine
-from app.gui.theme import apply_theme
-from app.gui.wording import advice
+from app.gui.shell.main_window import MainWindow
+from app.gui.shell.status_line import StatusLine
+from app.gui.shell.wording import advice
+from app.gui.widgets.fields import NumberField
+from app.gui.widgets.theme import apply_theme
 from app.measurement.measurement import Assumptions, FrameTotals, RefinementState
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 
@@ -76,11 +76,11 @@ def place(widget: QWidget, window: QWidget) -> QRect:
 
 def assert_nothing_overlaps(window: MainWindow) -> None:
     """Neither panels nor texts lie over each other or reach beyond the window."""
-    panels: list[QWidget] = [window.camera_panel, window.analysis_panel, window.wavefront_panel, window.messages]
+    panels: list[QWidget] = [window.panels.camera, window.panels.quality, window.panels.wavefronts, window.messages]
     panels.append(window.controls)
     panels += [window.status_line, window.recording_panel]
     texts = [text for text in window.findChildren(QLabel) if text.isVisible() and text.property("role") != "on-image"]
-    rest: list[QWidget] = [*texts, window.camera_panel._graphics, window.wavefront_panel.grid]
+    rest: list[QWidget] = [*texts, window.panels.camera._graphics, window.panels.wavefronts.grid]
     for group in (panels, rest):
         for one, other in combinations(group, 2):
             if one.isVisible() and other.isVisible() and not (one.isAncestorOf(other) or other.isAncestorOf(one)):
@@ -153,7 +153,7 @@ def test_no_text_in_the_controls_is_cut(
     registration = replace(status.bench.registration, method="correlation_fft", warp="translation")
     window._timer.stop()  # the next is no state of the instrument
     longest = replace(status, bench=replace(status.bench, registration=registration), amplifier="normal", mask="stars")
-    window.controls.show_status(longest, is_settled=True)
+    window.controls.show_status(longest)
     assert cut_texts(window) == []
 
 
@@ -230,13 +230,13 @@ def test_tab_visits_the_controls_in_order(make_window: MakeWindow) -> None:
         widget = widget.nextInFocusChain()
     keyed = [stop for stop in stops if stop.focusPolicy() & Qt.FocusPolicy.TabFocus and stop.isVisible()]
     controls = window.controls
-    wanted = [window.camera_panel.lattice_toggle, window.wavefront_panel.freeze_scale, controls.light, controls.start]
-    wanted += [controls.dark, controls.refine, window.recording_panel.record]
+    wanted: list[QWidget] = [window.panels.camera.lattice_toggle, window.panels.wavefronts.freeze_scale]
+    wanted += [controls.light, controls.start, controls.dark, controls.refine, window.recording_panel.record]
     places = [keyed.index(each) for each in wanted]
     assert places == sorted(places)  # from left to right, from the top down
     assert not any("Graphics" in type(stop).__name__ for stop in keyed)
     for stop in keyed:
-        assert stop is window.wavefront_panel.grid or stop.toolTip() or isinstance(stop.parent(), NumberField), stop
+        assert stop is window.panels.wavefronts.grid or stop.toolTip() or isinstance(stop.parent(), NumberField), stop
 
 
 def test_escape_closes_only_the_help(make_window: MakeWindow, qtbot: QtBot) -> None:
@@ -270,7 +270,7 @@ def test_sample_and_mask_are_told_in_the_window(
     line.update_text(status, None)
     assert line.assumed.text() == f"Sample: {told}"
     assert line.assumed.isVisible()
-    assert advice(status, Activity(), window._measurement) == note  # while there is nothing to do
+    assert advice(status, Activity(), window.shown.measurement) == note  # while there is nothing to do
     assert not line._of_correction.isVisible()
 
 
@@ -279,9 +279,9 @@ def test_window_with_recording_bar_fits_a_full_hd_screen_at_scale_2(make_window:
     window = make_window(FakeCamera())
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
-    for chart in window.tabs.history.toggles.values():
+    for chart in window.panels.history.toggles.values():
         chart.setChecked(True)
-    window.docks.show_panel(window.tabs.history)
+    window.docks.show_panel(window.panels.history)
     window.recording_bar.prepare()
     cut_texts(window)  # makes it as small as it can be
     assert window.width() <= 960

@@ -12,8 +12,8 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import make_measurement
 from support.window_tools import MakeWindow, dim_frame, press, views
 
-from app.gui.camera_panel import CameraPanel
-from app.gui.main_window import MainWindow
+from app.gui.panels.camera import CameraPanel
+from app.gui.shell.main_window import MainWindow
 from app.results.history import DELAY, RMS
 from app.results.shown_wavefront import DisplayOptions, Unit
 from app.results.view_analysis import Quantity
@@ -37,7 +37,7 @@ def test_window_opens_within_the_screen(make_window: MakeWindow, small_screen: Q
     window.show_measurement(make_measurement(dim_frame(), views()))
     QApplication.processEvents()
     assert small_screen.contains(window.frameGeometry())
-    for panel in (window.controls, window.status_line, window.recording_panel.record, window.wavefront_panel.grid):
+    for panel in (window.controls, window.status_line, window.recording_panel.record, window.panels.wavefronts.grid):
         place = QRect(panel.mapTo(window, QPoint()), panel.size())
         assert window.rect().contains(place)
 
@@ -46,34 +46,34 @@ def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings
     first = make_window(settings=settings)
     first.resize(1100, 700)  # wider than the screen of the tests
     first.status_line.timing_row.show()
-    first.wavefront_panel.choose(Quantity.UNCERTAINTY)
-    first.camera_panel.arrows_toggle.setChecked(False)
-    first.camera_panel.colours.setCurrentText("inferno")
-    first.camera_panel.contrast.setCurrentText("full range")
-    menu = first.wavefront_panel.menu
+    first.panels.wavefronts.choose(Quantity.UNCERTAINTY)
+    first.panels.camera.arrows_toggle.setChecked(False)
+    first.panels.camera.colours.setCurrentText("inferno")
+    first.panels.camera.contrast.setCurrentText("full range")
+    menu = first.panels.wavefronts.menu
     for action in (menu.tilt, menu.units[2], menu.grids[4], menu.averages[2]):
         action.trigger()
-    first.tabs.coefficients.basis.setCurrentText("Legendre")
-    first.tabs.history.minutes.setCurrentText("10 min")
-    first.tabs.history.toggles[DELAY].click()
-    first.controller.use_recordings_folder(tmp_path)
+    first.panels.coefficients.basis.setCurrentText("Legendre")
+    first.panels.history.minutes.setCurrentText("10 min")
+    first.panels.history.toggles[DELAY].click()
+    first.recording_bar.use_recordings_folder(tmp_path)
     QApplication.processEvents()
     first.close()
     second = make_window(settings=settings, resized=False)
     assert second.height() == 700
     assert second.status_line.timing_row.isVisible()
-    assert second.wavefront_panel.quantity is Quantity.UNCERTAINTY
-    assert not second.camera_panel.arrows_toggle.isChecked()
-    assert second.camera_panel.lattice_toggle.isChecked()
-    assert second.camera_panel.colours.currentText() == "inferno"
-    assert second.camera_panel.contrast.currentText() == "full range"
-    assert second.wavefront_panel.menu.options == DisplayOptions(without_tilt=True, views=4, averaged=5)
-    assert second.wavefront_panel.menu.unit is Unit.NM
-    assert second.wavefront_panel.menu.units[2].isChecked()
-    assert second.tabs.coefficients.basis.currentData() == "legendre"
-    assert second.tabs.history.minutes.currentData() == 10
-    assert list(second.tabs.history.charts) == [RMS, DELAY]
-    assert second.controller.recordings_folder == tmp_path
+    assert second.panels.wavefronts.quantity is Quantity.UNCERTAINTY
+    assert not second.panels.camera.arrows_toggle.isChecked()
+    assert second.panels.camera.lattice_toggle.isChecked()
+    assert second.panels.camera.colours.currentText() == "inferno"
+    assert second.panels.camera.contrast.currentText() == "full range"
+    assert second.panels.wavefronts.menu.options == DisplayOptions(without_tilt=True, views=4, averaged=5)
+    assert second.panels.wavefronts.menu.unit is Unit.NM
+    assert second.panels.wavefronts.menu.units[2].isChecked()
+    assert second.panels.coefficients.basis.currentData() == "legendre"
+    assert second.panels.history.minutes.currentData() == 10
+    assert list(second.panels.history.charts) == [RMS, DELAY]
+    assert second.recording_bar.recordings_folder == tmp_path
 
 
 def test_damaged_or_outdated_state_is_ignored(make_window: MakeWindow, settings: QSettings, tmp_path: Path) -> None:
@@ -81,14 +81,14 @@ def test_damaged_or_outdated_state_is_ignored(make_window: MakeWindow, settings:
     settings.setValue("view/quantity", "a quantity of another version")
     settings.setValue("folders/recordings", str(tmp_path / "removed"))
     window = make_window(settings=settings)
-    assert window.wavefront_panel.quantity is Quantity.WAVEFRONT
-    assert window.controller.recordings_folder.name == "svwfs"
+    assert window.panels.wavefronts.quantity is Quantity.WAVEFRONT
+    assert window.recording_bar.recordings_folder.name == "svwfs"
 
 
 def test_window_without_a_bench_says_how_to_open_one(make_window: MakeWindow) -> None:
     window = make_window()
     assert window.messages.text.text() == "No bench is open: open one (Ctrl+O), or a preset in the menu Bench"
-    assert not window.camera_panel.legend.isVisible()  # an empty box
+    assert not window.panels.camera.legend.isVisible()  # an empty box
     assert not window.recording_panel.record.isEnabled()
     assert not window.recording_panel.keep.isEnabled()
     assert not window.controls.start.isEnabled()
@@ -109,7 +109,7 @@ def seen(panel: CameraPanel) -> QRectF:
 
 
 def zoomed(window: MainWindow, factor: float) -> CameraPanel:
-    panel = window.camera_panel
+    panel = window.panels.camera
     panel._view.scaleBy((factor, factor), center=QPointF(40, 30))
     return panel
 
@@ -120,7 +120,7 @@ def test_camera_picture_cannot_be_lost(make_window: MakeWindow, qtbot: QtBot) ->
     qtbot.waitUntil(window.isActiveWindow)
     window.show_measurement(make_measurement(dim_frame(), views()))
     QApplication.processEvents()
-    whole = seen(window.camera_panel)
+    whole = seen(window.panels.camera)
     for _ in range(40):
         panel = zoomed(window, 0.5)
     assert seen(panel).width() >= 8

@@ -16,7 +16,7 @@ from support.paths import DOCS
 
 from app.acquisition.instrument import Status
 from app.bench.config import Bench, write_bench
-from app.gui.wording import warning
+from app.gui.shell.wording import warning
 from app.results.dataset import result_dataset
 from app.results.frame_tallies import ROTATES
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings

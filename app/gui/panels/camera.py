@@ -1,0 +1,370 @@
+"""The camera panel: the newest frame with lattice, lost lenslets and mean displacement drawn over it."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import QPoint, QPointF, QRectF, Qt, pyqtSignal
+from PyQt6.QtWidgets import QApplication, QMenu
+
+from app.acquisition.instrument import Status
+from app.gui.panels.panel import Entries, Panel, Shown
+from app.gui.widgets import theme
+from app.gui.widgets.basics import Choice, ElidedLabel, Toggle, colour_text, column, label, row_of, timer, unfocused
+from app.gui.widgets.camera_image import (
+    CameraImage,
+    ClippedPixels,
+    Picture,
+    Segments,
+    arrow_length_px,
+    arrows,
+    cell_border,
+    lattice_lines,
+    lenslet_at,
+    lost_boxes,
+)
+from app.gui.widgets.copies import add_copy_menu, as_table
+from app.gui.widgets.presentation import percent
+from app.gui.widgets.scales import MAGNIFICATIONS, AdaptiveScale
+from app.measurement.measurement import Measurement
+from drivers.interface import Frame
+from reconstruction.displacement import Displacement, Outcome
+from reconstruction.geometry import Lattice, Sensor
+from reconstruction.lattice.search import Survey
+
+_AUTOMATIC, _FULL, _FROZEN = "auto contrast", "full range", "frozen contrast"
+_LEVELS_INTERVAL_S = 0.5
+_LEVELS_PERCENT = (1.0, 99.8)
+_LEVELS_SLACK = 0.1  # of their span: smaller changes leave the levels alone
+_CLOSEST_PX = 8  # side of the smallest area that fills the view
+_FARTHEST = 2.0  # widths and heights of the frame that the view shows at most
+_HINT = (
+    "Wheel: zoom; drag: move; double click or 0: whole frame\n"
+    "Click: inspect the lenslet; right click: exclude it, copy picture or displacements"
+)
+_DIMMED = 0.5  # opacity of a picture that may be over
+_ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
+
+Lenslet = tuple[int, int]  # row and column
+
+
+class CameraPanel(Panel):
+    """Shows frames as the camera sees them: +x to the right, +y down."""
+
+    title, place = "Camera", "left"
+    about = (
+        "Its picture with the lattice of the lenslets (G) and their mean displacement (A). The wheel zooms,"
+        " a double click shows the whole picture, a click on a lenslet inspects it."
+    )
+    lenslet_clicked = pyqtSignal(int, int)  # row and column
+    levels_changed = pyqtSignal(float, float)  # counts that are black and white
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        self._frame: Frame | None = None
+        self._displacement: Displacement | None = None
+        self._lattice: Lattice | None = None
+        self._sensor: Sensor | None = None
+        self.full_scale = 0  # highest count; 0 is unknown
+        self._levels, self._reach = ContrastLevels(), AdaptiveScale(MAGNIFICATIONS)  # longest arrow over its room
+        self._pointer: QPointF | None = None
+        self._inspected: Lenslet | None = None
+        self._clicked_at: Lenslet | None = None  # perhaps for the first of two times
+
+        cells = "Show the lenslets' cells; lost lenslets are crossed out in red (G)"
+        moved = "Show each lenslet's displacement, averaged over the field (A)"
+        self.lattice_toggle = Toggle("Lattice", cells, is_on=True, key="camera/lattice")
+        self.arrows_toggle = Toggle("Arrows", moved, is_on=True, key="camera/arrows")
+        for chosen in (self.lattice_toggle, self.arrows_toggle):
+            chosen.toggled.connect(self._show_overlay)
+        self.contrast = Choice(
+            "Contrast: automatic (1 % to 99.8 % of the pixels), full range, or frozen",
+            (_AUTOMATIC, _FULL, _FROZEN),
+            self._restart_contrast,
+            key="camera/contrast",
+        )
+        self.colours = Choice(
+            "Colours of the camera image", ("grey", "inferno"), self._show_colours, key="camera/colours"
+        )
+
+        self._graphics = Picture(self._zoom_out, self._point_at)
+        self._view = pg.ViewBox(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
+        self._graphics.setCentralItem(self._view)
+        self._graphics.setMinimumSize(220, 70)
+        unfocused(self._graphics)
+        self._image = CameraImage(self._view)
+        self._lines = Segments(self._view, theme.ACCENT_ON_IMAGE, alpha=110)
+        self._boxes = Segments(self._view, theme.RED_ON_IMAGE, width=2)
+        self._proposed_lines = Segments(self._view, theme.GREEN_ON_IMAGE, width=2)
+        self._proposed_boxes = Segments(self._view, theme.AMBER_ON_IMAGE, width=2)  # lenslets without light
+        self._arrows = Segments(self._view, theme.AMBER_ON_IMAGE, shadow=3)  # visible on black and on white
+        self._inspected_box = Segments(self._view, theme.ACCENT_ON_IMAGE, width=2)
+        self._clipped = ClippedPixels(self._view)
+        self._view.sigRangeChanged.connect(self._place_legend)
+        self._view.sigResized.connect(self._place_legend)
+        self._graphics.scene().sigMouseMoved.connect(self._point_at)
+        self._graphics.scene().sigMouseClicked.connect(self._click)
+        inspect = timer(
+            self, QApplication.doubleClickInterval(), lambda: self.inspect(self._clicked_at), is_single=True
+        )
+        self._click_timer = inspect  # a click may be the first of two
+        add_copy_menu(self._graphics, self._displacements, self._fill_menu)
+        self.legend = label("", "on-image", self._graphics)
+        self.legend.hide()
+        self.caption = ElidedLabel("dim")
+        self.header = row_of(
+            (label("Camera", "title"), 1), self.lattice_toggle, self.arrows_toggle, self.contrast, self.colours
+        )
+        column(self.header, (self._graphics, 1), self.caption, parent=self)
+        self.badge, self._placeholder = label("", "badge"), label("no frame yet", "dim")
+        self.badge.hide()
+        over = column(self.badge, (self._placeholder, 1), parent=self._graphics)
+        over.setAlignment(self.badge, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop)
+        over.setAlignment(self._placeholder, Qt.AlignmentFlag.AlignCenter)
+
+    def menu_entries(self) -> Mapping[str, Entries]:
+        """Return what is drawn over the picture, and the zoom."""
+        return {
+            "&View": (
+                ("Lattice", "G", self.lattice_toggle),
+                ("Arrows", "A", self.arrows_toggle),
+                ("Whole camera image", "0", self.reset_zoom),
+                None,
+            )
+        }
+
+    def show_liveness(self) -> None:
+        """Show a badge on a picture that is not live, and dim one that may be over."""
+        shown = self.shown.liveness
+        if shown.badge != self.badge.text():
+            self.badge.setText(shown.badge)
+            self.badge.setVisible(bool(shown.badge))
+            self._view.childGroup.setOpacity(_DIMMED if shown.is_grey else 1.0)
+        self.badge.setToolTip(shown.reason)
+
+    def show_status(self, status: Status) -> None:
+        """Use lattice and full scale for the next frames."""
+        self.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)
+
+    def show_bench(self, sensor: Sensor, lattice: Lattice | None, full_scale: int) -> None:
+        """Set the lattice and the full scale of the next frames."""
+        if (sensor, lattice, full_scale) != (self._sensor, self._lattice, self.full_scale):
+            self._sensor, self._lattice, self.full_scale = sensor, lattice, full_scale
+            self._show_overlay()
+
+    def forget_bench(self) -> None:
+        """Forget the lattice, the inspected lenslet and the arrows."""
+        self._lattice = self._sensor = self._displacement = self._inspected = None
+        self._show_overlay()
+
+    def propose(self, survey: Survey | None) -> None:
+        """Draw a proposed lattice and its lenslets without light, or none."""
+        for item in (self._proposed_lines, self._proposed_boxes):
+            item.setVisible(survey is not None)
+        if survey is not None:
+            self._proposed_lines.draw(lattice_lines(survey.lattice, *survey.illuminated.shape))
+            self._proposed_boxes.draw(lost_boxes(survey.lattice, ~survey.illuminated))
+
+    def show_measurement(self, measurement: Measurement) -> None:
+        """Show the frame and, if known, the displacement of its lenslets."""
+        frame, wavefront = measurement.frame, measurement.wavefront
+        is_first = self._frame is None  # a remembered frozen contrast begins with its levels
+        is_new_shape = self._frame is None or self._frame.pixels.shape != frame.pixels.shape
+        self._frame, self._displacement = frame, None if wavefront is None else wavefront.displacement
+        choice, before = self.contrast.currentText(), self._levels.levels
+        if choice != _FROZEN or is_first:
+            self._levels.follow(frame, self.full_scale, is_automatic=choice != _FULL)
+        if self._levels.levels != before:
+            self.levels_changed.emit(*self._levels.levels)
+        self._draw()
+        if is_new_shape:
+            self._placeholder.hide()
+            self._view.setLimits(minXRange=_CLOSEST_PX, minYRange=_CLOSEST_PX)
+            self.reset_zoom()
+        self._clipped.show_of(frame, self.shown.statistics)
+        self._show_overlay()
+
+    def _draw(self) -> None:
+        if self._frame is not None:
+            self._image.show_counts(self._frame.pixels, *self._levels.levels)
+
+    def use_levels(self, black: float, white: float) -> None:
+        """Freeze the contrast at these counts."""
+        self.contrast.setCurrentText(_FROZEN)
+        self._levels.levels = black, max(white, black + 1)
+        self._draw()
+
+    def _restart_contrast(self) -> None:
+        self._levels.restart()
+        if self.shown.measurement is not None:
+            self.show_measurement(self.shown.measurement)
+
+    def _show_colours(self) -> None:
+        self._image.use_colours(self.colours.currentText())
+        self._draw()
+
+    def _zoom_out(self) -> None:
+        self._click_timer.stop()
+        self.reset_zoom()
+
+    def reset_zoom(self) -> None:
+        """Show the whole frame."""
+        if self._frame is not None:
+            self._view.setRange(self._area(self._frame))
+
+    def show_numbers(self) -> None:
+        """Show the brightness and the pixel under the pointer."""
+        if self._frame is None:
+            return
+        parts, colour = ["+x \N{RIGHTWARDS ARROW}  +y \N{DOWNWARDS ARROW}"], theme.DIM
+        found = self.shown.statistics
+        if found is not None and self.full_scale:
+            brightness = f"peak {percent(found.peak / self.full_scale)} of full scale"
+            if found.clipped_share:
+                share = percent(found.clipped_share, 1) if found.clipped_share >= 0.001 else "< 0.1 %"
+                brightness, colour = f"{brightness}, {share} of the pixels clipped", theme.RED
+            elif found.is_nearly_full:
+                brightness, colour = f"{brightness}: nearly saturated, shorten the exposure", theme.AMBER
+            parts.append(brightness)
+        colour_text(self.caption, colour)
+        self.caption.setText("    ".join([*parts, self._pointed_at()]))
+
+    def _click(self, event: object) -> None:
+        """Inspect a lenslet at a click of the left button, unless another click follows."""
+        if event.button() != Qt.MouseButton.LeftButton:  # type: ignore[attr-defined] # pyqtgraph's event
+            return
+        self._click_timer.stop()
+        if not event.double():  # type: ignore[attr-defined] # pyqtgraph's event
+            self._clicked_at = self._lenslet_at(event.scenePos())  # type: ignore[attr-defined] # pyqtgraph's event
+            self._click_timer.start()
+
+    def _fill_menu(self, menu: QMenu, at: QPoint) -> None:
+        """Add what can be done with the lenslet at a position of the view."""
+        if (lenslet := self._lenslet_at(self._graphics.mapToScene(at))) is None:
+            return
+        name = "lenslet row {}, column {}".format(*lenslet)
+        menu.addAction(f"Inspect {name}", lambda: self.inspect(lenslet))
+        menu.addAction(f"Exclude {name}, or use it again", lambda: self.shown.exclusion_requested.emit(*lenslet))
+        menu.addSeparator()
+
+    def _lenslet_at(self, position: QPointF) -> Lenslet | None:
+        """Return the lenslet at a position of the scene, if any."""
+        at, sensor = self._view.mapSceneToView(position), self._sensor
+        if sensor is None or self._lattice is None:
+            return None
+        return lenslet_at(self._lattice, (sensor.lenslet_rows, sensor.lenslet_columns), at.x(), at.y())
+
+    def inspect(self, lenslet: Lenslet | None) -> None:
+        """Outline a lenslet and ask for its inspection; None beside the lattice."""
+        self._inspected = lenslet
+        self._show_overlay()
+        if lenslet is not None:
+            self.lenslet_clicked.emit(*lenslet)
+
+    def _displacements(self, _: QPoint) -> str:
+        """Return the mean displacement of each lenslet as a table."""
+        if self._displacement is None:
+            return ""
+        mean_px = self._displacement.mean
+        rows = (np.array([*at, *mean_px[at]]) for at in np.ndindex(mean_px.shape[:2]))
+        return as_table(("row", "column", "x (px)", "y (px)"), rows)
+
+    def _show_overlay(self) -> None:
+        lattice, sensor, displacement = self._lattice, self._sensor, self._displacement
+        has_lattice = lattice is not None and sensor is not None and self.lattice_toggle.isChecked()
+        has_arrows = lattice is not None and displacement is not None and self.arrows_toggle.isChecked()
+        for item in (self._lines, self._boxes):
+            item.setVisible(has_lattice)
+        self._arrows.setVisible(has_arrows)
+        self.legend.setVisible(has_arrows)
+        self._inspected_box.setVisible(lattice is not None and self._inspected is not None)
+        if lattice is None or sensor is None:
+            return
+        lenslets = sensor.lenslet_rows, sensor.lenslet_columns
+        if has_lattice:
+            self._lines.draw(lattice_lines(lattice, *lenslets))
+            is_lost = np.zeros((1, 1), np.bool_) if displacement is None else ~displacement.valid
+            self._boxes.draw(lost_boxes(lattice, is_lost))
+        if self._inspected is not None:
+            self._inspected_box.draw(cell_border(lattice, lenslets, self._inspected))
+        if has_arrows and displacement is not None:
+            room_px, mean_px = _ARROW_REACH * lattice.pitch_px, displacement.mean
+            magnification = 1 / self._reach.follow(arrow_length_px(mean_px) / room_px)
+            self._arrows.draw(arrows(lattice, mean_px, magnification))
+            self.legend.setText(f"displacement \N{MULTIPLICATION SIGN} {magnification:g}")
+            self.legend.adjustSize()
+
+    def _area(self, frame: Frame) -> QRectF:
+        rows, columns = frame.pixels.shape
+        return QRectF(-0.5, -0.5, columns, rows)  # pixel centres are at integers
+
+    def _keep_in_sight(self) -> None:
+        """Keep the frame at the middle of the view, and at no less than half its size."""
+        if self._frame is None:
+            return
+        area, seen = self._area(self._frame), self._view.viewRect()
+        if min(seen.width() / area.width(), seen.height() / area.height()) > _FARTHEST:
+            self.reset_zoom()
+            return
+        middle = seen.center()
+        x = min(max(middle.x(), area.left()), area.right()) - middle.x()
+        y = min(max(middle.y(), area.top()), area.bottom()) - middle.y()
+        if x or y:
+            self._view.translateBy(x=x, y=y)
+
+    def _place_legend(self, *_: object) -> None:
+        """Keep the image in sight, and the legend in its corner, or in that of the view if the image is larger."""
+        self._keep_in_sight()
+        corner = self._view.mapViewToScene(QPointF(-0.5, -0.5))
+        self.legend.move(max(round(corner.x()), 0) + 4, max(round(corner.y()), 0) + 4)
+
+    def _point_at(self, position: QPointF | None = None) -> None:
+        """Show the pixel at a position, or none."""
+        self._pointer = None if position is None else self._view.mapSceneToView(position)
+        self.show_numbers()
+
+    def _pointed_at(self) -> str:
+        """Describe the pixel under the pointer and its lenslet; set the tool tip."""
+        frame, pointer = self._frame, self._pointer
+        if frame is None or pointer is None:
+            return ""
+        x, y = round(pointer.x()), round(pointer.y())
+        if not (0 <= y < frame.pixels.shape[0] and 0 <= x < frame.pixels.shape[1]):
+            return ""
+        text = f"x {x}  y {y}: {frame.pixels[y, x]} counts"
+        displacement, lattice, lenslet = self._displacement, self._lattice, None
+        if displacement is not None and lattice is not None:
+            lenslet = lenslet_at(lattice, displacement.outcome.shape, pointer.x(), pointer.y())
+        self._graphics.setToolTip(_HINT)
+        if displacement is None or lenslet is None:
+            return text
+        name, reason = "row {}, column {}".format(*lenslet), Outcome(int(displacement.outcome[lenslet])).reason
+        if not reason:
+            return f"{text}    lenslet {name}"
+        self._graphics.setToolTip(f"Lenslet {name} is lost: {reason}")
+        return f"{text}    lenslet {name}: {reason}"
+
+
+class ContrastLevels:
+    """Black and white level of the camera image; changes are rare and coarse, so that it does not flicker."""
+
+    def __init__(self) -> None:
+        self.levels = (0.0, 1.0)
+        self._time_s = -math.inf
+
+    def restart(self) -> None:
+        """Adapt to the next frame at once."""
+        self._time_s = -math.inf
+
+    def follow(self, frame: Frame, full_scale: int, *, is_automatic: bool) -> None:
+        """Adapt to a frame: to 1 % and 99.8 % of its pixels if automatic, else to 0 and the full scale."""
+        if frame.host_time_s < self._time_s + _LEVELS_INTERVAL_S:
+            return
+        self._time_s = frame.host_time_s
+        low, high = 0.0, float(full_scale)
+        if is_automatic or not full_scale:
+            low, high = (float(level) for level in np.percentile(frame.pixels[::4, ::4], _LEVELS_PERCENT))
+        change = max(abs(low - self.levels[0]), abs(high - self.levels[1]))
+        if change > _LEVELS_SLACK * (self.levels[1] - self.levels[0]):
+            self.levels = (low, max(high, low + 1))

@@ -1,0 +1,330 @@
+"""The controls panel: the light; devices, calibration in its order, and reconstruction; all values are in SI units."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import get_args
+
+from PyQt6.QtCore import QSize, Qt, pyqtSignal
+from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QFrame, QHBoxLayout, QSizePolicy
+
+from app.acquisition.instrument import Status
+from app.acquisition.kept_averages import Validity, taken_at
+from app.acquisition.start_up import DARK, EXPOSURE, FRAMES, LATTICE, REFERENCE
+from app.bench.config import AUTOMATIC, Bench
+from app.gui.panels.panel import Entries, Panel, Shown
+from app.gui.widgets import theme
+from app.gui.widgets.basics import Button, Choice, Item, Slot, Toggle, column, label, mark_wanted, row
+from app.gui.widgets.fields import NumberField
+from app.gui.widgets.presentation import percent
+from app.measurement.averages import AVERAGED_FRAMES
+from drivers.interface import Range
+from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis
+
+_FRAMES_RANGE = Range(AVERAGED_FRAMES.start, AVERAGED_FRAMES[-1])
+_GAP, _GROUP_GAP = 4, 8  # px between controls, and between groups of them
+_LIGHT_WIDTH, _LIGHT_LAMP = 96, 20  # px
+_DIM = 0.3  # share of full scale below which noise matters
+_CHOICES = {  # tool tips by the names of the requests
+    "amplifier": "Output amplifier; a change restarts the camera",
+    "readout_speed": "Readout speed: faster is noisier; a change restarts the camera",
+    "mask": "Mask in front of the light; a new mask needs a new reference (R)",
+    "registration.method": (
+        "Matching of the subimages with the reference: Gauss-Newton is this instrument's own method;\n"
+        "the others come from the paper and related software, and some are too slow for live use"
+    ),
+    "registration.warp": (
+        "Allowed distortion of a subimage: shift (translation), affine, quadratic, cubic or quartic.\n"
+        "Subimages rotate only if the bench says registration.rotation = true.\n"
+        "More freedom resolves finer changes over the field. Most other methods ignore this"
+    ),
+    "reconstruction.method": "Wavefront from the slopes: lenslet by lenslet (zonal) or as polynomials (modal)",
+    "reconstruction.basis": "Polynomials of the modal method: Legendre for a square pupil, Zernike for a circular one",
+}
+_MODES_TIP = (
+    "Number of pupil modes that the modal method fits, at most one for each lenslet;\n"
+    "automatic (or 0): as many as the lattice supports, smoothed according to the noise"
+)
+
+
+class ControlsPanel(Panel):
+    """Emits the user's requests and shows the status of the instrument."""
+
+    title, place = "Controls", "strip"
+    about = (
+        "Calibrate (Ctrl+K) finds lattice and exposure, takes dark and reference, and explains each step;"
+        " X, D and R do single ones. The lamps on Dark and Reference, and their tooltips, tell whether both"
+        " still fit the frames."
+    )
+    requested = pyqtSignal(str, object)  # name of a setting or routine, and the wanted value
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        self._is_running = False
+        self._make_devices()
+        self._make_calibration()
+        self.choices = {name: _choice(tip, partial(self._choose, name)) for name, tip in _CHOICES.items()}
+        amplifier, speed, mask, self.registration, self.warp, self.method, self.basis = self.choices.values()
+        self.amplifier, self.readout_speed, self.mask_choice = amplifier, speed, mask
+        self.pupil_modes = NumberField(name="Modes", tool_tip=_MODES_TIP, lowest=AUTOMATIC)
+        self.pupil_modes.entered.connect(self._enter_modes)
+        self.refine = Toggle(
+            "Refine",
+            "Correct systematic errors by a simulation of your bench, updated about every second (F)",
+            self._ask("reconstruction.refine"),
+        )
+        calibration: list[Item] = [self.lattice]
+        for step in (self.auto_exposure, self.dark, self.reference):
+            calibration += [label("\N{SINGLE RIGHT-POINTING ANGLE QUOTATION MARK}", "dim"), step]
+        lines = (
+            row(
+                *(self.start, self.sensor_region),
+                (_named("Exposure", (self.exposure, 2)), 3),
+                (_named("Gain", (self.em_gain, 1), (amplifier, 1)), 4),
+                *(_named("Speed", speed), self.sample, (mask, 2)),
+                spacing=_GROUP_GAP,
+            ),
+            row(*calibration, _named("Frames", self.frames), self.calibrate, spacing=_GROUP_GAP // 2),
+            row(
+                (_named("Matching", (self.registration, 3), (self.warp, 2)), 5),
+                (_named("Wavefront", (self.method, 1), (self.basis, 1)), 4),
+                (_named("Modes", (self.pupil_modes, 1)), 2),
+                (self.refine, 1),
+                spacing=_GROUP_GAP,
+            ),
+        )
+        rule = QFrame()
+        rule.setFixedWidth(1)
+        rule.setProperty("role", "rule")
+        parts = column((self.light, 1), self.current, spacing=5), rule, (column(*lines, spacing=5), 1)
+        row(*parts, spacing=_GROUP_GAP, parent=self).setContentsMargins(8, 6, 8, 6)
+        self.setProperty("role", "strip")
+        self.setAttribute(Qt.WidgetAttribute.WA_StyledBackground)
+        self.setEnabled(False)
+
+    def _make_devices(self) -> None:
+        self.start = Button(
+            "Start",
+            "Start or stop taking frames (Space)",
+            lambda: self.requested.emit("is_running", not self._is_running),
+        )
+        self.start.setMinimumWidth(self.start.sizeHint().width() + self.start.iconSize().width() + _GAP)
+        self.sensor_region = Button(
+            "Region\N{HORIZONTAL ELLIPSIS}", "Choose the sensor region and the binning (P)", self._ask("sensor_region")
+        )
+        self.exposure = NumberField(name="Exposure", unit="ms", decimals=3, tool_tip="Exposure time in force (E)")
+        self.em_gain = NumberField(
+            name="Gain", decimals=1, tool_tip="Electron-multiplying gain: more signal above the read noise"
+        )
+        self.current = NumberField(name="Current", unit="mA", decimals=1, tool_tip="Current of the light while on (C)")
+        for name, field in (("exposure_s", self.exposure), ("em_gain", self.em_gain), ("current_a", self.current)):
+            field.entered.connect(self._ask(name))
+        self.light = _LightButton("Light off", "Switch the light (L)", self._ask("light"))
+        self.light.setProperty("role", "light")
+        self.light.setIconSize(QSize(_LIGHT_LAMP, _LIGHT_LAMP))
+        self.light.setMinimumWidth(_LIGHT_WIDTH)
+        self.light.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
+        self.sample = Toggle("Sample out", "Move the sample into or out of the beam (S)", self._ask("is_sample_in"))
+
+    def _make_calibration(self) -> None:
+        self.frames = NumberField(name="Frames", tool_tip="Number of frames averaged into a dark or a reference")
+        self.frames.show_value(FRAMES, _FRAMES_RANGE)
+        self.lattice = StepButton(
+            f"1 {LATTICE.title}",
+            "Find the lenslets in the reference and propose a lattice (N)",
+            self._ask("lattice"),
+            widest="",
+        )
+        self.auto_exposure = StepButton(
+            f"2 {EXPOSURE.title}",
+            "Find the exposure, and if needed the current, that fills 70 % of the camera's range (X)",
+            self._ask("auto_exposure"),
+        )
+        self.dark = StepButton(
+            f"3 {DARK.title}",
+            "Average frames with the light off: the background of all frames (D)",
+            lambda: self._ask_average("dark"),
+        )
+        self.reference = StepButton(
+            f"4 {REFERENCE.title}",
+            "Average frames without the sample: spot positions that count as zero (R)",
+            lambda: self._ask_average("reference"),
+        )
+        self.calibrate = Button(
+            "Calibrate",
+            "Find lattice and exposure, take dark and reference, with an explanation of each step (Ctrl+K)",
+            lambda: self._ask_average("calibration"),
+        )
+
+    def menu_entries(self) -> Mapping[str, Entries]:
+        """Return all controls that have a key."""
+        return {
+            "&Bench": (
+                ("Start or stop the camera", "Space", self.start),
+                ("Light on", "L", self.light),
+                ("Sample in", "S", self.sample),
+                ("Edit the exposure", "E", self.exposure.edit),
+                ("Edit the current", "C", self.current.edit),
+                ("Choose the sensor region", "P", self.sensor_region),
+                ("Refinement", "F", self.refine),
+                None,
+                ("Calibrate step by step", "Ctrl+K", self.calibrate),
+                ("Find the exposure", "X", self.auto_exposure),
+                ("Take a dark", "D", self.dark),
+                ("Take a reference", "R", self.reference),
+                ("Find the lattice", "N", self.lattice),
+            )
+        }
+
+    def _ask(self, name: str) -> Callable[[object], object]:
+        return partial(self.requested.emit, name)
+
+    def _ask_average(self, name: str) -> None:
+        if self.frames.commit():  # the button does not take the focus from it
+            self.requested.emit(name, round(self.frames.value()))
+
+    def _choose(self, name: str, value: object) -> None:
+        self.requested.emit(name, None if value == AUTOMATIC else value)
+
+    def _enter_modes(self, modes: float) -> None:
+        self.requested.emit("reconstruction.pupil_modes", round(modes) if modes in PUPIL_MODES else None)
+
+    def show_switching_off(self) -> None:
+        """Show that the light is being switched off."""
+        self.light.setText("Switching\noff \N{HORIZONTAL ELLIPSIS}")
+
+    def enable_devices(self, *, is_enabled: bool) -> None:
+        """Enable all, or only the reconstruction and the start button: a recording plays in place of the devices."""
+        reconstruction = {self.registration, self.warp, self.method, self.basis, self.pupil_modes, self.refine}
+        for control in self.findChildren((QAbstractButton, QAbstractSpinBox, QComboBox)):
+            if control not in {*reconstruction, self.start}:
+                control.setEnabled(is_enabled)
+
+    def show_status(self, status: Status) -> None:
+        """Show the status, and wanted settings in place of those in force.
+
+        A focused field changes only when all commands are finished.
+        """
+        allowed, wanted = status.capabilities, self.shown.wanted
+        self.start.setText("Stop" if status.is_running else "Start")
+        self.start.setIcon(theme.start_or_stop(is_running=status.is_running))
+        self._is_running = status.is_running
+        registration, reconstruction = status.bench.registration, status.bench.reconstruction
+        for name, field, value, interval in (
+            ("exposure_s", self.exposure, status.exposure_s, allowed.exposure_range_s),
+            ("em_gain", self.em_gain, status.em_gain, allowed.em_gain_range),
+            ("current_a", self.current, status.current_a, status.current_range_a),
+            ("reconstruction.pupil_modes", self.pupil_modes, reconstruction.pupil_modes, _modes_range(status.bench)),
+        ):
+            mark_wanted(field, is_wanted=name in wanted)
+            if self.shown.is_settled or not field.hasFocus():
+                field.show_value(wanted.get(name, value) or 0, interval)
+        self.current.setEnabled(status.current_range_a.maximum > status.current_range_a.minimum)
+        self.em_gain.setEnabled(allowed.em_gain_range.maximum > allowed.em_gain_range.minimum)
+        for name, texts, chosen in (
+            ("amplifier", allowed.amplifiers, status.amplifier),
+            ("readout_speed", tuple(map(str, allowed.readout_speeds)), str(status.readout_speed)),
+            ("mask", status.masks, status.mask),
+            ("registration.method", get_args(Method), registration.method),
+            ("registration.warp", (AUTOMATIC, *FIELD_MODES), registration.warp),
+            ("reconstruction.method", ("zonal", "modal"), reconstruction.method),
+            ("reconstruction.basis", get_args(PupilBasis), reconstruction.basis),
+        ):
+            mark_wanted(self.choices[name], is_wanted=name in wanted)
+            self.choices[name].show_choice(texts, str(wanted.get(name, chosen) or AUTOMATIC))
+        self.refine.setChecked(wanted.get("reconstruction.refine", reconstruction.refine))
+        mark_wanted(self.refine, is_wanted="reconstruction.refine" in wanted)
+        self.warp.setEnabled(registration.method == "gauss_newton")
+        for control in (self.basis, self.pupil_modes):
+            control.setEnabled(reconstruction.method == "modal")
+        # Of a manual light only what a person has said is known.
+        lights = ("Light\nnoted off", "Light\nby hand") if status.bench.has_manual_light else ("Light off", "Light on")
+        for shown, names, is_on, colour in (
+            (self.light, lights, status.is_light_on, theme.LIT),
+            (self.sample, ("Sample out", "Sample in"), status.is_sample_in, theme.ACCENT),
+        ):
+            shown.setText(names[is_on])
+            shown.setChecked(is_on)
+            shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
+        about_reference = "\n".join(filter(None, (status.reference_note, status.mask_note)))
+        self.dark.show_step(status.dark, taken_at(status.dark_note), status.dark_note)
+        self.reference.show_step(status.reference, taken_at(status.reference_note), about_reference)
+        pitch = "" if status.lattice is None else f"pitch {status.lattice.pitch_px:.3f} px"
+        self.lattice.show_step("good" if pitch else "missing", "", pitch)
+
+    def show_numbers(self) -> None:
+        """Show how bright a recent frame is, and in the tool tips what was chosen automatically for its wavefront."""
+        measurement, statistics = self.shown.measurement, self.shown.statistics
+        if measurement is None or statistics is None:
+            return
+        share = statistics.peak / statistics.clip_level
+        state: Validity = "good" if share > _DIM and not statistics.is_nearly_full else "doubtful"
+        self.auto_exposure.show_step(state, percent(share), "brightest pixel beside full scale; 70 % is best")
+        wavefront, chosen_warp, chosen_modes = measurement.wavefront, "", ""
+        if wavefront is not None and self.warp.isEnabled() and self.warp.currentText() == AUTOMATIC:
+            fields = wavefront.displacement.modes.count
+            chosen_warp = next((name for name, count in FIELD_MODES.items() if count == fields), "")
+        if wavefront is not None and self.pupil_modes.isEnabled() and self.pupil_modes.text() == AUTOMATIC:
+            chosen_modes = "" if wavefront.coefficients is None else str(len(wavefront.coefficients))
+        for control, tip, chosen in (
+            (self.warp, _CHOICES["registration.warp"], chosen_warp),
+            (self.pupil_modes, _MODES_TIP, chosen_modes),
+        ):
+            control.setToolTip(f"{tip}\n\nChosen now: {chosen}" if chosen else tip)
+
+
+class StepButton(Button):
+    """A step of the calibration: its name, its state as a lamp, and its time or value."""
+
+    def __init__(self, name: str, tool_tip: str, clicked: Slot, *, widest: str = "00:00") -> None:
+        """Leave room for the `widest` time or value."""
+        super().__init__(name, tool_tip, clicked)
+        self._name, self._about = name, tool_tip
+        self._shown: tuple[Validity, str, str] = ("missing", "", "")
+        self.setProperty("role", "step")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        if widest:
+            self.ensurePolished()
+            self.show_step("missing", widest, "")
+            self.setMinimumWidth(self.sizeHint().width())
+        self.show_step("missing", "", "no frame yet")
+        theme.follow(self, self._light_lamp)
+
+    def show_step(self, validity: Validity, state: str, note: str) -> None:
+        """Show a time or value beside the name, and a note in the tool tip."""
+        if (validity, state, note) == self._shown:
+            return
+        self._shown = validity, state, note
+        self.setText(f"{self._name}  {state}" if state else self._name)
+        self._light_lamp()
+        self.setToolTip(f"{self._about}\n\n{validity.capitalize()}: {note}" if note else self._about)
+
+    def _light_lamp(self) -> None:
+        self.setIcon(theme.validity_lamp(self._shown[0]))
+
+
+class _LightButton(Toggle):
+    """A button that also asks for darkness while its panel is disabled: a bench is opened."""
+
+    def click(self) -> None:
+        """Press the button."""
+        if self.isEnabled():
+            super().click()
+        elif self.isEnabledTo(self.parentWidget()):  # it is not disabled itself, as by a replay
+            self.clicked.emit(False)
+
+
+def _modes_range(bench: Bench) -> Range:
+    """Numbers of pupil modes: at most one for each lenslet, or what is in force; the lowest stands for automatic."""
+    lenslets = bench.sensor.lenslet_rows * bench.sensor.lenslet_columns
+    return Range(PUPIL_MODES.start - 1, max(min(lenslets, PUPIL_MODES[-1]), bench.reconstruction.pupil_modes or 0))
+
+
+def _named(name: str, *controls: Item) -> QHBoxLayout:
+    return row(label(name, "dim"), *controls, spacing=_GAP)
+
+
+def _choice(tool_tip: str, chosen: Callable[[object], object]) -> Choice:
+    choice = Choice(tool_tip)
+    choice.activated.connect(lambda index: chosen(choice.itemData(index)))
+    choice.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+    return choice

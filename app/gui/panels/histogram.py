@@ -1,0 +1,71 @@
+"""The histogram of the camera's newest frame."""
+
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QColor
+
+from app.gui.panels.panel import Panel, Shown
+from app.gui.widgets import theme
+from app.gui.widgets.basics import column
+from app.gui.widgets.plot import Plot
+from app.gui.widgets.presentation import percent
+from app.results.pictures import NEARLY_FULL
+
+
+class HistogramPanel(Panel):
+    """Number of pixels over their counts, on a logarithmic scale; dashed lines at 95 % and where pixels clip.
+
+    Two handles set which counts are black and white in the camera picture.
+    """
+
+    title = "Histogram"
+    levels_chosen = pyqtSignal(float, float)
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        keys = (("95 %", theme.AMBER), ("clipped", theme.RED))
+        self.plot = Plot("Histogram", "counts", keys, widest="10000")
+        self.plot.setToolTip(
+            "Number of pixels over their counts. Keep the brightest below 95 % of the level that clips.\n"
+            "Drag the handles to choose which counts are black and white in the camera picture."
+        )
+        self.curve = pg.PlotCurveItem(x=[0, 1], y=[0], stepMode="center", fillLevel=0)
+        self.plot.view.addItem(self.curve)
+        self._lines = [pg.InfiniteLine(0, angle=90) for _ in keys]
+        self.levels = pg.LinearRegionItem(swapMode="block", brush=(0, 0, 0, 0))
+        self.levels.sigRegionChanged.connect(lambda: self.levels_chosen.emit(*self.levels.getRegion()))
+        self.plot.view.addItem(self.levels)
+        theme.follow(self.plot, self._colour)
+        for line in self._lines:
+            self.plot.view.addItem(line)
+        self.plot.axes["left"].setTicks([[(decade, f"{10**decade}") for decade in range(8)]])
+        column(self.plot, parent=self)
+
+    def _colour(self) -> None:
+        self.curve.setPen(pg.mkPen(theme.ACCENT, width=1))
+        fill = QColor(theme.ACCENT)
+        fill.setAlpha(100)
+        self.curve.setBrush(fill)
+        for handle in self.levels.lines:
+            handle.setPen(pg.mkPen(theme.TEXT, width=2))
+            handle.setHoverPen(pg.mkPen(theme.ACCENT, width=3))
+        for line, colour in zip(self._lines, (theme.AMBER, theme.RED), strict=True):
+            line.setPen(pg.mkPen(colour, width=1, style=Qt.PenStyle.DashLine))
+
+    def show_levels(self, black: float, white: float) -> None:
+        """Show the counts that are black and white."""
+        with QSignalBlocker(self.levels):
+            self.levels.setRegion((black, white))
+
+    def show_numbers(self) -> None:
+        """Show the histogram of a recent frame, if visible."""
+        found = self.shown.statistics
+        if found is None or not self.isVisible():
+            return
+        self.curve.setData(found.level, np.log10(np.maximum(found.pixels, 0.8)))
+        for line, part in zip(self._lines, (NEARLY_FULL, 1.0), strict=True):
+            line.setValue(part * found.clip_level)
+        self.plot.set_ranges((0, float(found.level[-1])), (0, float(np.log10(max(found.pixels.max(), 10))) + 0.2))
+        share = f", {percent(found.clipped_share, 2)} of the pixels clipped" if found.clipped_share else ""
+        self.plot.title.setText(f"Histogram: peak {found.peak} of {found.clip_level} counts{share}")

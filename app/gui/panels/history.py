@@ -1,0 +1,217 @@
+"""Strip charts of the recent minutes, one above the other on a common time axis."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from PyQt6.QtGui import QShowEvent
+from PyQt6.QtWidgets import QScrollArea, QWidget
+
+from app.errors import RunError
+from app.gui.panels.panel import Entries, Panel, Shown
+from app.gui.widgets import theme
+from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, column, row, unfocused
+from app.gui.widgets.copies import ask_file
+from app.gui.widgets.plot import Plot
+from app.gui.widgets.presentation import NOTHING, number
+from app.measurement.measurement import Measurement
+from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, Drift, History, sample
+from reconstruction.arrays import Floats
+
+_MINUTES = (1, 2, 5, 10, 20)
+_SAMPLES = (20, 100, 500, 2000)
+_HINT = "click a bar of Coefficients to add it"
+_ABOUT = {
+    RMS: "Mean RMS of the shown views",
+    FILL: "Brightest pixel",
+    DELAY: "Processing delay",
+    TEMPERATURE: "Temperature of the camera's sensor",
+}
+_WIDEST = "\N{MINUS SIGN}00.00"  # number on an axis
+_NAME = "Z00 astigmatism at 00"  # its width is that of all names
+_LEAST_LINES = 2  # height of a chart
+_DRIFT = "mean \N{MINUS SIGN}0.000  \N{GREEK SMALL LETTER SIGMA} 0.0000"  # the width of the statistics
+
+
+class StripChart(QWidget):
+    """Name and newest value of a series, its curve beside them, and its statistics."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.name, self.value = ElidedLabel(text=name), ElidedLabel("title")
+        self.name.setToolTip(_ABOUT.get(name, name))
+        labels = QWidget()
+        column(self.name, self.value, spacing=0, parent=labels).addStretch()
+        self.plot = _plot(None)
+        self.plot.graphics.setMinimumHeight(_LEAST_LINES * self.fontMetrics().height() + 9)
+        self.curve = self.plot.add_curve(theme.ACCENT, 1)
+        self.drift = [ElidedLabel("dim") for _ in range(2)]
+        drift = QWidget()
+        column(*self.drift, spacing=0, parent=drift).addStretch()
+        drift.setFixedWidth(_drift_width(self))
+        row(labels, (self.plot, 1), drift, parent=self)
+        labels.setFixedWidth(_name_width(self))
+
+    def show_series(self, time_min: Floats, values: Floats, span_min: float, unit: str) -> None:
+        """Show values (time,) over the minutes before now; NaN in gaps."""
+        known = np.isfinite(values)
+        self.curve.setData(time_min, values, connect="finite")
+        low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 1.0)
+        margin = max(0.2 * (high - low), 1e-3 * abs(high), 1e-6)
+        self.plot.set_ranges((-span_min, 0), (low - margin, high + margin))
+        ticks = [(float(end), number(float(end))) for end in (low, high)] if known.any() else []
+        self.plot.axes["left"].setTicks([ticks[: 1 + (low < high)]])
+        is_known = bool(known.size and known[-1])
+        self.value.setText(f"{number(float(values[-1]))} {unit}" if is_known else NOTHING)
+
+    def show_drift(self, found: Drift, samples: int) -> None:
+        """Show the statistics of the last samples."""
+        sigma = f"\N{GREEK SMALL LETTER SIGMA} {number(found.sigma, 2)}"
+        self.drift[0].setText(f"mean {number(found.mean, 4)}  {sigma}")
+        self.drift[1].setText(f"peak to peak {number(found.peak_to_peak, 2)}")
+        for each in self.drift:
+            each.setToolTip(f"Mean, standard deviation and peak to peak of the last {samples} samples")
+
+
+class HistoryPanel(Panel):
+    """Charts of the chosen series."""
+
+    title = "History"
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        self.history = History()
+        self._measurement: Measurement | None = None  # the last one of the history
+        self._pinned = ""  # name of a coefficient
+        self.toggles = {
+            name: Toggle(name, about, is_on=name == RMS, key=f"history/chart {index}")
+            for index, (name, about) in enumerate(_ABOUT.items())
+        }
+        for chosen in self.toggles.values():
+            chosen.toggled.connect(self._arrange)
+        minutes = [(f"{minutes} min", minutes) for minutes in _MINUTES]
+        self.minutes = Choice("Time shown", minutes, key="history/minutes")
+        self.samples = Choice(
+            "Number of samples of mean, \N{GREEK SMALL LETTER SIGMA} and peak to peak; five a second",
+            [(f"last {samples}", samples) for samples in _SAMPLES],
+            key="history/samples",
+        )
+        for choice in (self.minutes, self.samples):
+            choice.setCurrentIndex(1)
+            choice.currentIndexChanged.connect(self.refresh)
+        self.export = Button("Export", "Save all series as CSV", self.export_csv)
+        self._hint = ElidedLabel("dim", _HINT)
+        self.charts: dict[str, StripChart] = {}
+        area, charts = QScrollArea(), QWidget()  # many charts do not make the window larger than its screen
+        area.setWidget(charts)
+        area.setWidgetResizable(True)
+        area.setFrameShape(QScrollArea.Shape.NoFrame)
+        area.setMinimumHeight(2 * self.fontMetrics().height())
+        unfocused(area)
+        self._rows = column(spacing=0, parent=charts)
+        self.time_axis = _plot("minutes")
+        self.time_axis.axes["left"].setTicks([[]])
+        self.time_axis.graphics.setFixedHeight(2 * self.fontMetrics().height() + 16)
+        beside, after = QWidget(), QWidget()
+        row(self.export, (QWidget(), 1), parent=beside)
+        column(self.samples, parent=after).addStretch()
+        beside.setFixedWidth(_name_width(self))
+        after.setFixedWidth(_drift_width(self))
+        header = row(*self.toggles.values(), (self._hint, 1), self.minutes)
+        column(header, (area, 1), row(beside, (self.time_axis, 1), after), spacing=2, parent=self)
+        self._arrange()
+
+    def menu_entries(self) -> Mapping[str, Entries]:
+        """Return the export."""
+        return {"&File": (("Export the history", "", self.export_csv),)}
+
+    def export_csv(self) -> None:
+        """Ask for a name, and write the history as CSV."""
+        name = ask_file(self, "Export the history", "history.csv", "Table (*.csv)")
+        if name is None:
+            return
+        try:
+            self.history.write_csv(path := name.with_suffix(".csv"))
+        except RunError as error:
+            self.warned.emit(str(error))
+        else:
+            self.informed.emit(f"saved {path}")
+
+    def forget_bench(self) -> None:
+        """Begin again."""
+        self.history, self._measurement = History(), None
+
+    def show_numbers(self) -> None:
+        """Add the newest measurement."""
+        measurement, status = self.shown.measurement, self.shown.status
+        if measurement is not None and status is not None and measurement is not self._measurement:
+            self.record(measurement, status.capabilities.full_scale, status.temperature_c)
+
+    def record(self, measurement: Measurement, full_scale: float, temperature_c: float | None) -> None:
+        """Add a measurement."""
+        self._measurement, shown, delay_s = measurement, self.shown, measurement.latency_s
+        values = sample(
+            measurement.frame, shown.wavefront, full_scale=full_scale, delay_s=delay_s, temperature_c=temperature_c
+        )
+        if self._pinned and shown.pinned_rad is not None:
+            values[self._pinned] = shown.pinned_rad
+        self.add(measurement.frame.host_time_s, values)
+
+    def pin(self, name: str) -> None:
+        """Show the chart of a coefficient, or of none."""
+        if self._pinned and self._pinned != name:
+            self.history.forget(self._pinned)
+        self._pinned = name
+        self._hint.setText("" if name else _HINT)
+        self._arrange()
+
+    def add(self, time_s: float, values: dict[str, float]) -> None:
+        """Add one sample of all series."""
+        self.history.add(time_s, values)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Draw the charts, if they are visible."""
+        if not self.isVisible():
+            return
+        span_min = float(self.minutes.currentData())
+        self.time_axis.set_ranges((-span_min, 0), (0, 1))
+        for name, chart in self.charts.items():
+            time_s, values = self.history.series(name)
+            recent = time_s >= -60 * span_min
+            values *= 1.0 if name in UNITS else self.shown.per_rad
+            chart.show_series(time_s[recent] / 60, values[recent], span_min, UNITS.get(name, self.shown.unit))
+            samples = self.samples.currentData()
+            chart.show_drift(Drift.of(values[-samples:]), samples)
+
+    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Draw what has come while hidden."""
+        super().showEvent(event)
+        self.refresh()
+
+    def _arrange(self) -> None:
+        """Make a chart for each chosen series."""
+        names = [*filter(None, [self._pinned]), *(name for name, one in self.toggles.items() if one.isChecked())]
+        for name in [name for name in self.charts if name not in names]:
+            chart = self.charts.pop(name)
+            self._rows.removeWidget(chart)
+            chart.hide()
+            chart.deleteLater()
+        for index, name in enumerate(names):
+            self.charts[name] = self.charts.pop(name) if name in self.charts else StripChart(name)  # in this order
+            self._rows.insertWidget(index, self.charts[name], 1)
+        self.refresh()
+
+
+def _name_width(widget: QWidget) -> int:
+    return widget.fontMetrics().horizontalAdvance(_NAME)
+
+
+def _drift_width(widget: QWidget) -> int:
+    return widget.fontMetrics().horizontalAdvance(_DRIFT)
+
+
+def _plot(bottom: str | None) -> Plot:
+    """Make a plot without title; those of one width have their left axes at the same place."""
+    made = Plot("", bottom, widest=_WIDEST)
+    made.title.hide()
+    return made

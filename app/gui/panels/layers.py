@@ -1,0 +1,189 @@
+"""The layers panel: misfit over the distance, the layers found with their phase, or one at a known distance, live."""
+
+from typing import get_args
+
+import numpy as np
+from PyQt6.QtCore import QSignalBlocker, Qt
+
+from app.bench.config import Bench
+from app.gui.panels.panel import Panel, Request, Shown
+from app.gui.widgets import theme
+from app.gui.widgets.basics import Choice, ElidedLabel, column, row
+from app.gui.widgets.fields import NumberField
+from app.gui.widgets.plot import Plot
+from app.gui.widgets.presentation import number, signed
+from app.gui.widgets.scales import AdaptiveScale, diverging
+from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
+from app.results.layers import (
+    FoundLayers,
+    Origin,
+    axis_label,
+    distance_in_words,
+    distance_m,
+    distance_range_m,
+    find_shown_layers,
+    possible_origin,
+    ratio_at,
+    shown_range_m,
+)
+from drivers.interface import Range
+from reconstruction.layers.layer_search import LayerSearch
+
+_MODES = (("find one layer", 1), ("find two layers", 2), ("layer known at", 0))
+_INTERVALS_S = {1: 5.0, 2: 20.0, 0: 0.1}  # between two fits
+
+
+def origin_choice() -> Choice:
+    """Make a choice of where distances are measured from; its data are an `Origin`."""
+    return Choice(
+        "Where distances are measured from: lenslets, in the collimated beam, or mask.\n"
+        "From the lenslets, negative distances lie behind them; there is no distance from the mask there.",
+        [(f"from the {origin}", origin) for origin in get_args(Origin)],
+    )
+
+
+class LayersPanel(Panel):
+    """Asks for layers while it is visible, and shows them."""
+
+    title, is_slow = "Layers", True
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        self._bench: Bench | None = None
+        self._ratio = 0.0  # of the layer found last, or of the known one
+        self._scale = AdaptiveScale()
+        self.mode = Choice(
+            "Search for one or two layers every few seconds,\nor show the phase of one at a known distance live",
+            _MODES,
+            self._show_distance,
+        )
+        self.distance = NumberField(
+            tool_tip="Distance of the known layer", name="Distance of the layer", unit="mm", decimals=1
+        )
+        self.distance.entered.connect(self._enter)
+        self.origin = origin_choice()
+        self.origin.currentIndexChanged.connect(self._show_distance)
+        keys = (("one layer", theme.ACCENT), ("found", theme.AMBER), ("limit", theme.DIM))
+        self.plot = Plot("Unexplained (%)", axis_label("lenslets"), keys, widest="100")
+        self.plot.graphics.setMinimumHeight(3 * self.fontMetrics().height())  # the window fits small screens
+        self.plot.setToolTip(
+            "Share of the displacements (RMS) that a single layer at each distance does not explain.\n"
+            "The dashed line is any wavefront, without layers."
+        )
+        self._limit = self.plot.add_curve(theme.DIM, 1, Qt.PenStyle.DashLine)
+        self._curve, self._marks = self.plot.add_curve(theme.ACCENT), self.plot.add_curve(theme.AMBER)
+        self.map = ViewGrid((80, 50), empty="")  # until the first search has ended
+        self.map.setToolTip("Phase of each layer, without piston")
+        self.sentence = ElidedLabel()
+        header = row(self.mode, self.distance, self.origin, (ElidedLabel(), 1))
+        column(header, (row((self.plot, 3), (self.map, 2), spacing=12), 1), self.sentence, parent=self)
+        self._show_distance()
+
+    def request(self) -> Request | None:
+        """Return the search, or the fit, to make."""
+        measurement, origin, count = self.shown.measurement, self.origin.currentData(), self.mode.currentData()
+        if not self.isVisible() or measurement is None or measurement.wavefront is None:
+            return None
+        if measurement.calibration is not None and measurement.calibration.bench is not self._bench:
+            self._bench = measurement.calibration.bench
+            self._show_distance()
+        ratio = 0.0 if count else self._ratio
+        return Request(
+            measurement,
+            (origin, count, ratio),
+            lambda check: find_shown_layers(measurement, origin, count=count, ratio=ratio, check=check),
+            _INTERVALS_S[count],
+        )
+
+    def show_result(self, found: FoundLayers) -> None:
+        """Show layers, or why there are none."""
+        if found.problem:
+            self.map.empty = "no layer"
+            self.sentence.setText(f"No layer: {found.problem}")
+            self.show_nothing()
+            return
+        self.sentence.setText(_in_words(found))
+        self._choose_origin(found.origin)
+        if found.search is not None:
+            self._ratio = found.ratios[0]
+            self._show_distance()
+            self._show_curve(found, found.search)
+        self._mark(found)
+        self._show_maps(found)
+
+    def show_nothing(self) -> None:
+        """Show the maps in grey: they are not those of the newest frame."""
+        self.map.show_stale(is_stale=True)
+
+    def _show_curve(self, found: FoundLayers, search: LayerSearch) -> None:
+        order = np.argsort(found.curve_m)[: np.count_nonzero(np.isfinite(found.curve_m))]  # NaN comes last
+        distance_mm, percent = found.curve_m[order] * 1e3, 100 * search.misfits[order]
+        self._curve.setData(distance_mm, percent)
+        least = 100 * search.any_wavefront.misfit
+        low_mm, high_mm = (1e3 * end_m for end_m in shown_range_m(found.distances_m, found.curve_m, found.origin))
+        self._limit.setData([low_mm, high_mm], [least, least])
+        self.plot.axes["bottom"].setLabel(axis_label(found.origin))
+        shown = percent[(low_mm <= distance_mm) & (distance_mm <= high_mm)]
+        self.plot.set_ranges((low_mm, high_mm), (0, 1.1 * max(float(shown.max()), least)))
+
+    def _mark(self, found: FoundLayers) -> None:
+        """Draw a vertical line at each distance."""
+        top = self.plot.view.viewRange()[1][1]
+        each_mm = np.repeat(found.distances_m * 1e3, 2)
+        self._marks.setData(each_mm, np.tile([0.0, top], len(found.distances_m)), connect="pairs")
+
+    def _show_maps(self, found: FoundLayers) -> None:
+        values = found.maps * self.shown.per_rad
+        limit = self._scale.follow(found.limit_rad * self.shown.per_rad)
+        reach_mm = (found.half_width_m[0] * 1e3, found.half_width_m[1] * 1e3)
+        unit = str(self.shown.unit)
+
+        def describe(row: int, column: int, value: float) -> str:
+            last = values.shape[1] - 1, values.shape[2] - 1
+            x_mm, y_mm = reach_mm[0] * (2 * column / last[1] - 1), reach_mm[1] * (2 * row / last[0] - 1)
+            text = f"{signed(value)} {unit}" if np.isfinite(value) else "no ray meets the layer"
+            return f"{x_mm:+.2f}, {y_mm:+.2f} mm on the layer: {text}"
+
+        self.map.is_stale = False
+        self.map.show_maps(Maps(values[None], diverging(limit, unit), describe, True, reach_mm, "mm"))
+        wide = (f"map {2 * reach_mm[0]:.1f} mm wide", f"{2 * reach_mm[0]:.1f} mm wide")  # not after +-
+        captions: dict[tuple[int, int], Caption] = {}
+        for index, (at_m, sigma_m) in enumerate(zip(found.distances_m, found.sigma_m, strict=True)):
+            at = (distance_in_words(at_m, sigma_m, found.origin), f"{at_m * 1e3:.1f} mm")
+            captions[0, index] = (at, wide)
+        self.map.set_captions(captions)
+
+    def _enter(self, typed_m: float) -> None:
+        if self._bench is not None:
+            self._ratio = ratio_at(typed_m, self.origin.currentData(), self._bench)
+
+    def _show_distance(self) -> None:
+        """Show the distance of the layer, to be changed while it is the known one."""
+        self.distance.setEnabled(not self.mode.currentData() and self._bench is not None)
+        if self._bench is not None:
+            origin = possible_origin(self.origin.currentData(), [self._ratio])
+            self._choose_origin(origin)
+            allowed = Range(*distance_range_m(origin, self._bench))
+            self.distance.show_value(float(distance_m(self._ratio, origin, self._bench)), allowed)
+
+    def _choose_origin(self, origin: Origin) -> None:
+        """Choose another origin than was chosen, if a layer has no distance from that one."""
+        with QSignalBlocker(self.origin):
+            self.origin.setCurrentIndex(self.origin.findData(origin))
+
+
+def _in_words(found: FoundLayers) -> str:
+    """Verdict, distances and what they leave."""
+    at = zip(found.distances_m, found.sigma_m, strict=True)
+    places = " and ".join(distance_in_words(*each, found.origin) for each in at)
+    share = f"{number(100 * found.misfit, 2)} % of the displacements unexplained"
+    if found.search is None:
+        return f"Layer {places}, as given: {share}"
+    verdict = found.search.verdict
+    share += f" (any wavefront: {number(100 * found.search.any_wavefront.misfit, 2)} %)"
+    doubt = f"; but {found.search.doubt}" if found.search.doubt else ""
+    if verdict.startswith("nothing"):
+        return f"{verdict.capitalize()}: no layer to be found{doubt}"
+    if verdict.startswith(("not", "farther")):
+        return f"{verdict.capitalize()}: the best, {places}, leave{'s' * (len(found.ratios) == 1)} {share}{doubt}"
+    return f"{verdict.capitalize()} {places}: {share}{doubt}"

@@ -1,0 +1,144 @@
+"""The lenslet inspector: subimages, residual and numbers of the lenslet that was clicked."""
+
+import numpy as np
+from PyQt6.QtCore import Qt
+
+from app.gui.panels.panel import Panel, Request, Shown
+from app.gui.widgets.basics import Button, ElidedLabel, column, label, row
+from app.gui.widgets.presentation import number, percent, with_error
+from app.gui.widgets.scales import AdaptiveScale, ColourScale, diverging
+from app.gui.widgets.view_grid import Maps, ViewGrid
+from app.results.view_analysis import LensletInspection, inspect_lenslet
+from reconstruction.arrays import Floats
+from reconstruction.displacement import Outcome
+
+_LIGHT = (0.0, 0.5, 1.0)  # numbered fractions of the colour bar
+
+
+class LensletPanel(Panel):
+    """Shows one lenslet of the newest frame."""
+
+    title = "Lenslet"
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        self.lenslet: tuple[int, int] | None = None  # row and column
+        self._top, self._most = AdaptiveScale(), AdaptiveScale()  # of light and residual, counts
+        self._state = ""  # of the lenslet
+        self._badge = ""  # as shown
+        self.name = ElidedLabel("title")
+        self.numbers, self.quality = ElidedLabel(), ElidedLabel()
+        names = ("Reference", "Frame", "Frame, warped back", "Residual")
+        self.tiles = {name: ViewGrid((60, 36), empty="") for name in names}
+        self.tiles["Reference"].setToolTip("Spot image without the sample")
+        columns = []
+        for name, tile in self.tiles.items():
+            tile.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+            columns.append((column(label(name, "dim"), (tile, 1), spacing=2), 1))
+        self.exclude = Button(
+            "Exclude",
+            "Leave this lenslet out of the wavefront, or use it again; noted in the bench and in recordings",
+            self._exclude,
+        )
+        header = row((self.name, 1), self.exclude)
+        column(header, (row(*columns, spacing=10), 1), column(self.numbers, self.quality, spacing=0), parent=self)
+        self.select(None)
+
+    def inspect(self, row: int, column: int) -> None:
+        """Show a lenslet, in front of the other panels."""
+        self.select((row, column))
+        self.front_requested.emit()
+
+    def select(self, lenslet: tuple[int, int] | None) -> None:
+        """Wait for the inspection of another lenslet."""
+        self.lenslet = lenslet
+        self.exclude.setEnabled(lenslet is not None)
+        self._show_state("Click a lenslet in the camera image" if lenslet is None else "")
+        self._write("" if lenslet is None else "computing \N{HORIZONTAL ELLIPSIS}")
+        for tile in self.tiles.values():
+            tile.show_maps(None)
+
+    def forget_bench(self) -> None:
+        """Forget the lenslet: the next bench may not have it."""
+        self.select(None)
+
+    def show_liveness(self) -> None:
+        """Say how the lenslet differs from a live one."""
+        shown = self.shown.liveness
+        if shown.badge != self._badge:
+            self._badge = shown.badge
+            self._show_state(self._state)
+            self._grey(shown.is_grey)
+
+    def show_nothing(self) -> None:
+        """Show the last inspection in grey: the newest frame has no wavefront, or no reference."""
+        if self.lenslet is not None:
+            self._show_state("not measured")
+            self._grey(True)
+            self._write(f"nothing to inspect: {self.shown.problem or 'there is no wavefront'}")
+
+    def request(self) -> Request | None:
+        """Return the inspection to make."""
+        measurement, lenslet = self.shown.measurement, self.lenslet
+        if self.shown.wavefront is None or measurement is None or lenslet is None or not self.isVisible():
+            return None
+        return Request(measurement, lenslet, lambda _: inspect_lenslet(measurement, *lenslet))
+
+    def show_result(self, found: LensletInspection | None) -> None:
+        """Show an inspection; None without a reference."""
+        if found is None:
+            self.show_nothing()
+            return
+        reason = found.outcome.reason
+        self._show_state(f"lost, {reason}" if reason else "converged")
+        self._grey(self.shown.liveness.is_grey)
+        self.exclude.setText("Use again" if found.outcome is Outcome.EXCLUDED else "Exclude")
+        top = max(float(found.reference.max()), float(found.frame.max()), 1.0)
+        light = ColourScale("inferno", 0.0, self._top.follow(top), "", _LIGHT)
+        images = (found.reference, found.frame, found.fitted, found.residual)
+        for tile, image in zip(self.tiles.values(), images, strict=True):
+            scale = light if image is not found.residual or image is None else self._residual_scale(image)
+            tile.show_maps(None if image is None else Maps(image[None, None], scale, _describe))
+        self._write(*_numbers(found))
+
+    def _residual_scale(self, residual: Floats) -> ColourScale:
+        return diverging(self._most.follow(max(float(np.nanmax(np.abs(residual), initial=0.0)), 1.0)), "")
+
+    def _exclude(self) -> None:
+        if self.lenslet is not None:
+            self.shown.exclusion_requested.emit(*self.lenslet)
+
+    def _show_state(self, state: str) -> None:
+        """Show the lenslet and its state; without a lenslet only that."""
+        self._state = state
+        name = "" if self.lenslet is None else "Lenslet row {}, column {}".format(*self.lenslet)
+        parts = (": ".join(filter(None, (name, state))), self._badge)
+        self.name.setText("    ".join(filter(None, parts)))
+
+    def _grey(self, is_grey: bool) -> None:
+        for tile in self.tiles.values():
+            tile.show_stale(is_stale=is_grey)
+
+    def _write(self, numbers: str, quality: str = "") -> None:
+        self.numbers.setText(numbers)
+        self.quality.setText(quality)
+
+
+def _numbers(found: LensletInspection) -> tuple[str, str]:
+    """Return the displacement, and how good it is."""
+    if not np.isfinite(found.displacement_px).all():
+        return "", ""
+    x, y = (
+        f"{axis} " + " \N{PLUS-MINUS SIGN} ".join(with_error(float(value), float(sigma)))
+        for axis, value, sigma in zip("xy", found.displacement_px, found.sigma_px, strict=True)
+    )
+    parts = [
+        f"residual {percent(found.residual_rms, 1)} of the contrast",
+        f"chi-square {number(found.chi_square)}",
+        f"{percent(found.range_used)} of the range used",
+    ]
+    return f"displacement {x}, {y} px", "    ".join(parts)
+
+
+def _describe(row: int, column: int, value: float) -> str:
+    return f"row {row}, column {column}: {number(value)} counts"

@@ -1,0 +1,132 @@
+"""Base class of the panels, and the state that they share."""
+
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, NamedTuple
+
+from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtWidgets import QAbstractButton, QMenu, QWidget
+
+from app.acquisition.instrument import Status
+from app.measurement.measurement import Measurement
+from app.results.pictures import FrameStatistics
+from app.results.shown_wavefront import Unit
+from reconstruction.settings import ReconstructionSettings
+from reconstruction.wavefront import Wavefront
+
+Act = Callable[[], object] | QAbstractButton | QMenu  # a button lends its entry tick and greying
+Entries = tuple[tuple[str, str, Act] | None, ...]  # text, key and action, or a separator
+Check = Callable[[], None]  # raises when the window closes
+
+
+class Liveness(NamedTuple):
+    """Differences of a shown frame from a live one; empty if there are none."""
+
+    badge: str = ""
+    reason: str = ""
+    is_grey: bool = False  # whether the bench may differ from what is shown by now
+
+
+class Shown(QObject):
+    """State shared by the panels: the newest measurement, the chosen view and unit, and whether that is live."""
+
+    view_chosen = pyqtSignal()
+    exclusion_requested = pyqtSignal(int, int)  # of a lenslet (row, column) from the wavefront, or its end
+
+    def __init__(self, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self.status: Status | None = None
+        self.settings: ReconstructionSettings | None = None  # of the wavefronts
+        self.wanted: Mapping[str, Any] = {}  # settings that are not in force yet, by their name in the controls
+        self.is_settled = True  # whether all commands are finished
+        self.measurement: Measurement | None = None
+        self.statistics: FrameStatistics | None = None  # of a frame at most 0.2 s old
+        self.wavefront: Wavefront | None = None  # of the measurement, with the display options applied to its views
+        self.unit, self._wavelength_m = Unit.RAD, float("nan")
+        self.pinned_rad: float | None = None  # present value of the pinned coefficient
+        self.liveness, self.problem = Liveness(), ""  # the problem: why there may be no wavefront
+        self.has_open_tabs = True
+        self._view: tuple[int, int] | None = None  # as chosen; None: the middle one
+
+    def use_wavefront(self, wavefront: Wavefront | None) -> None:
+        """Replace the shown wavefront."""
+        self.wavefront = wavefront
+        if wavefront is not None:
+            self._wavelength_m = wavefront.sensor.wavelength_m
+
+    @property
+    def per_rad(self) -> float:
+        """One radian in the unit."""
+        return self.unit.per_rad(self._wavelength_m)
+
+    @property
+    def view(self) -> tuple[int, int] | None:
+        """The chosen view (row, column) if it exists, else the middle one; None without a wavefront."""
+        if self.wavefront is None:
+            return None
+        rows, columns = self.wavefront.views.shape[:2]
+        if self._view is not None and self._view[0] < rows and self._view[1] < columns:
+            return self._view
+        return rows // 2, columns // 2
+
+    def choose_view(self, row: int, column: int) -> None:
+        """Choose a view."""
+        self._view = (row, column)
+        self.view_chosen.emit()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Request:
+    """Something to compute beside the measurement."""
+
+    of: object  # the measurement or wavefront
+    choice: Hashable  # all else that the result depends on
+    compute: Callable[[Check], Any]
+    interval_s: float = 0.2  # at least, between two of a running measurement
+
+
+class Panel(QWidget):
+    """A dockable panel, which overrides what it needs of these methods; `registry` lists all panels."""
+
+    title: ClassVar[str]
+    place: ClassVar[Literal["left", "right", "tab", "strip"]] = "tab"  # of the default layout
+    about: ClassVar[str] = ""  # a sentence or two for the tour
+    is_slow: ClassVar[bool] = False  # its results take seconds: they have a thread of their own
+
+    warned = pyqtSignal(str)  # why something was not done
+    informed = pyqtSignal(str)  # what was done
+    front_requested = pyqtSignal()
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__()
+        self.shown = shown
+        self.header: QWidget | None = None  # in place of the title
+
+    def menu_entries(self) -> Mapping[str, Entries]:
+        """Return entries by the title of their menu."""
+        return {}
+
+    def show_status(self, status: Status) -> None:
+        """Show a changed state of the instrument."""
+
+    def show_measurement(self, measurement: Measurement) -> None:
+        """Show the newest frame and its wavefront, up to 25 times a second."""
+
+    def show_numbers(self) -> None:
+        """Show what changes too fast to be read otherwise, five times a second."""
+
+    def show_liveness(self) -> None:
+        """Show how the measurement differs from a live one."""
+
+    def show_nothing(self) -> None:
+        """Clear what belongs to a wavefront: there is none."""
+
+    def forget_bench(self) -> None:
+        """Forget what belongs to a bench that was closed."""
+
+    def request(self) -> Request | None:
+        """Return what to compute, None if nothing: hidden panels need nothing."""
+        return None
+
+    def show_result(self, result: Any, /) -> None:
+        """Show what was computed, unless another choice was made meanwhile."""

@@ -1,0 +1,168 @@
+"""The quality panel: MTF of the selected view, isoplanatism over the field, and a one-line summary."""
+
+import math
+from functools import partial
+
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QColor
+
+from app.gui.panels.panel import Panel, Request, Shown
+from app.gui.widgets import theme
+from app.gui.widgets.basics import ElidedLabel, column, row
+from app.gui.widgets.plot import Plot
+from app.gui.widgets.presentation import number, place
+from app.gui.widgets.scales import AdaptiveScale
+from reconstruction.arrays import Floats
+from reconstruction.quality.image_quality import Mtf, mtf
+from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
+
+_NO_VALUES = np.zeros(0)
+
+
+class QualityPanel(Panel):
+    """Two plots and the summary below them."""
+
+    title = "Quality"
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        self.mtf = MtfPlot()
+        self.structure = StructurePlot()
+        self.sentence = ElidedLabel()
+        column((row((self.mtf, 1), (self.structure, 1), spacing=16), 1), self.sentence, parent=self)
+
+    def request(self) -> Request | None:
+        """Return the curves to compute."""
+        wavefront, view = self.shown.wavefront, self.shown.view
+        if wavefront is None or view is None or not self.isVisible():
+            return None
+        x_m, y_m = float(wavefront.field.view_x_m[view[1]]), float(wavefront.field.view_y_m[view[0]])
+        return Request(
+            wavefront,
+            (view, x_m, y_m),
+            lambda _: (place(x_m, y_m)[1], mtf(wavefront.views[view], wavefront.sensor), isoplanatism(wavefront)),
+        )
+
+    def show_result(self, result: tuple[str, Mtf | None, Isoplanatism | None]) -> None:
+        """Show the curves of the view at a place, and of the field."""
+        where, transfer, found = result
+        self.mtf.show_transfer(transfer, where)
+        self.structure.show_structure(found)
+        if found is not None:
+            sentence = verdict(found)
+            self.sentence.setText(sentence)
+            self.sentence.setToolTip(f"{sentence}.\n{_explanation(found)}")
+
+    def show_nothing(self) -> None:
+        """Clear the panel."""
+        self.mtf.show_transfer(None, "")
+        self.structure.show_structure(None)
+        self.sentence.setText("")
+
+
+class MtfPlot(Plot):
+    """MTF along x and y, up to the cut-off frequency of the pupil."""
+
+    def __init__(self) -> None:
+        super().__init__("MTF", "cycles per mrad", (("x", theme.ACCENT), ("y", theme.AMBER), ("limit", theme.DIM)))
+        self.setToolTip(
+            "Modulation transfer function of the selected view along x and y, and its diffraction limit.\n"
+            "The pupil is the area of the valid lenslets. Click a view or use the arrow keys to select it."
+        )
+        self._limits = [self.add_curve(theme.DIM, 1, Qt.PenStyle.DashLine) for _ in "xy"]
+        self._curves = [self.add_curve(colour) for colour in (theme.ACCENT, theme.AMBER)]
+        self.axes["left"].setTicks([[(0, "0"), (0.5, "0.5"), (1, "1")]])
+        self.set_ranges((0, 1), (0, 1))
+
+    def show_transfer(self, transfer: Mtf | None, where: str) -> None:
+        """Show the MTF of the view at `where`, or none."""
+        self.title.setText(f"MTF at {where}" if where else "MTF")
+        if transfer is None:
+            for curve in (*self._limits, *self._curves):
+                curve.setData(_NO_VALUES, _NO_VALUES)
+            return
+        frequencies = [one / 1e3 for one in (transfer.frequency_x_per_rad, transfer.frequency_y_per_rad)]
+        self.set_ranges((0, max(float(one[-1]) for one in frequencies)), (0, 1))
+        for curve, frequency, values in zip(
+            (*self._limits, *self._curves),
+            (*frequencies, *frequencies),
+            (transfer.limit_x, transfer.limit_y, transfer.along_x, transfer.along_y),
+            strict=True,
+        ):
+            curve.setData(*_finite(frequency, values))
+
+
+class StructurePlot(Plot):
+    """RMS difference of two wavefronts over their separation in the field."""
+
+    def __init__(self) -> None:
+        keys = (("with tilt", theme.ACCENT), ("tilt removed", theme.GREEN))
+        super().__init__("Wavefront change (rad)", "separation in the field (mm)", keys)
+        self.setToolTip(
+            "RMS difference between the wavefronts at two field positions over their separation.\n"
+            "The band holds all pairs. The isoplanatic patch ends where the difference reaches 1 rad.\n"
+            "Tilt displaces the image; the rest blurs it."
+        )
+        self._scale = AdaptiveScale()
+        self._curves = []
+        for colour in (theme.GREEN, theme.ACCENT):
+            ends = [pg.PlotCurveItem(pen=None) for _ in range(2)]
+            band = pg.FillBetweenItem(*ends)
+            theme.follow(self, partial(_tint, band, colour))
+            self.view.addItem(band)
+            self._curves.append((self.add_curve(colour), *ends))
+        limit = pg.InfiniteLine(
+            1.0, angle=0, label="1 rad", labelOpts={"position": 0.04, "anchors": [(0, 0.95), (0, 0.95)]}
+        )
+        theme.follow(self, lambda: limit.setPen(pg.mkPen(theme.AMBER, width=1, style=Qt.PenStyle.DashLine)))
+        theme.follow(self, lambda: limit.label.setColor(theme.AMBER))
+        self.view.addItem(limit)
+        self.set_ranges((0, 1), (0, 1.5))
+
+    def show_structure(self, found: Isoplanatism | None) -> None:
+        """Show the curves with and without tilt, or none."""
+        if found is None:
+            for items in self._curves:
+                for item in items:
+                    item.setData(_NO_VALUES, _NO_VALUES)
+            return
+        for items, curve in zip(self._curves, (found.curve_without_tilt, found.curve), strict=True):
+            for item, values in zip(items, (curve.rms_rad, curve.least_rad, curve.most_rad), strict=True):
+                item.setData(*_finite(np.append(0, curve.separation_m * 1e3), np.append(0, values)))
+        most_rad = float(np.nanmax(found.curve.most_rad, initial=1.2))  # keeps the line at 1 rad visible
+        farthest_mm = float(np.max(found.curve.separation_m, initial=1e-6)) * 1e3
+        self.set_ranges((0, farthest_mm), (0, self._scale.follow(most_rad)))
+
+
+def verdict(found: Isoplanatism) -> str:
+    """Summarise the error of a single correction for the whole field and the isoplanatic patch."""
+    if math.isnan(found.error_rad):
+        return "No lenslet is valid over the whole field"
+    patch = _patch(found.curve.patch_m)
+    return f"A single correction would leave {number(found.error_rad, 2)} rad RMS. Isoplanatic patch: {patch}"
+
+
+def _explanation(found: Isoplanatism) -> str:
+    return (
+        "The correction is the mean wavefront of the field. The isoplanatic patch ends\n"
+        "where two wavefronts differ by 1 rad RMS (mean square 1 rad\N{SUPERSCRIPT TWO}).\n"
+        f"Tip and tilt removed, which only displace the image: {number(found.error_without_tilt_rad, 2)} rad RMS;"
+        f" patch {_patch(found.curve_without_tilt.patch_m)}."
+    )
+
+
+def _patch(patch_m: float) -> str:
+    return f"{patch_m * 1e3:.2f} mm" if math.isfinite(patch_m) else "wider than the field"
+
+
+def _tint(band: pg.FillBetweenItem, colour: QColor) -> None:
+    brush = QColor(colour)
+    brush.setAlpha(40)
+    band.setBrush(brush)
+
+
+def _finite(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    is_finite = np.isfinite(y)
+    return x[is_finite], y[is_finite]

@@ -1,0 +1,391 @@
+"""The wavefront panel: the chosen quantity at every view of the field, and the menu of its display options."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QAction, QActionGroup
+from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
+
+from app.errors import InputError, RunError
+from app.files import check_outputs
+from app.gui.panels.panel import Entries, Panel, Request, Shown
+from app.gui.widgets import theme
+from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, colour_text, column, label, row_of
+from app.gui.widgets.copies import ask_file, write_picture
+from app.gui.widgets.enlarged_view import EnlargedView
+from app.gui.widgets.fields import NumberField
+from app.gui.widgets.presentation import PRESENTATIONS, Presentation, number, place
+from app.gui.widgets.scales import AdaptiveScale
+from app.gui.widgets.view_grid import Maps, ViewGrid
+from app.measurement.measurement import Measurement
+from app.results.dataset import write_shown
+from app.results.frame_tallies import rms_noise
+from app.results.shown_wavefront import (
+    MOST_AVERAGED,
+    MOST_VIEWS,
+    DisplayOptions,
+    StoredWavefront,
+    Unit,
+    WavefrontDisplay,
+)
+from app.results.view_analysis import Quantity, QuantityMaps, quantity_maps
+from drivers.interface import Range
+from reconstruction.arrays import Floats
+from reconstruction.quality.image_quality import aligned
+from reconstruction.refinement import mean_rms
+from reconstruction.wavefront import Wavefront
+
+_AVERAGES = (1, 2, 5, 10, 20, 50, MOST_AVERAGED)
+_LIMITS = Range(1e-3, 1e5)
+_WEAK_RAD = 0.1  # mean RMS from which on noise is not looked at: it takes some milliseconds
+
+
+class WavefrontPanel(Panel):
+    """Shows the chosen quantity, or that there is no wavefront."""
+
+    title, place = "Wavefronts", "right"
+    about = (
+        "One map for each position of the field, all on one colour scale. Keys 1 to 6 choose what is shown,"
+        " V enlarges the selected view."
+    )
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        self._newest: Wavefront | None = None  # as measured
+        self._display = WavefrontDisplay()
+        self._maps: tuple[Quantity, Floats] | None = None  # the maps in the grid, in the shown unit
+        self._limits = {(one.family, unit): AdaptiveScale() for one in PRESENTATIONS.values() for unit in Unit}
+        self._reach_mrad = AdaptiveScale()  # half width of PSF maps
+        self._enlarged: EnlargedView | None = None
+        about = "Quantity shown for every view (keys 1 to 6)"
+        self.choice = Choice(about, Quantity, self._redraw, key="view/quantity")
+        for index, quantity in enumerate(Quantity):
+            tip = f"{PRESENTATIONS[quantity].about} ({index + 1})"
+            self.choice.setItemData(index, tip, Qt.ItemDataRole.ToolTipRole)
+        self._summary = ElidedLabel("dim")
+        self._summary.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self.freeze_scale = Toggle("Freeze scale", "Freeze the colour scale (H)")
+        self.freeze_scale.toggled.connect(self._show_limit)
+        self.limit = NumberField(name="Limit of the colours", decimals=3, tool_tip="Limit of the frozen colour scale")
+        self.limit.entered.connect(self._fix_limit)
+        self.limit.hide()
+        self.menu = DisplayMenu(self)
+        self.menu.changed.connect(self._apply_options)
+        self.menu.store.triggered.connect(self._store)
+        self.menu.file.triggered.connect(self._choose_file)
+        self.menu.enlarge.triggered.connect(self.enlarge)
+        self.display_button = Button("Display", "Tilt, defocus, mean, unit, views")
+        self.display_button.setMenu(self.menu)
+        self.grid = ViewGrid()
+        self.grid.selected.connect(shown.choose_view)
+        self.grid.opened.connect(self.enlarge)
+        self.stale = ElidedLabel()  # always there, so that the maps stay where they are
+        colour_text(self.stale, theme.AMBER)
+        scale = (self.display_button, self.freeze_scale, self.limit)
+        self.header = row_of(self.choice, label("over the field", "title"), (self._summary, 1), *scale)
+        column(self.header, self.stale, (self.grid, 1), parent=self)
+
+    def menu_entries(self) -> Mapping[str, Entries]:
+        """Return the quantities and what else the header offers."""
+        return {
+            "&View": (
+                *(
+                    (f"{quantity} over the field", str(index + 1), partial(self.choose, quantity))
+                    for index, quantity in enumerate(Quantity)
+                ),
+                ("Freeze the colour scale", "H", self.freeze_scale),
+                ("Enlarge the selected view", "V", self.enlarge),
+            ),
+            "&File": (("Export the shown wavefronts", "Ctrl+E", self.export),),
+        }
+
+    @property
+    def quantity(self) -> Quantity:
+        """The chosen quantity."""
+        return Quantity(self.choice.currentText())
+
+    @property
+    def reach_rad(self) -> float | None:
+        """Half width of PSF maps; None until the extent of the light is known."""
+        return self._reach_mrad.value * 1e-3 if self._reach_mrad.is_set else None
+
+    def choose(self, quantity: Quantity) -> None:
+        """Choose a quantity."""
+        self.choice.setCurrentText(quantity)
+
+    def show_liveness(self) -> None:
+        """Say how the maps differ from live ones, and show those in grey that may be over."""
+        badge, reason, is_grey = self.shown.liveness
+        self.grid.show_stale(is_stale=is_grey)
+        self.stale.setText(f"{badge}: {reason}" if badge else "")
+
+    def show_measurement(self, measurement: Measurement) -> None:
+        """Show the views of the wavefront."""
+        self.show_wavefront(measurement.wavefront)
+
+    def show_wavefront(self, wavefront: Wavefront | None) -> None:
+        """Show the views of a wavefront, or that there is none; `show_result` shows the other quantities."""
+        if wavefront is None and self._newest is None:
+            return
+        self._newest = wavefront
+        self.shown.use_wavefront(None if wavefront is None else self._display(wavefront))
+        if self.shown.wavefront is None:
+            self._show_maps(None)
+        elif self.quantity is Quantity.WAVEFRONT:
+            self._show(QuantityMaps(self.shown.wavefront.views))
+
+    def forget_bench(self) -> None:
+        """Forget all wavefronts, also the one that is subtracted: the lenslets may be others."""
+        self.show_wavefront(None)
+        self._display = WavefrontDisplay()
+        self.menu.change(stored=None)
+
+    def request(self) -> Request | None:
+        """Frame the chosen view, and return the maps to compute; those of the wavefront are known."""
+        self.grid.select(self.shown.view if self.shown.has_open_tabs else None)
+        wavefront, quantity, settings = self.shown.wavefront, self.quantity, self.shown.settings
+        if wavefront is None or settings is None or quantity is Quantity.WAVEFRONT:
+            return None
+        reach_rad = self.reach_rad if quantity is Quantity.PSF else None
+        return Request(
+            wavefront,
+            (quantity, settings, reach_rad, wavefront.field),
+            lambda _: quantity_maps(wavefront, quantity, settings, reach_rad),
+        )
+
+    def show_result(self, result: QuantityMaps | None) -> None:
+        """Show maps of a quantity."""
+        if result is None:
+            self._show_maps(None)
+        elif self.shown.wavefront is not None:
+            if self.quantity is Quantity.PSF:
+                self._follow(self._reach_mrad, result.light_reach_rad * 1e3)
+            self._show(result)
+            self.show_numbers()
+
+    def show_numbers(self) -> None:
+        """Update the numbers under the views and in the header."""
+        if self._maps is None or self.shown.wavefront is None:
+            self._summary.setText("")
+            self.grid.set_captions({})
+            return
+        quantity, maps = self._maps
+        presentation, field = PRESENTATIONS[quantity], self.shown.wavefront.field
+        if maps.shape[:2] == (field.view_rows, field.view_columns):
+            numbers = iter(presentation.captions(maps.reshape(-1, *maps.shape[2:])))
+            self.grid.set_captions(
+                {
+                    (i, j): (next(numbers), place(float(field.view_x_m[j]), float(field.view_y_m[i])))
+                    for i, j in np.ndindex(maps.shape[:2])
+                }
+            )
+        reach = f"half width {self._reach_mrad.value:g} mrad" if quantity is Quantity.PSF else ""
+        summary = self._below_noise() or presentation.summary(maps, self.shown.unit)
+        self._summary.setText("; ".join(filter(None, (self.menu.options.in_words, reach, summary))))
+        if self._enlarged is not None:
+            self._enlarged.refresh()
+
+    def _below_noise(self) -> str:
+        """Say that the shown wavefront cannot be told from a flat one; empty if it can, or is no single frame's."""
+        options = self.menu.options
+        is_single = self.quantity is Quantity.WAVEFRONT and options.averaged == 1 and options.stored is None
+        if self._newest is None or not is_single or not mean_rms(self._newest.views) < _WEAK_RAD:
+            return ""
+        noise_rad = float(np.sqrt(np.nanmean(rms_noise(self._newest) ** 2)))
+        if mean_rms(self._newest.views) >= noise_rad:
+            return ""
+        return f"mean RMS below noise ({number(noise_rad * self.shown.per_rad)} {self.shown.unit})"
+
+    def enlarge(self) -> None:
+        """Show the selected view in a window of its own."""
+        if self._enlarged is None:
+            self._enlarged = EnlargedView(self.grid, self)
+        self._enlarged.show()
+        self._enlarged.raise_()
+
+    def export(self) -> None:
+        """Ask for a name, and write the shown wavefronts as a picture with their numbers and as NetCDF."""
+        shown, status = self.shown.wavefront, self.shown.status
+        if shown is None or status is None:
+            self.warned.emit("there is no wavefront to export")
+            return
+        name = ask_file(self, "Export the shown wavefronts", "wavefronts.png", "Picture (*.png)")
+        if name is None:
+            return
+        path, results = name.with_suffix(".png"), name.with_suffix(".nc")
+        try:
+            check_outputs([results], overwrite=path.exists())  # the dialog asked about the picture
+            write_picture(path, self.grab())
+            write_shown(results, shown, status.bench, options=self.menu.options.in_words)
+        except (InputError, RunError) as error:
+            self.warned.emit(str(error))
+        else:
+            self.informed.emit(f"saved {path} and {results.name}")
+
+    def subtract_file(self, path: Path) -> None:
+        """Subtract the wavefront of a file of results from now on."""
+        try:
+            lenslets = None if self._newest is None else self._newest.displacement.outcome.shape
+            stored = StoredWavefront.from_results(path, lenslets)
+        except InputError as error:
+            self.warned.emit(str(error))
+        else:
+            self.menu.change(stored=stored)
+
+    @property
+    def _scale(self) -> AdaptiveScale:
+        return self._limits[PRESENTATIONS[self.quantity].family, self.shown.unit]
+
+    def _fix_limit(self, limit: float) -> None:
+        self._scale.use(limit)
+        self._redraw()
+
+    def _show_limit(self) -> None:
+        """Show the limit of a frozen colour scale, to be changed."""
+        self.limit.setVisible(self.freeze_scale.isChecked())
+        self.limit.show_value(self._scale.value, _LIMITS)
+
+    def _store(self) -> None:
+        if self._newest is not None:
+            name = f"that of {datetime.now().astimezone():%H:%M:%S}"
+            self.menu.change(stored=self._display.store(self._newest, name))
+
+    def _choose_file(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(self, "Subtract a wavefront", "", "Results (*.nc)")
+        if name:
+            self.subtract_file(Path(name))
+
+    def _apply_options(self) -> None:
+        self._display.options, self.shown.unit = self.menu.options, self.menu.unit
+        self._redraw()
+
+    def _redraw(self) -> None:
+        if self._newest is None or self.quantity is not Quantity.WAVEFRONT:
+            self._show_maps(None)  # until the analysis has it
+        self.show_wavefront(self._newest)
+        self.show_numbers()
+        self._show_limit()
+
+    def _show(self, found: QuantityMaps) -> None:
+        """Show maps over the lenslets, or those of a PSF over angles."""
+        presentation, unit = PRESENTATIONS[self.quantity], self.shown.unit
+        if self.shown.wavefront is None:
+            return
+        sensor = self.shown.wavefront.sensor
+        per_rad = self.shown.per_rad if presentation.has_unit else 1.0
+        is_psf = self.quantity is Quantity.PSF
+        values = (found.values if is_psf else aligned(found.values, sensor.arrangement)) * per_rad
+        limit = self._scale
+        self._follow(limit, max(presentation.limit(values), presentation.finest * per_rad))
+        self._maps = (self.quantity, values)
+        scale = presentation.scale(limit.value, unit)
+        if is_psf:
+            reach_mrad = found.reach_rad * 1e3
+            text = partial(_describe_angle, presentation, unit, np.linspace(-reach_mrad, reach_mrad, values.shape[-1]))
+            both = (reach_mrad, reach_mrad)
+            self._show_maps(Maps(values, scale, text, is_smooth=True, reach=both, reach_unit="mrad"))
+        else:
+            x_mm = (sensor.lenslet_columns - 1) / 2 * sensor.lenslet_pitch_m * 1e3
+            y_mm = (sensor.lenslet_rows - 1) / 2 * sensor.row_spacing_m * 1e3
+            text = partial(_describe_lenslet, presentation, unit)
+            self._show_maps(Maps(values, scale, text, reach=(x_mm, y_mm), reach_unit="mm"))
+
+    def _follow(self, scale: AdaptiveScale, needed: float) -> None:
+        if not (self.freeze_scale.isChecked() and scale.is_set):
+            scale.follow(needed)
+
+    def _show_maps(self, maps: Maps | None) -> None:
+        self.grid.show_maps(maps)
+        if maps is None:
+            self._maps = None
+            self.show_numbers()
+        if self._enlarged is not None:
+            self._enlarged.refresh()
+
+
+def _describe_lenslet(presentation: Presentation, unit: str, row: int, column: int, value: float) -> str:
+    text = presentation.value(value, unit) if np.isfinite(value) else "lost, no value"
+    return f"Lenslet row {row}, column {column}: {text}"
+
+
+def _describe_angle(
+    presentation: Presentation, unit: str, angle_mrad: Floats, row: int, column: int, value: float
+) -> str:
+    if not np.isfinite(value):
+        return "no value"
+    return f"{angle_mrad[column]:+.2f}, {angle_mrad[row]:+.2f} mrad: {presentation.value(value, unit)}"
+
+
+class DisplayMenu(QMenu):
+    """Chooses what is removed from the shown wavefront, its unit and its views."""
+
+    changed = pyqtSignal()
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__("&Display", parent)
+        self.setToolTipsVisible(True)
+        self.options, self.unit = DisplayOptions(), Unit.RAD
+        self.enlarge = self._add("Enlarge the selected view", "Also by a double click")
+        self.addSeparator()
+        self.tilt, self.defocus = self._add("Remove tilt"), self._add("Remove defocus")
+        for action, option in ((self.tilt, "tilt"), (self.defocus, "defocus")):
+            action.setObjectName(f"view/{option}")  # its state is kept between two starts
+            action.setCheckable(True)
+            action.toggled.connect(lambda on, option=option: self.change(**{f"without_{option}": on}))
+        self.addSeparator()
+        self.store = self._add("Subtract the present wavefront", "The mean, if frames are averaged")
+        self.file = self._add("Subtract a wavefront from a file ...", "Results of svwfs with coefficients")
+        self.clear_stored = self._add("Subtract nothing", "Show the whole wavefront")
+        self.clear_stored.triggered.connect(lambda: self.change(stored=None))
+        self.clear_stored.setEnabled(False)
+        self.addSeparator()
+        self.averages = self._add_choices(
+            "Average",
+            "average",
+            [(f"{n} frames" if n > 1 else "Off", n) for n in _AVERAGES],
+            lambda count: self.change(averaged=count),
+        )
+        self.units = self._add_choices("Unit", "unit", [(unit.value, unit) for unit in Unit], self._choose_unit)
+        grids = [(f"{n} \N{MULTIPLICATION SIGN} {n}", n) for n in range(1, MOST_VIEWS + 1)]
+        self.grids = self._add_choices(
+            "Views", "grid", [("As in the bench", None), *grids], lambda count: self.change(views=count)
+        )
+
+    def change(self, **changes: Any) -> None:
+        """Change display options."""
+        self.options = replace(self.options, **changes)
+        self.clear_stored.setEnabled(self.options.stored is not None)
+        self.changed.emit()
+
+    def _choose_unit(self, unit: Unit) -> None:
+        self.unit = unit
+        self.changed.emit()
+
+    def _add(self, text: str, tip: str = "") -> QAction:
+        action = QAction(text, self)
+        action.setToolTip(tip)
+        self.addAction(action)
+        return action
+
+    def _add_choices(
+        self, title: str, key: str, choices: Iterable[tuple[str, Any]], choose: Callable[[Any], None]
+    ) -> tuple[QAction, ...]:
+        menu = QMenu(title, self)
+        self.addMenu(menu)
+        group = QActionGroup(menu)
+        group.setObjectName(f"view/{key}")
+        for text, value in choices:
+            action = QAction(text, menu)
+            action.setCheckable(True)
+            action.triggered.connect(lambda _, value=value: choose(value))
+            group.addAction(action)
+            menu.addAction(action)
+        actions = tuple(group.actions())
+        actions[0].setChecked(True)
+        return actions

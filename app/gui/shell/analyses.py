@@ -1,0 +1,144 @@
+"""Analyses: computes what the visible panels request, on threads of its own, and shows them the results."""
+
+import math
+import time
+from collections.abc import Iterable
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+from PyQt6.QtCore import QObject, pyqtSignal
+from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] # ships no types
+
+from app.gui.panels.panel import Check, Panel, Request, Shown
+from app.gui.widgets.basics import timer
+
+_POLL_INTERVAL_MS = 40
+_SHARE = 0.2  # of a core: the measurement needs the rest
+
+
+class Result(NamedTuple):
+    """Result of a panel's request: its value, or the error."""
+
+    panel: Panel
+    request: Request
+    value: Any
+    error: Exception | None
+
+
+class AnalysisThread:
+    """Computes the requests of its panels, together and one at a time, those of a running measurement at intervals."""
+
+    def __init__(self, check: Check) -> None:
+        """`check` raises to end a computation."""
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="analysis")
+        self._libraries = ThreadpoolController()
+        self._check = check
+        self.requests: dict[Panel, Request] = {}  # the last ones
+        self._future: Future[list[Result]] | None = None
+        self._requested_s = -math.inf
+        self._taken_s = 0.0  # by the last analysis
+
+    @property
+    def is_busy(self) -> bool:
+        """True until the results are taken."""
+        return self._future is not None
+
+    def submit(self, requests: dict[Panel, Request]) -> None:
+        """Compute requests unless the thread is busy or all are unchanged.
+
+        A new measurement alone waits until the interval is over, and long enough that analyses take only a share of a
+        core; any other change is analysed immediately.
+        """
+        if self.is_busy or not requests:
+            return
+        known = [self.requests.get(panel) for panel in requests]
+        pairs = list(zip(known, requests.values(), strict=True))
+        if all(old is not None and old.choice == new.choice for old, new in pairs):
+            if all(old is not None and old.of is new.of for old, new in pairs):
+                return
+            interval_s = max(request.interval_s for request in requests.values())
+            if time.monotonic() < self._requested_s + max(interval_s, self._taken_s / _SHARE):
+                return
+        self.requests, self._requested_s = requests, time.monotonic()
+        self._future = self._executor.submit(self._run, requests)
+
+    def take(self) -> list[Result]:
+        """Return finished results once."""
+        if self._future is None or not self._future.done():
+            return []
+        future, self._future = self._future, None
+        return future.result()
+
+    def forget(self) -> None:
+        """Drop the last requests, and their results."""
+        self.requests, self._future = {}, None
+
+    def close(self) -> None:
+        """Wait for the current analysis and end the thread."""
+        self._executor.shutdown(cancel_futures=True)
+
+    def _run(self, requests: dict[Panel, Request]) -> list[Result]:
+        """Compute on one core: waiting BLAS threads take five times as long beside a measurement."""
+        begun_s, results = time.monotonic(), []
+        with self._libraries.limit(limits=1, user_api="blas"):
+            for panel, request in requests.items():
+                try:
+                    results.append(Result(panel, request, request.compute(self._check), None))
+                except Exception as error:  # noqa: BLE001 - reported; the measurement continues
+                    results.append(Result(panel, request, None, error))
+        self._taken_s = time.monotonic() - begun_s
+        return results
+
+
+class Analyses(QObject):
+    """Asks the panels what to compute; quick results share a thread, each slow one has its own."""
+
+    failed = pyqtSignal(str)
+
+    def __init__(self, panels: Iterable[Panel], shown: Shown) -> None:
+        super().__init__(shown)
+        self._panels, self._shown = tuple(panels), shown
+        self.is_closing = False
+        quick = AnalysisThread(self._check)
+        self.threads = {panel: AnalysisThread(self._check) if panel.is_slow else quick for panel in self._panels}
+        shown.view_chosen.connect(self.poll)
+        self._timer = timer(self, _POLL_INTERVAL_MS, self.poll)
+        self._timer.start()
+
+    def poll(self) -> None:
+        """Show finished results and request the next."""
+        self._shown.has_open_tabs = any(panel.isVisible() for panel in self._panels if panel.place == "tab")
+        for thread in dict.fromkeys(self.threads.values()):
+            for result in thread.take():
+                self._show(thread, result)
+            requests = ((panel, panel.request()) for panel in self._panels if self.threads[panel] is thread)
+            thread.submit({panel: request for panel, request in requests if request is not None})
+        if self._shown.wavefront is None:
+            for panel in self._panels:
+                panel.show_nothing()
+
+    def forget_bench(self) -> None:
+        """Forget the measurements of another bench."""
+        for thread in self.threads.values():
+            thread.forget()
+
+    def close(self) -> None:
+        """End the threads."""
+        self._timer.stop()
+        self.is_closing = True
+        for thread in self.threads.values():
+            thread.close()
+
+    def _show(self, thread: AnalysisThread, result: Result) -> None:
+        """Show a result unless another choice was made meanwhile, or the panel was hidden."""
+        now = result.panel.request()
+        if result.error is not None:
+            self.failed.emit(f"Analysis failed: {result.error}")
+        elif now is not None and now.choice == result.request.choice:
+            result.panel.show_result(result.value)
+        else:
+            thread.requests.pop(result.panel, None)  # to be computed again when it is seen
+
+    def _check(self) -> None:
+        if self.is_closing:
+            raise CancelledError

@@ -1,0 +1,131 @@
+"""Base of the main window: it keeps the focus, times its painting, takes dropped files, and survives errors."""
+
+import sys
+import time
+import traceback
+from abc import abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+
+from PyQt6.QtCore import QEvent, QMimeData
+from PyQt6.QtGui import QDropEvent
+from PyQt6.QtWidgets import QMainWindow
+
+from app.measurement.measurement import Measurement
+from app.timing import Timings
+
+_LATE = 1.5  # times between two frames until a result: beyond, frames are waiting
+_REDRAWS = 2  # at least, between two that are left out
+
+
+class BaseWindow(QMainWindow):
+    """Takes the focus when it becomes active, and from a widget that is hidden or disabled.
+
+    So every key is a shortcut until a field is clicked; Qt would give it to the first button or field in the Tab order.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
+        self.setAcceptDrops(True)
+
+    @abstractmethod
+    def open_file(self, path: Path) -> None:
+        """Open a file or folder that was dropped on the window."""
+
+    def event(self, event: QEvent | None) -> bool:
+        """Take the focus when active, open what is dropped, and time the painting at UpdateRequest."""
+        if event is not None and event.type() == QEvent.Type.WindowActivate:
+            self.setFocus()
+        if isinstance(event, QDropEvent) and (paths := _paths(event.mimeData())):  # also its subclasses: enter, move
+            event.acceptProposedAction()
+            for path in paths if event.type() == QEvent.Type.Drop else ():
+                self.open_file(path)
+            return True
+        if event is None or event.type() != QEvent.Type.UpdateRequest or self.unpainted is None:
+            return super().event(event)
+        (measurement, timings, seconds), self.unpainted = self.unpainted, None
+        start_s = time.perf_counter()
+        is_handled = super().event(event)  # paints the whole window
+        end_s = time.perf_counter()
+        timings.note("draw", seconds + end_s - start_s)
+        timings.note("to_screen", end_s - measurement.exposure_end_s)
+        return is_handled
+
+    def focusNextPrevChild(self, next: bool) -> bool:  # noqa: A002, N802 - Qt's names
+        """Move the focus as Tab does, unless its widget has just been hidden or disabled."""
+        focused = self.focusWidget()
+        if focused is not None and not (focused.isVisible() and focused.isEnabled()):
+            self.setFocus()
+            return True
+        return super().focusNextPrevChild(next)
+
+
+def _paths(data: QMimeData | None) -> list[Path]:
+    return [] if data is None else [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]
+
+
+class LateMeasurements:
+    """Leaves out one redraw of three while measurements are late, so that they get the processor."""
+
+    def __init__(self) -> None:
+        self._redraws = 0  # since one was left out
+
+    def leave_out(self, newest: Measurement, shown: Measurement | None) -> bool:
+        """Return whether to leave out the redraw of the newest measurement; another one is `shown` now."""
+        if self._redraws >= _REDRAWS and shown is not None and _is_late(newest, shown):
+            self._redraws = 0
+            return True
+        self._redraws += 1
+        return False
+
+
+def _is_late(newest: Measurement, shown: Measurement) -> bool:
+    frames = newest.counts.acquired - shown.counts.acquired
+    if frames <= 0:  # the camera was started again
+        return False
+    between_s = (newest.frame.host_time_s - shown.frame.host_time_s) / frames
+    return newest.latency_s > _LATE * max(between_s, newest.frame.exposure_s)
+
+
+class ErrorReports:
+    """Turns errors of timers and slots into a red message; each distinct one is shown and printed once."""
+
+    def __init__(self, show: Callable[[str], object]) -> None:
+        """`show` receives a sentence for the user."""
+        self._show = show
+        self._known: set[str] = set()
+
+    def restart(self) -> None:
+        """Report known errors again: another bench is open."""
+        self._known.clear()
+
+    @contextmanager
+    def reported(self) -> Iterator[None]:
+        """Report errors that nothing catches, after which Qt would abort with the light on."""
+        before = sys.excepthook
+
+        def report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+            if not isinstance(error, Exception) or self._is_new(error):
+                before(kind, error, trace)
+
+        sys.excepthook = report
+        try:
+            yield
+        finally:
+            sys.excepthook = before
+
+    def _is_new(self, error: Exception) -> bool:
+        """Return whether an error is a new one, and show that."""
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        sentence = (
+            f"the display failed ({type(error).__name__}: {error}; {Path(at.filename).name}:{at.lineno}), so that what"
+            " you see may be old: open the bench again, and report this line of the log (Ctrl+L)"
+        )
+        if sentence in self._known:
+            return False
+        self._known.add(sentence)
+        self._show(sentence)
+        return True

@@ -1,0 +1,217 @@
+"""Benches in the window: opens files, recent ones and presets, and says what is wrong with one."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from PyQt6.QtCore import QObject, QSettings, Qt, QUrl
+from PyQt6.QtGui import QDesktopServices
+from PyQt6.QtWidgets import QDialog, QFileDialog, QHBoxLayout, QLabel, QMenu, QWidget
+
+from app.bench.bench_files import BenchError, bench_file, excerpt, read_bench_text
+from app.bench.config import Bench, load_bench, write_bench
+from app.bench.presets import PRESETS
+from app.bench.trusted_libraries import unconfirmed
+from app.errors import InputError, RunError
+from app.files import atomic_write
+from app.gui.shell.controller import Controller
+from app.gui.shell.menus import RecentFiles, listing_menu
+from app.gui.shell.settings_control import SettingsControl
+from app.gui.shell.settings_dialog import SettingsDialog
+from app.gui.shell.wording import as_sentence
+from app.gui.widgets import theme
+from app.gui.widgets.basics import Button, column
+from app.gui.widgets.copies import ask_file
+
+_TEMPLATE = "live_demo"
+_FILES = "Bench (*.toml)"
+_LAST = "last/bench"  # key of the settings
+_WIDTH = 560  # px
+
+Choices = tuple[tuple[str, str, Callable[[], object]], ...]  # text, tool tip, action
+
+
+class Benches(QObject):
+    """Opens benches by `connect`; a faulty one leaves the open bench as it is."""
+
+    def __init__(
+        self,
+        window: QWidget,
+        connect: Callable[[Bench], object],
+        controller: Controller,
+        settings_control: SettingsControl,
+        settings: QSettings | None,
+    ) -> None:
+        """`settings` remember the recent benches and the last one."""
+        super().__init__(window)
+        self._window, self._connect, self._messages = window, connect, controller.messages
+        self._controller, self._settings_control, self._remembered = controller, settings_control, settings
+        self.recent = RecentFiles(settings, "recent/benches")
+        self.dialog = BenchDialog(window)
+        self.settings: SettingsDialog | None = None  # made when it is needed
+        self.error: InputError | None = None  # of the last attempt to open a bench
+
+    def open(self, source: str, overrides: tuple[str, ...] = (), *, trust: bool = False) -> None:
+        """Open a bench file or a preset, changed by `overrides`; `trust` confirms the libraries that it names."""
+        self.error = None
+        try:
+            bench = load_bench(source, overrides)
+        except InputError as error:
+            self.error = error
+            self._explain(source, overrides, error)
+            return
+        self._connect_trusted(bench, source, trust=trust)
+
+    def _connect_trusted(self, bench: Bench, source: str, *, trust: bool = False) -> None:
+        """Connect a bench, or ask first whether its libraries are trusted; `source` is empty without a file."""
+        if (libraries := unconfirmed(bench)) and not trust:
+            named = "".join(f"<p><b>{library.key}</b> = {escape(library.named)}</p>" for library in libraries)
+            self.error = InputError(f"{libraries[0].key} = {libraries[0].named} would run code and is not trusted")
+            trusted = partial(self._connect_trusted, bench, source, trust=True)
+            self.dialog.show_message(
+                "Program library",
+                f"<p>This bench runs the code of a program library. Open it only if you trust the library.</p>{named}",
+                (("Trust and open", "Load it, now and later", trusted),),
+            )
+            return
+        for library in libraries:
+            library.trust()
+        self.error = None
+        if source and source not in PRESETS:
+            self._remember(Path(source))
+        self._connect(bench)
+
+    def offer_last(self) -> None:
+        """Ask whether to open the bench that was opened last, if it is a file that still exists."""
+        name = None if self._remembered is None else self._remembered.value(_LAST)
+        if isinstance(name, str) and name and Path(name).is_file():
+            question = f'the bench "{Path(name).name}" was open last: open it again?'
+            self._controller.ask(question, partial(self.open, name), "Open it", "Not now")
+
+    def _remember(self, path: Path) -> None:
+        self.recent.add(path)
+        if self._remembered is not None:
+            self._remembered.setValue(_LAST, str(path.absolute()))
+
+    def edit(self) -> None:
+        """Edit the settings of the open bench, with lattice, exposure and current in force."""
+        status = self._controller.status
+        self._settings_dialog().edit(load_bench(_TEMPLATE) if status is None else status.bench_in_force)
+
+    def make(self) -> None:
+        """Make a bench with connected devices."""
+        self._settings_dialog().make(replace(load_bench(_TEMPLATE), lattice=None))
+
+    def _settings_dialog(self) -> SettingsDialog:
+        if self.settings is None:
+            self.settings = SettingsDialog(self._use, self.open, self._window)
+        return self.settings
+
+    def _use(self, bench: Bench, before: Bench | None) -> None:
+        """Connect the devices of a bench, unless it differs from the open one, `before`, in the reconstruction only."""
+        changed: dict[str, Any] = {"registration": bench.registration, "reconstruction": bench.reconstruction}
+        if before is None or self._controller.failure or replace(before, **changed) != bench:
+            self._connect_trusted(bench, source="")
+        else:
+            self._settings_control.change(*changed.items())
+
+    def ask(self) -> None:
+        """Ask for a bench file, and open it."""
+        folder = next((str(path.parent) for path in self.recent.paths()), "")
+        name, _ = QFileDialog.getOpenFileName(self._window, "Open a bench", folder, _FILES)
+        if name:
+            self.open(name)
+
+    def save(self) -> None:
+        """Ask for a file and save the bench with the lattice and device settings in force."""
+        status = self._controller.status
+        path = None if status is None else ask_file(self._window, "Save the bench", "bench.toml", _FILES)
+        if status is None or path is None:
+            return
+        try:
+            with atomic_write(path) as temporary:
+                temporary.write_text(write_bench(status.bench_in_force), "utf-8")
+        except (InputError, RunError, ValueError) as error:  # ValueError: inconsistent settings
+            self._messages.warn(str(error))
+        else:
+            self._messages.inform(f"saved {path}")
+            self._remember(path)
+
+    def recent_menu(self) -> QMenu:
+        """Return the menu of the recent benches."""
+        return self.recent.menu(
+            self._window, lambda path: f"{path.name}  \N{EM DASH}  {path.parent}", lambda path: self.open(str(path))
+        )
+
+    def presets_menu(self) -> QMenu:
+        """Return the menu of the presets."""
+        return listing_menu(
+            self._window, lambda: [(name.replace("_", " "), partial(self.open, name)) for name in PRESETS]
+        )
+
+    def _explain(self, source: str, overrides: tuple[str, ...], error: InputError) -> None:
+        line = error.line if isinstance(error, BenchError) else None
+        choices: Choices = (
+            ("Try again", "Read the bench again, after you have corrected it", lambda: self.open(source, overrides)),
+            ("Open another \N{HORIZONTAL ELLIPSIS}", "Choose another bench file (Ctrl+O)", self.ask),
+        )
+        lines: tuple[tuple[int, str], ...] = ()
+        try:
+            path = bench_file(source)
+            lines = () if line is None else excerpt(read_bench_text(path), line)
+        except InputError:
+            pass  # there is no such file
+        else:
+            url = QUrl.fromLocalFile(str(path.absolute()))  # opened in the program that the desktop has for it
+            choices = (("Edit the file", f"Open {path}", lambda: QDesktopServices.openUrl(url)), *choices)
+        place = "" if line is None else f"line {line}"
+        title = ", ".join(filter(None, ("Faulty bench", place)))
+        self.dialog.show_message(title, _fault_html(f"{error}{f' ({place})' if place else ''}", lines, line), choices)
+
+
+class BenchDialog(QDialog):
+    """Shows one message with buttons that close it; the measurement continues beside it."""
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.text = QLabel()
+        self.text.setTextFormat(Qt.TextFormat.RichText)
+        self.text.setWordWrap(True)
+        self.text.setMinimumWidth(_WIDTH)
+        self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self._buttons = QHBoxLayout()
+        self._buttons.addStretch()
+        column(self.text, self._buttons, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
+
+    def show_message(self, title: str, html: str, choices: Choices) -> None:
+        """Show a message; each button closes the dialog before it acts."""
+        self.setWindowTitle(title)
+        self.text.setText(html)
+        while (item := self._buttons.takeAt(1)) is not None:
+            if (old := item.widget()) is not None:
+                old.deleteLater()
+        for text, tool_tip, act in (*choices, ("Close", "Change nothing (Esc)", lambda: None)):
+            self._buttons.addWidget(Button(text, tool_tip, lambda _=False, act=act: self._choose(act)))
+        self.adjustSize()
+        self.show()
+        self.activateWindow()
+
+    def _choose(self, act: Callable[[], object]) -> None:
+        self.close()
+        act()
+
+
+def _fault_html(sentence: str, lines: tuple[tuple[int, str], ...], faulty: int | None) -> str:
+    """Format an error, and the lines of the file around the faulty one."""
+    red = theme.RED.name()
+    listing = "<br>".join(
+        f'<span style="color: {red if number == faulty else theme.DIM.name()};">'
+        f"{'&#9654;' if number == faulty else '&nbsp;'}&nbsp;{number:>4}&nbsp;&nbsp;"
+        f"{escape(text).replace(' ', '&nbsp;')}</span>"
+        for number, text in lines
+    )
+    shown = f"<p>{escape(as_sentence(sentence))}</p>"
+    return f'{shown}<p style="font-family: monospace;">{listing}</p>' if lines else shown

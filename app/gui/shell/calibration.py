@@ -1,0 +1,227 @@
+"""Calibration: single routines, and a guide that takes all steps in order and explains them."""
+
+from collections.abc import Callable
+from functools import partial
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
+
+from app.acquisition.instrument import Instrument, Setting
+from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, differs
+from app.gui.panels.camera import CameraPanel
+from app.gui.shell.controller import Controller
+from app.gui.shell.settings_control import SettingsControl
+from app.gui.shell.wording import exposure_found, lattice_found
+from app.gui.widgets import theme
+from app.gui.widgets.basics import Button, column, label, row
+from app.measurement.auto_exposure import AutoExposure
+from app.measurement.averages import BackgroundCheck
+from app.measurement.routines import Cancelled
+from reconstruction.geometry import Lattice
+from reconstruction.lattice.search import Survey
+
+_WIDTH = 660  # px
+_LAMP = 16  # px
+
+
+class Routines:
+    """Finds exposure and lattice, and checks the background; a found lattice is proposed."""
+
+    def __init__(self, controller: Controller, settings: SettingsControl, camera: CameraPanel) -> None:
+        self._controller, self._settings, self._camera = controller, settings, camera
+        self._messages = controller.messages
+        controller.question_closed.connect(lambda: camera.propose(None))
+
+    def expose(self) -> None:
+        """Find and set the exposure."""
+        self._controller.send(
+            lambda to: to.submit(Instrument.auto_expose), lambda found: self._messages.inform(exposure_found(found))
+        )
+
+    def find_lattice(self) -> None:
+        """Find the lenslets in the reference, and ask whether to use that lattice."""
+        self._controller.send(lambda to: to.submit(Instrument.survey_lattice), self._propose)
+
+    def check_background(self) -> None:
+        """Compare the background with the dark."""
+
+        def show(check: BackgroundCheck) -> None:
+            (self._messages.inform if check.is_good else self._messages.warn)(check.verdict)
+
+        self._controller.send(lambda to: to.submit(Instrument.check_background), show)
+
+    def use_lattice(self, lattice: Lattice) -> None:
+        """Change the lattice of the bench."""
+        self._settings.change(
+            ("lattice", lattice), then=lambda _: self._messages.inform("the lattice is in use; Ctrl+S saves it")
+        )
+
+    def _propose(self, survey: Survey) -> None:
+        self._camera.propose(survey)
+        self._controller.ask(lattice_found(survey), partial(self.use_lattice, survey.lattice))
+
+
+class CalibrationGuide(QDialog):
+    """Lists the steps with their states, and asks a person where it must; the measurement is seen beside it."""
+
+    def __init__(self, controller: Controller, use_lattice: Callable[[Lattice], object], parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Calibration")
+        self._controller, self._use_lattice = controller, use_lattice
+        self._frames = 0
+        self._left: list[CalibrationStep] = []
+        self._is_running = False
+        self._answers: dict[bool, Callable[[], object]] = {}  # called after "yes" and after "no"
+        self.lamps = {step: label("") for step in STEPS}
+        self.results = {step: label("", "dim") for step in STEPS}
+        grid = QGridLayout()
+        grid.setHorizontalSpacing(10)
+        grid.setVerticalSpacing(2)
+        grid.setColumnMinimumWidth(1, _WIDTH)
+        for index, step in enumerate(STEPS):
+            explanation, result = label(step.explanation, "dim"), self.results[step]
+            for text in (explanation, result):
+                text.setWordWrap(True)
+            result.setTextFormat(Qt.TextFormat.PlainText)
+            result.setAlignment(Qt.AlignmentFlag.AlignTop)
+            result.setMinimumHeight(2 * result.fontMetrics().lineSpacing() + 8)  # the lattice takes two lines
+            grid.addWidget(self.lamps[step], 3 * index, 0)
+            grid.addWidget(label(f"{index + 1}  {step.title}", "title"), 3 * index, 1)
+            grid.addWidget(explanation, 3 * index + 1, 1)
+            grid.addWidget(result, 3 * index + 2, 1)
+        self.question = label("")
+        self.question.setWordWrap(True)
+        self.yes = Button("", "Return", lambda _: self._answers[True]())
+        self.no = Button("", "Esc", lambda _: self._answers[False]())
+        answers = row((self.question, 1), self.yes, self.no)
+        column(grid, answers, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
+
+    def begin(self, frames: int) -> None:
+        """Take all steps, averaging `frames` frames into dark and reference; while they run, only show them."""
+        self.show()
+        self.activateWindow()
+        if self._is_running:
+            return
+        self._frames, self._left, self._is_running = frames, list(STEPS), True
+        for step in STEPS:
+            self._mark(step, "waiting", "")
+        status = self._controller.status
+        if status is not None and status.bench.has_manual_stage and not status.is_sample_in:  # as noted
+            self._ask("Make sure that the sample is out of the beam", "It is out", self._next)
+        else:
+            self._next()
+
+    def end_for_light(self) -> bool:
+        """End the sequence because the light is switched off; return whether it was running."""
+        was_running = self._is_running
+        if was_running:
+            self._end("ended: the light was switched off")
+        return was_running
+
+    def reject(self) -> None:
+        """Cancel the running step, or close."""
+        if self._is_running:
+            self._controller.cancel()
+            self._end("cancelled")
+        else:
+            super().reject()
+
+    def _next(self) -> None:
+        if not self._is_running:
+            return
+        status = self._controller.status
+        if status is None:
+            self._end("no bench is connected")
+            return
+        if not self._left:
+            self._end("Calibrated." + " Put the sample into the beam (S)." * status.bench.has_manual_stage)
+            return
+        step = self._left[0]
+        if (request := by_hand(step, status)) is not None:
+            text, setting, value = request
+            self._ask(text, "Done", lambda: self._note(setting, value))
+            return
+        self._mark(step, "running", "running \N{HORIZONTAL ELLIPSIS}")
+        self._show_question("", "", "Cancel", self.reject)
+        self._controller.send(lambda to: step.begin(to, self._frames), self._finish, self._fail)
+
+    def _note(self, setting: Setting, value: bool) -> None:
+        """Note what a person has done, and go on."""
+        self._controller.send(lambda to: to.submit(Instrument.set, setting, value), lambda _: self._next(), self._fail)
+
+    def _finish(self, result: object) -> None:
+        if not self._is_running:
+            return
+        step, status, text = self._left.pop(0), self._controller.status, "taken"
+        if isinstance(result, AutoExposure):
+            text = exposure_found(result)
+        elif isinstance(result, Survey):
+            text = lattice_found(result)
+            if status is not None and differs(result.lattice, status):
+                self._mark(step, "failed", text)
+                self._ask(
+                    "The bench has another lattice.",
+                    "Use this one",
+                    lambda: self._take_lattice(step, text, result.lattice),
+                    "Keep that of the bench",
+                    self._next,
+                )
+                return
+        self._mark(step, "done", text)
+        self._next()
+
+    def _take_lattice(self, step: CalibrationStep, text: str, lattice: Lattice) -> None:
+        self._mark(step, "done", text)
+        self._use_lattice(lattice)
+        self._next()
+
+    def _fail(self, error: Exception) -> None:
+        if not self._is_running:
+            return
+        step = self._left[0]
+        if isinstance(error, Cancelled):
+            self._end("cancelled")
+        elif step is LATTICE and EXPOSURE in self._left:  # perhaps too dark or too bright
+            self._mark(step, "waiting", f"{error}; tried again after the exposure")
+            self._left[:2] = [EXPOSURE, LATTICE]
+            self._next()
+        else:
+            self._mark(step, "failed", str(error))
+            self._ask(f"{step.title} failed.", "Try again", self._next)
+
+    def _stop(self) -> None:
+        self._end("stopped")
+
+    def _end(self, text: str) -> None:
+        if self._left:
+            self._mark(self._left[0], "failed", self.results[self._left[0]].text() if text == "stopped" else text)
+        self._left, self._is_running = [], False
+        self._show_question(text, "", "Close", self.close)
+
+    def _ask(
+        self,
+        question: str,
+        yes: str,
+        accept: Callable[[], object],
+        no: str = "Stop",
+        refuse: Callable[[], object] | None = None,
+    ) -> None:
+        """Ask a question; without another refusal, it stops the calibration."""
+        self._answers[True] = accept
+        self._show_question(question, yes, no, refuse or self._stop)
+        self.yes.setFocus()
+
+    def _show_question(self, question: str, yes: str, no: str, refuse: Callable[[], object]) -> None:
+        self._answers[False] = refuse
+        self.question.setText(question[:1].upper() + question[1:])
+        self.yes.setText(yes)
+        self.yes.setVisible(bool(yes))
+        self.no.setText(no)
+
+    def _mark(self, step: CalibrationStep, state: str, text: str) -> None:
+        lamp = theme.lamp(theme.ACCENT)
+        if state != "running":
+            lamp = theme.validity_lamp({"waiting": "missing", "done": "good", "failed": "doubtful"}[state])
+        self.lamps[step].setPixmap(lamp.pixmap(_LAMP, _LAMP))
+        self.lamps[step].setToolTip(state)
+        self.results[step].setText(text[:1].upper() + text[1:])

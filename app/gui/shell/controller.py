@@ -1,0 +1,147 @@
+"""Controller: the open acquisition, the commands that the window sends to it, and the questions about them."""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future
+from typing import Any, TypeVar
+
+from PyQt6.QtCore import QObject, pyqtSignal
+
+from app.acquisition.instrument import Status
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition
+from app.cache import release_memory
+from app.errors import InputError, RunError
+from app.gui.shell.messages import MessageStrip
+from app.measurement.routines import Cancelled
+
+T = TypeVar("T")
+Begin = Callable[[Acquisition], tuple[Future[Any], ...]]  # sends the first commands to an acquisition
+Then = Callable[[Any], object] | None  # receives a result
+Otherwise = Callable[[Exception], object] | None
+
+CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it
+_CLOSING_POLL_S = 0.04
+
+
+class Controller(QObject):
+    """Owns the acquisition; passes results of commands to callbacks, and shows their errors as warnings.
+
+    There is no acquisition before `connect_devices`, and another one after each reconnection.
+    """
+
+    connected = pyqtSignal()  # another acquisition has started
+    question_closed = pyqtSignal()  # it was answered, or belongs to a closed acquisition
+
+    def __init__(self, make_acquisition: Callable[[], Acquisition] | None, messages: MessageStrip) -> None:
+        super().__init__()
+        self.messages = messages
+        self._make_acquisition = make_acquisition
+        self._begin: Begin = start_up
+        self.acquisition: Acquisition | None = None
+        self.is_stuck = False  # whether the worker did not end on `close`
+        self._pending: list[tuple[Future[Any], Then, Otherwise]] = []
+        self._on_accept: Callable[[], object] | None = None  # called if the question is accepted
+        messages.answered.connect(self._decide)
+        messages.cancel_requested.connect(self.cancel)
+
+    @property
+    def status(self) -> Status | None:
+        """Status of the instrument; None until the devices are open."""
+        return None if self.acquisition is None else self.acquisition.status
+
+    @property
+    def failure(self) -> str:
+        """Reason why the acquisition ended by itself, else empty."""
+        return "" if self.acquisition is None else self.acquisition.failure
+
+    @property
+    def error(self) -> InputError | RunError:
+        """The failure as the error of a command."""
+        error = None if self.acquisition is None else self.acquisition.error
+        return error if isinstance(error, InputError | RunError) else RunError(self.failure)
+
+    @property
+    def is_settled(self) -> bool:
+        """True if all commands are finished and their results were passed on."""
+        return not self._pending
+
+    @property
+    def is_idle(self) -> bool:
+        """True if all commands are finished."""
+        return all(future.done() for future, _, _ in self._pending)
+
+    def use(self, make_acquisition: Callable[[], Acquisition], begin: Begin, meanwhile: Callable[[], object]) -> None:
+        """Close the devices, as `close` does; use this factory at the next connection."""
+        self.close(meanwhile)
+        self._make_acquisition, self._begin = make_acquisition, begin
+
+    def connect_devices(self) -> None:
+        """Start an acquisition, if a bench is open; close the previous one first."""
+        if self._make_acquisition is None:
+            return
+        if self.acquisition is not None:
+            self.acquisition.close()
+        self.question_closed.emit()
+        self.acquisition = self._make_acquisition()
+        self.acquisition.start()
+        self.connected.emit()
+        self._pending = [(future, None, None) for future in self._begin(self.acquisition)]
+        release_memory()  # of the one before
+
+    def close(self, meanwhile: Callable[[], object]) -> None:
+        """Turn the light off at once and close the devices; wait for the worker, calling `meanwhile` at 25 Hz."""
+        if self.acquisition is None:
+            return
+        self.acquisition.begin_close()
+        deadline_s = time.monotonic() + CLOSING_S
+        while self.acquisition.is_alive and time.monotonic() < deadline_s:
+            self.acquisition.close(timeout_s=_CLOSING_POLL_S)
+            meanwhile()
+        self.is_stuck = self.acquisition.is_alive
+
+    def send(
+        self, submit: Callable[[Acquisition], Future[T]], then: Then = None, otherwise: Otherwise = None
+    ) -> Future[T] | None:
+        """Send a command to the acquisition, if there is one; an earlier notice disappears.
+
+        `then` receives the result, `otherwise` an error.
+        """
+        if self.acquisition is None:
+            return None
+        self.messages.clear_notice()
+        future = submit(self.acquisition)
+        self._pending.append((future, then, otherwise))
+        return future
+
+    def cancel(self) -> None:
+        """End the routine that is running."""
+        if self.acquisition is not None:
+            self.acquisition.cancel()
+
+    def poll(self) -> bool:
+        """Pass on the results of finished commands; return whether there were any."""
+        done = [pending for pending in self._pending if pending[0].done()]
+        self._pending = [pending for pending in self._pending if pending not in done]
+        for future, then, otherwise in done:
+            try:
+                result = future.result()
+            except Exception as error:  # noqa: BLE001 - every error is shown
+                self.messages.warn("cancelled" if isinstance(error, Cancelled | CancelledError) else str(error))
+                if otherwise is not None:
+                    otherwise(error)
+            else:
+                if then is not None:
+                    then(result)
+        return bool(done)
+
+    def ask(self, question: str, act: Callable[[], object], accept: str = "Use it", discard: str = "Discard") -> None:
+        """Ask the user, and act if the answer is yes."""
+        self._on_accept = act
+        self.messages.ask(question, accept=accept, discard=discard)
+
+    def _decide(self, is_accepted: bool) -> None:
+        act, self._on_accept = self._on_accept, None
+        self.question_closed.emit()
+        if act is not None and is_accepted:
+            act()

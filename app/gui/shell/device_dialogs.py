@@ -1,0 +1,181 @@
+"""Dialogs of the devices, beside which the measurement continues: sensor region and binning, and named presets."""
+
+import json
+
+from PyQt6.QtCore import QSettings
+from PyQt6.QtWidgets import QDialog, QFormLayout, QListWidget, QWidget
+
+from app.acquisition.instrument import Status
+from app.gui.panels.controls import ControlsPanel
+from app.gui.shell.controller import Controller
+from app.gui.shell.wording import area_taken
+from app.gui.widgets.basics import Button, Choice, column, label, row
+from app.gui.widgets.fields import NumberField, TextField
+from app.measurement.sensor_region import SensorArea, in_steps, region_around
+from drivers.interface import Range, Region
+
+_SIDES = {
+    "First row": "First row that is read out",
+    "First column": "First column that is read out",
+    "Rows": "Number of rows",
+    "Columns": "Number of columns",
+}
+_KEY = "presets/devices"  # of the settings
+_SETTINGS = ("exposure_s", "em_gain", "current_a", "mask")
+
+
+class SensorRegionDialog(QDialog):
+    """Sets the area; shows the one in force and what the camera allows."""
+
+    def __init__(self, controller: Controller, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Sensor region and binning")
+        self._controller, self._messages = controller, controller.messages
+        self._status: Status | None = None
+        self._sides = [
+            NumberField(name=name, tool_tip=f"{about}. In unbinned sensor pixels; rounded to the camera's steps")
+            for name, about in _SIDES.items()
+        ]
+        self.top, self.left, self.rows, self.columns = self._sides
+        self.binning = Choice("Sensor pixels per frame pixel, along both axes")
+        self.limits, self.in_force = label("", "dim"), label("", "dim")
+        self.whole = Button("Whole sensor", "Fill in the whole sensor", self._fill_whole)
+        self.around = Button(
+            "Around the lattice", "Fill in all lenslets with a margin of half a pitch", self._fill_around
+        )
+        self.apply = Button("Apply", "Set the region; then take a new dark (D) and reference (R)", self._set_area)
+        self.apply.setDefault(True)
+        close = Button("Close", "Change nothing (Esc)", self.close)
+        form = QFormLayout()
+        for name, field in zip((*_SIDES, "Binning"), (*self._sides, self.binning), strict=True):
+            form.addRow(label(name, "dim"), field)
+        fills, ends = row((self.whole, 1), (self.around, 1)), row((self.apply, 1), (close, 1))
+        column(self.limits, form, fills, self.in_force, ends, spacing=8, parent=self).setContentsMargins(11, 11, 11, 11)
+
+    @property
+    def area(self) -> SensorArea:
+        """The area that is filled in."""
+        return SensorArea(Region(*(round(side.value()) for side in self._sides)), int(self.binning.currentText() or 1))
+
+    def begin(self) -> None:
+        """Fill in the area in force and open the dialog, if there is anything to choose."""
+        if (status := self._controller.status) is None:
+            return
+        if status.capabilities.sensor is None and len(status.capabilities.binnings) == 1:
+            self._messages.warn(f"{status.camera_name} always reads out its whole sensor and cannot bin")
+            return
+        self._status = None
+        self.show_status(status)
+        self.show()
+
+    def show_status(self, status: Status) -> None:
+        """Show the area in force; refill the fields only if it has changed."""
+        before, self._status = self._status, status
+        allowed, area = status.capabilities, status.area
+        is_new = before is None or (before.area, before.capabilities.sensor) != (area, allowed.sensor)
+        pixels = f"{allowed.rows} x {allowed.columns} pixels"
+        self.in_force.setText(f"In force: {area}; frames of {pixels}")
+        whole = allowed.sensor or area.region
+        steps = f", in steps of {allowed.region_step_px} px" if allowed.sensor is not None else ", always whole"
+        self.limits.setText(f"Sensor: {whole.rows} x {whole.columns} pixels{steps}")
+        for side in (*self._sides, self.around):
+            side.setEnabled(allowed.sensor is not None)
+        self.around.setEnabled(allowed.sensor is not None and status.lattice is not None)
+        self.binning.setEnabled(len(allowed.binnings) > 1)
+        if is_new:
+            self.binning.clear()
+            self.binning.addItems(list(map(str, allowed.binnings)))
+            self.binning.setCurrentText(str(area.binning))
+            self.fill(area.region)
+
+    def fill(self, region: Region) -> None:
+        """Fill in a region."""
+        if self._status is None:
+            return
+        allowed = self._status.capabilities
+        whole = allowed.sensor or region
+        for side, value, most in (
+            (self.top, region.top, whole.rows),
+            (self.left, region.left, whole.columns),
+            (self.rows, region.rows, whole.rows),
+            (self.columns, region.columns, whole.columns),
+        ):
+            side.setSingleStep(allowed.region_step_px)
+            side.show_value(value, Range(0, most))
+
+    def _fill_whole(self) -> None:
+        if self._status is not None and self._status.capabilities.sensor is not None:
+            self.fill(self._status.capabilities.sensor)
+
+    def _fill_around(self) -> None:
+        status = self._controller.status
+        if status is not None and status.lattice is not None and status.capabilities.sensor is not None:
+            region = region_around(status.lattice, status.bench.sensor, status.area)
+            self.fill(in_steps(region, status.capabilities.sensor, status.capabilities.region_step_px))
+
+    def _set_area(self) -> None:
+        if all(side.commit() for side in self._sides):
+            area = self.area
+            self._controller.send(lambda to: to.set_area(area), self._show_taken)
+
+    def _show_taken(self, area: SensorArea) -> None:
+        self.close()  # returns the keys to the window
+        if (status := self._controller.status) is not None:
+            text, is_whole = area_taken(status, area)
+            (self._messages.inform if is_whole else self._messages.warn)(text)
+
+
+class DevicePresets(QDialog):
+    """Lists presets of exposure, gain, current and mask, which are kept between starts: saves, applies and deletes."""
+
+    def __init__(self, controller: Controller, controls: ControlsPanel, settings: QSettings, parent: QWidget) -> None:
+        """Apply presets as the `controls` would."""
+        super().__init__(parent)
+        self._controller, self._controls, self._settings = controller, controls, settings
+        self.setWindowTitle("Presets of exposure and mask")
+        self.names = QListWidget()
+        self.names.itemDoubleClicked.connect(lambda _: self._apply())
+        self.name = TextField(tool_tip="Name of the preset", hint="name")
+        self.save = Button("Save", "Save exposure, gain, current and mask in force under this name", self._save)
+        self.apply = Button("Apply", "Set exposure, gain, current and mask of the chosen preset", self._apply)
+        self.delete = Button("Delete", "Delete the chosen preset", self._delete)
+        chosen = row(self.apply, self.delete, (QWidget(), 1), Button("Close", "Close (Esc)", self.close))
+        lines = (self.names, 1), row((self.name, 1), self.save), chosen
+        column(*lines, spacing=8, parent=self).setContentsMargins(12, 12, 12, 12)
+        self._list()
+
+    def _presets(self) -> dict[str, dict[str, object]]:
+        try:
+            found = json.loads(str(self._settings.value(_KEY, "{}")))
+        except ValueError:  # edited by hand
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    def _keep(self, presets: dict[str, dict[str, object]]) -> None:
+        self._settings.setValue(_KEY, json.dumps(presets))
+        self._list()
+
+    def _list(self) -> None:
+        self.names.clear()
+        for name, values in self._presets().items():
+            self.names.addItem(name)
+            if (item := self.names.item(self.names.count() - 1)) is not None:
+                item.setToolTip("\n".join(f"{key} {value}" for key, value in values.items()))
+
+    def _save(self) -> None:
+        status, name = self._controller.status, self.name.text().strip()
+        if status is not None and name:
+            self._keep({**self._presets(), name: {name: getattr(status, name) for name in _SETTINGS}})
+
+    def _delete(self) -> None:
+        if (item := self.names.currentItem()) is not None:
+            self._keep({name: values for name, values in self._presets().items() if name != item.text()})
+
+    def _apply(self) -> None:
+        status, item = self._controller.status, self.names.currentItem()
+        if status is None or item is None:
+            return
+        values = self._presets()[item.text()]
+        for name in _SETTINGS:
+            if name in values and values[name] != getattr(status, name):  # a manual light takes no current
+                self._controls.requested.emit(name, values[name])

@@ -1,0 +1,171 @@
+"""Dockable panels of the window: the default layout, and what a user may change in it."""
+
+from collections.abc import Iterable
+
+from PyQt6.QtCore import QSize, Qt
+from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabBar, QTabWidget, QToolButton, QWidget
+
+from app.gui.panels.panel import Panel
+from app.gui.widgets.basics import Slot, column, label, row, timer
+
+_OPTIONS = QMainWindow.DockOption
+_MARGIN = 8  # px between the contents of a panel and its edge
+_BUTTON = 18  # px
+
+
+class Dock(QDockWidget):
+    """A panel that can be moved, floated and closed; a header moves it, among tabs the tab."""
+
+    def __init__(self, panel: Panel) -> None:
+        """Put a panel below its header, or its title; the handle of a strip stands at its left."""
+        super().__init__(panel.title)
+        self.setObjectName(panel.title)  # its key in a saved state
+        self.panel, is_strip = panel, panel.place == "strip"
+        body = QWidget()
+        column(panel, parent=body).setContentsMargins(*(0, 0, 0, 0) if is_strip else (_MARGIN, 2, _MARGIN, 4))
+        if is_strip:
+            self.setFeatures(self.features() | self.DockWidgetFeature.DockWidgetVerticalTitleBar)
+            body.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+        self.setWidget(body)
+        self.bar = _TitleBar(self, panel.header or label("" if is_strip else panel.title, "title"), is_strip=is_strip)
+        self.setTitleBarWidget(self.bar)
+        policy = panel.sizePolicy()
+        policy.setRetainSizeWhenHidden(True)
+        panel.setSizePolicy(policy)
+        self.visibilityChanged.connect(panel.setVisible)  # Qt calls a panel behind another tab visible
+        # From behind a tab it floats without that signal.
+        self.topLevelChanged.connect(lambda floats: panel.setVisible(floats or panel.isVisible()))
+
+
+class _TitleBar(QWidget):
+    """A header with two buttons: float and close."""
+
+    def __init__(self, dock: Dock, header: QWidget, *, is_strip: bool) -> None:
+        super().__init__(dock)
+        self._is_compact = False
+        buttons = (
+            _tool_button(
+                "\N{NORTH EAST ARROW}",
+                "Float as a window, or dock again",
+                lambda: dock.setFloating(not dock.isFloating()),
+            ),
+            _tool_button("\N{MULTIPLICATION SIGN}", "Close; View > Panels opens it again", dock.close),
+        )
+        if is_strip:
+            column(*buttons, spacing=0, parent=self).addStretch()
+        else:
+            row((header, 1), *buttons, spacing=2, parent=self).setContentsMargins(_MARGIN, 4, 0, 4)
+
+    def sizeHint(self) -> QSize:  # noqa: N802 - Qt's name
+        """Return no size below a tab, which has the title."""
+        return QSize(0, 0) if self._is_compact else super().sizeHint()
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802 - Qt's name
+        """Return no size below a tab."""
+        return QSize(0, 0) if self._is_compact else super().minimumSizeHint()
+
+    def show_compact(self, *, is_compact: bool) -> None:
+        """Take no room, or that of the header."""
+        if is_compact != self._is_compact:
+            self._is_compact = is_compact
+            self.setVisible(not is_compact)
+            self.updateGeometry()
+
+
+class PanelDocks:
+    """The docks of a window."""
+
+    def __init__(self, window: QMainWindow, panels: Iterable[Panel], bar: QWidget) -> None:
+        """Dock all panels in the default layout; the `bar` stands above the controls, which stay in place then."""
+        self._window = window
+        self.docks = tuple(map(Dock, panels))
+        self._tabs = [dock for dock in self.docks if dock.panel.place == "tab"]
+        self._closed: list[Dock] = []  # by `toggle_tabs`
+        window.setDockOptions(_OPTIONS.AllowNestedDocks | _OPTIONS.AllowTabbedDocks | _OPTIONS.GroupedDragging)
+        window.setTabPosition(Qt.DockWidgetArea.AllDockWidgetAreas, QTabWidget.TabPosition.North)
+        self._settle = timer(window, 0, self._show_titles, is_single=True)  # after all the signals of a change
+        self.settled = self._settle.timeout
+        self._hint = label("All panels are closed or float: View > Restore default layout docks them", "dim")
+        self._hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        middle = QWidget()
+        column((self._hint, 1), bar, spacing=0, parent=middle)
+        window.setCentralWidget(middle)
+        for dock in self.docks:
+            for changed in (dock.visibilityChanged, dock.topLevelChanged, dock.dockLocationChanged):
+                changed.connect(lambda *_: self._settle.start())
+            dock.panel.front_requested.connect(lambda panel=dock.panel: self.show_panel(panel))
+        self._dock_all()
+        self._default = window.saveState()
+        self.restore_default()
+
+    def _at(self, place: str) -> Dock:
+        return next(dock for dock in self.docks if dock.panel.place == place)
+
+    def restore_default(self) -> None:
+        """Camera above the tabs, wavefronts beside them, controls below; all are open."""
+        left, right, first = self._at("left"), self._at("right"), self._tabs[0]
+        self._window.restoreState(self._default)
+        first.raise_()
+        self._window.resizeDocks([left, right], [1000, 1000], Qt.Orientation.Horizontal)
+        self._window.resizeDocks([left, first], [1000, 600], Qt.Orientation.Vertical)
+        self._show_titles()
+
+    def _dock_all(self) -> None:
+        window, left = self._window, self._at("left")
+        window.addDockWidget(Qt.DockWidgetArea.TopDockWidgetArea, left)
+        window.splitDockWidget(left, self._at("right"), Qt.Orientation.Horizontal)
+        window.splitDockWidget(left, self._tabs[0], Qt.Orientation.Vertical)
+        for before, dock in zip(self._tabs, self._tabs[1:], strict=False):
+            window.tabifyDockWidget(before, dock)
+        window.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self._at("strip"))
+
+    def toggle_tabs(self) -> None:
+        """Close the open tabs, or open those closed last."""
+        is_open = [dock for dock in self._tabs if not dock.isHidden()]
+        for dock in is_open or self._closed or self._tabs:
+            dock.setVisible(not is_open)
+        self._closed = is_open
+
+    def show_panel(self, panel: QWidget) -> None:
+        """Open a panel, in front of the other tabs."""
+        for dock in self.docks:
+            if dock.panel is panel:
+                dock.show()
+                dock.raise_()
+
+    def float_panels(self, *panels: QWidget) -> None:
+        """Make each of these panels a window of its own, so that all are visible."""
+        for dock in self.docks:
+            if dock.panel in panels:
+                dock.setFloating(True)
+                dock.show()
+
+    def menu(self) -> QMenu:
+        """Return a menu that opens and closes the panels."""
+        made = QMenu(self._window)
+        for dock in self.docks:
+            made.addAction(dock.toggleViewAction())
+        return made
+
+    def _show_titles(self) -> None:
+        """Show the header of each panel that has no tab, and dress the tabs, which Qt makes when it needs them."""
+        self._hint.setVisible(all(dock.isHidden() or dock.isFloating() for dock in self.docks))
+        for dock in self.docks:
+            tabs = (other for other in self._window.tabifiedDockWidgets(dock) if not other.isHidden())
+            dock.bar.show_compact(is_compact=not dock.isFloating() and any(tabs))
+        for bar in self._window.findChildren(QTabBar, options=Qt.FindChildOption.FindDirectChildrenOnly):
+            bar.setDrawBase(False)
+            bar.setToolTip("Drag a tab out to move or to float its panel")
+            for arrow in bar.findChildren(QToolButton):
+                arrow.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+
+
+def _tool_button(text: str, tool_tip: str, clicked: Slot) -> QToolButton:
+    made = QToolButton()
+    made.setText(text)
+    made.setToolTip(tool_tip)
+    made.setAutoRaise(True)
+    made.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+    made.setFixedSize(_BUTTON, _BUTTON)
+    made.clicked.connect(clicked)
+    return made

@@ -1,0 +1,192 @@
+"""Help: keys and conventions, the message log, the documentation, how to cite, and versions."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from PyQt6.QtCore import QT_VERSION_STR, QSize, Qt, QUrl
+from PyQt6.QtGui import QFontDatabase, QImage, QTextCursor, QTextDocument
+from PyQt6.QtWidgets import QDialog, QFrame, QLabel, QScrollArea, QTextBrowser, QWidget
+
+import app
+from app.gui.panels.panel import Entries
+from app.gui.shell.messages import MessageStrip
+from app.gui.widgets.basics import Button, column, row
+from app.gui.widgets.copies import copy_text
+from app.run_facts import machine_facts, versions
+
+_CONVENTIONS = """
+<h3>Axes and signs</h3>
+<p><b>+x</b> points to the right and <b>+y</b> down, in the camera image, in the field and in the pupil.
+Rows count along y, columns along x, both from 0.</p>
+<p>The wavefront is a phase in <b>radians</b>, without piston. Where it rises towards +x, the light
+moves towards <b>+x</b>: displacement&nbsp;=&nbsp;(f/k)&nbsp;d&phi;/dx.</p>
+<p>Displacements count from the <b>reference</b>, the frame without the sample.</p>
+<h3>Display</h3>
+<p>Each tile is the wavefront of one field position, one square for each lenslet.
+All tiles share one colour scale. <b>RMS</b> and <b>PV</b> count the valid lenslets.</p>
+<p>A lenslet that could not be measured is <b>hatched</b>, and crossed out in red on the camera image.</p>
+<p>The tiles can also show the point-spread function (<b>1</b> is the peak without aberration, the value in the
+middle is the Strehl ratio), the measured and the fitted wavefront, their difference, and the standard deviation.
+A click or the arrow keys select the view whose MTF is plotted.</p>
+<p>Arrows show the displacement of each lenslet, averaged over the field and magnified as stated.</p>
+"""
+
+_HELP_WIDTH = 960  # px
+_OF_SCREEN = 0.9
+_SIZE = QSize(760, 480)
+_PAGE_SIZE = QSize(960, 720)
+PAPER = (
+    'F. Feng, C. Liang, D. Chen, K. Du, R. Yang, C. Lu, S. Chen, L. Chen, L. Tao, and H. Mao, "Space-variant '
+    'Shack-Hartmann wavefront sensing based on affine transformation estimation," Applied Optics (2022), '
+    "doi:10.1364/AO.471225"
+)
+_BIBTEX = """@article{Feng2022,
+  author  = {Feng, Fan and Liang, Chen and Chen, Dongdong and Du, Ke and Yang, Runjia and Lu, Chang and
+             Chen, Shumin and Chen, Liangyi and Tao, Louis and Mao, Heng},
+  title   = {Space-variant {Shack-Hartmann} wavefront sensing based on affine transformation estimation},
+  journal = {Applied Optics},
+  year    = {2022},
+  doi     = {10.1364/AO.471225},
+}"""
+_FIRST_PAGE = "window.md"
+
+
+def show_keys(parent: QWidget, menus: Mapping[str, Entries]) -> None:
+    """Show the keys of all entries and the conventions, without stopping the measurement."""
+    dialog = QDialog(parent)
+    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+    dialog.setObjectName("help")
+    dialog.setWindowTitle("Shortcuts and conventions")
+    tables = [_key_table(title, entries) for title, entries in menus.items()]
+    tables[0] += tables.pop()  # the help below the first, which has few keys
+    columns = "".join(f"<td>{table}</td>" for table in tables)
+    text = QLabel(f"<table cellspacing='0'><tr>{columns}</tr></table>{_CONVENTIONS}")
+    text.setWordWrap(True)
+    width = max(_HELP_WIDTH, text.sizeHint().width())
+    text.setMinimumSize(width, text.heightForWidth(width))
+    text.setContentsMargins(8, 0, 8, 0)
+    area = QScrollArea()
+    area.setWidget(text)
+    area.setFrameShape(QFrame.Shape.NoFrame)
+    close = row((QWidget(), 1), Button("Close", "Close the help (Esc)", dialog.close))
+    column(area, close, parent=dialog).setContentsMargins(11, 11, 11, 11)
+    dialog.resize(_within_screen(parent, dialog.sizeHint().expandedTo(text.sizeHint() + QSize(50, 80))))
+    dialog.show()
+
+
+def _key_table(title: str, entries: Entries) -> str:
+    rows = "".join(
+        f"<tr><td style='padding-right: 10px'><b>{key}</b></td>"
+        f"<td style='padding-right: 24px'>{name.replace(' ', '&nbsp;')}</td></tr>"
+        for name, key, _ in filter(None, entries)
+        if key
+    )
+    return f"<h3>{title.replace('&', '')}</h3><table cellspacing='0'>{rows}</table>"
+
+
+def _within_screen(widget: QWidget, size: QSize) -> QSize:
+    screen = widget.screen()
+    return size if screen is None else size.boundedTo(screen.availableGeometry().size() * _OF_SCREEN)
+
+
+class _Page(QTextBrowser):
+    """A page whose pictures are no wider than it was when they were loaded."""
+
+    def loadResource(self, kind: int, name: QUrl) -> object:  # noqa: N802 - Qt's name
+        """Return a resource; a wide picture is scaled down."""
+        resource, bar, document = super().loadResource(kind, name), self.verticalScrollBar(), self.document()
+        if kind != QTextDocument.ResourceType.ImageResource.value or bar is None or document is None:
+            return resource
+        picture = QImage(self.source().resolved(name).toLocalFile())
+        width = self.contentsRect().width() - bar.sizeHint().width() - round(2 * document.documentMargin())
+        if not 0 < width < picture.width():
+            return resource
+        return picture.scaledToWidth(width, Qt.TransformationMode.SmoothTransformation)
+
+
+class TextDialog(QDialog):
+    """Shows a text, or a Markdown page whose links to other pages work."""
+
+    def __init__(self, name: str, title: str, parent: QWidget, *, is_fixed_width: bool = False) -> None:
+        super().__init__(parent)
+        self.setObjectName(name)
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self.setWindowTitle(title)
+        self.view = _Page()
+        self.view.setOpenExternalLinks(True)
+        if is_fixed_width:
+            self.view.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
+        self.back = Button("Back", "The page before (Alt+Left)", self.view.backward)
+        self.back.hide()
+        self.copy = Button("Copy", "Copy the whole text", lambda: copy_text(self.view.toPlainText()))
+        close = Button("Close", "Close (Esc)", self.close)
+        buttons = row(self.back, spacing=8)
+        buttons.addStretch()
+        for each in (self.copy, close):
+            buttons.addWidget(each)
+        column((self.view, 1), buttons, spacing=8, parent=self).setContentsMargins(11, 11, 11, 11)
+        self.resize(_within_screen(self, _SIZE))
+
+    def show_text(self, text: str) -> None:
+        """Show a text from its beginning."""
+        self.view.setPlainText(text)
+        self.show()
+
+    def show_log(self, text: str) -> None:
+        """Show a growing text from its end."""
+        self.view.setPlainText(text)
+        self.view.moveCursor(QTextCursor.MoveOperation.End)
+
+    def show_page(self, page: QUrl) -> None:
+        """Show a Markdown file and open its links in the same place."""
+        self.resize(_within_screen(self, _PAGE_SIZE))
+        self.back.show()
+        self.back.setEnabled(False)
+        self.view.backwardAvailable.connect(self.back.setEnabled)
+        self.show()  # the page has its width from now on
+        self.view.setSource(page)
+
+
+def documentation() -> Path | None:
+    """Return the folder of the documentation: in the installed package, or beside its source; None if it is missing."""
+    package = Path(app.__file__).parent
+    return next((each for each in (package / "docs", package.parent / "docs") if (each / _FIRST_PAGE).is_file()), None)
+
+
+def show_log(parent: QWidget, messages: MessageStrip) -> None:
+    """Show all messages, also those that come from now on."""
+    dialog = TextDialog("log", "Message log", parent, is_fixed_width=True)
+
+    def update() -> None:
+        dialog.show_log(messages.log)
+
+    update()
+    messages.logged.connect(update)
+    dialog.finished.connect(lambda _: messages.logged.disconnect(update))
+    dialog.show()
+
+
+def show_documentation(parent: QWidget, warn: Callable[[str], object]) -> None:
+    """Show the documentation, or warn that it is missing."""
+    if (folder := documentation()) is None:
+        warn("the documentation is not installed: it is in the folder docs of the source")
+    else:
+        TextDialog("documentation", "Documentation", parent).show_page(QUrl.fromLocalFile(str(folder / _FIRST_PAGE)))
+
+
+def show_citation(parent: QWidget) -> None:
+    """Show what to cite."""
+    software = f"svwfs {versions()['svwfs']}, a live instrument for space-variant wavefront sensing"
+    text = f"The method:\n\n{PAPER}\n\n{_BIBTEX}\n\nThe software:\n\n{software}\n"
+    TextDialog("citation", "How to cite", parent).show_text(text)
+
+
+def show_about(parent: QWidget, present: Mapping[str, str]) -> None:
+    """Show versions, the computer, and `present` facts by name."""
+    installed = versions("zarr")
+    facts = {"Version": installed.pop("svwfs", "not installed"), "Licence": "GPL-3.0-or-later", **present}
+    machine = {name.capitalize(): str(fact) for name, fact in machine_facts().items()}
+    libraries = {"Qt": QT_VERSION_STR, **installed}
+    text = "\n".join(f"{name}: {fact}" for name, fact in {**facts, **machine, **libraries}.items())
+    about = f"svwfs: a live instrument for space-variant Shack-Hartmann wavefront sensing\n\n{text}\n"
+    TextDialog("about", "About svwfs", parent).show_text(about)

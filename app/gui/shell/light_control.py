@@ -1,0 +1,112 @@
+"""Control of the light, and of the averages that need it on or off; a person is asked to switch a manual one."""
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Literal
+
+from app.acquisition.instrument import Instrument
+from app.acquisition.worker import Acquisition
+from app.gui.panels.controls import ControlsPanel
+from app.gui.shell.controller import Controller
+from app.progress import counted
+
+
+class LightControl:
+    """Switches the light and takes dark and reference; a request to switch it off wins over all others."""
+
+    def __init__(self, controller: Controller, controls: ControlsPanel) -> None:
+        self._controller, self._controls, self._messages = controller, controls, controller.messages
+        self._switching_off: Future[None] | None = None
+        self.end_sequence: Callable[[], bool] = lambda: False  # of commands; returns whether one was running
+
+    @property
+    def is_switching_off(self) -> bool:
+        """True while the light is being switched off."""
+        return self._switching_off is not None
+
+    @property
+    def _acquisition(self) -> Acquisition | None:
+        """The acquisition, while its worker can still switch the light."""
+        acquisition = self._controller.acquisition
+        return acquisition if acquisition is not None and acquisition.is_alive else None
+
+    def poll(self) -> bool:
+        """Return whether a request to switch off has ended since the last call; raise an alarm if it failed."""
+        if self._switching_off is None or not self._switching_off.done():
+            return False
+        error, self._switching_off = self._switching_off.exception(), None
+        if error is not None:
+            self._messages.alarm(f"the light could not be switched off: {error}")
+        return True
+
+    def ask_off(self, then: Callable[[], object]) -> None:
+        """Call `then`, after a person has switched a manual light off."""
+        if self._acquisition is not None and self._must_ask(on=False):
+            self._ask_by_hand(on=False, then=then)
+        else:
+            then()
+
+    def switch(self, on: bool) -> None:
+        """Switch the light, and end a sequence. While a command waits or runs, it may be lighting up: always off.
+
+        So two requests in a row never light it, whatever the first one did.
+        """
+        acquisition = self._acquisition
+        if acquisition is None:
+            return
+        has_ended, status = self.end_sequence(), acquisition.status
+        is_busy = has_ended or acquisition.activity.text or self.is_switching_off or not self._controller.is_idle
+        if status is not None and status.bench.has_manual_light:
+            if has_ended:
+                acquisition.cancel()
+            self._controls.light.setChecked(status.is_light_on)  # until it is confirmed
+            self._ask_by_hand(on=on)
+        elif on and not is_busy:
+            self._controller.send(lambda to: to.submit(Instrument.set, "is_light_on", True))
+        else:
+            self._switching_off = acquisition.switch_light_off()
+            self._messages.clear_notice()
+            if on:
+                self._messages.warn("the light stays off: commands were waiting; L switches it on")
+            self._controls.light.setChecked(False)
+            self._controls.show_switching_off()
+
+    def take_dark(self, frames: int) -> None:
+        """Average frames without light."""
+        if self._must_ask(on=False):
+            self._ask_by_hand(on=False, then=lambda: self.take_dark(frames))
+        else:
+            take = Instrument.take_dark
+            self._controller.send(lambda to: to.submit(take, frames), lambda _: self._dark_taken(frames))
+
+    def take_reference(self, frames: int) -> None:
+        """Average frames with light and without the sample."""
+        if self._must_ask(on=True):
+            self._ask_by_hand(on=True, then=lambda: self.take_reference(frames))
+        else:
+            take = Instrument.take_reference
+            self._controller.send(lambda to: to.submit(take, frames), lambda _: self._confirm("reference", frames))
+
+    def _dark_taken(self, frames: int) -> None:
+        self._confirm("dark", frames)
+        if self._must_ask(on=True):
+            self._ask_by_hand(on=True)
+
+    def _confirm(self, name: Literal["dark", "reference"], frames: int) -> None:
+        """Tell that an average was taken; if it is unusable, the warning tells why."""
+        status = self._controller.status
+        if status is not None and getattr(status, name) == "good":
+            self._messages.inform(f"{name} taken: mean of {counted(frames)}")
+
+    def _must_ask(self, *, on: bool) -> bool:
+        status = self._controller.status
+        return status is not None and status.bench.has_manual_light and status.is_light_on != on
+
+    def _ask_by_hand(self, *, on: bool, then: Callable[[], object] = lambda: None) -> None:
+        """Ask a person to switch a manual light, and note it when that is confirmed."""
+        self._controller.ask(
+            f"switch the light {'on' if on else 'off'} by hand",
+            lambda: self._controller.send(lambda to: to.submit(Instrument.set, "is_light_on", on), lambda _: then()),
+            "Done",
+            "Not now",
+        )

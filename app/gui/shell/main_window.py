@@ -1,0 +1,452 @@
+"""The main window: lays out the panels and refreshes them from the acquisition up to 25 times a second."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from PyQt6.QtCore import QEventLoop, QSettings, QSize, QStandardPaths, Qt, QTimer, pyqtSignal
+from PyQt6.QtGui import QCloseEvent
+from PyQt6.QtWidgets import QApplication, QFileDialog, QWidget
+
+from app.acquisition.instrument import Status
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition, Activity, Measurement
+from app.bench.config import Bench
+from app.errors import InputError, RunError
+from app.files import make_folder
+from app.gui.panels.panel import Entries, Shown
+from app.gui.panels.registry import make_panels
+from app.gui.shell.analyses import Analyses
+from app.gui.shell.base_window import BaseWindow, ErrorReports, LateMeasurements
+from app.gui.shell.benches import Benches
+from app.gui.shell.calibration import CalibrationGuide, Routines
+from app.gui.shell.controller import Begin, Controller
+from app.gui.shell.device_dialogs import DevicePresets, SensorRegionDialog
+from app.gui.shell.docks import PanelDocks
+from app.gui.shell.help import show_about, show_citation, show_documentation, show_keys, show_log
+from app.gui.shell.light_control import LightControl
+from app.gui.shell.menus import fill_menus
+from app.gui.shell.messages import MessageStrip
+from app.gui.shell.recording import RecordingBar, RecordingPanel
+from app.gui.shell.replay_bar import ReplayBar
+from app.gui.shell.settings_control import SettingsControl
+from app.gui.shell.state import PreferencesDialog, fit_to_screen, restore_state, save_state
+from app.gui.shell.status_line import StatusLine
+from app.gui.shell.tour import Tour
+from app.gui.shell.wording import Situation, advice, is_replay, light_when_closing, liveness, way_out
+from app.gui.widgets import theme
+from app.gui.widgets.basics import column, timer
+from app.gui.widgets.copies import write_picture
+from app.gui.widgets.fields import NumberField
+from app.images import SUFFIXES
+from app.recording.folder import read_run
+from app.results.pictures import frame_statistics
+from app.results.player import Player
+
+WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
+_MIN_WIDTH = 900  # px; captions and plots need it
+_REFRESH_INTERVAL_MS = 40
+_REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
+_FOLDER, _TOUR = "folders/recordings", "tour/seen"  # keys of the settings
+
+
+class MainWindow(BaseWindow):
+    """The window of `svwfs live`."""
+
+    measurement_shown = pyqtSignal(object)  # the Measurement, by reference
+
+    def __init__(
+        self,
+        make_acquisition: Callable[[], Acquisition] | None,
+        *,
+        settings: QSettings | None = None,
+        make_for: Callable[[Bench], Acquisition] = Acquisition,
+    ) -> None:
+        """Make an empty window; `connect_devices` starts an acquisition, unless `open` does.
+
+        `make_for` makes the acquisition of a bench that is opened in the window. The window looks as saved in
+        `settings`, and saves how it looks when it closes.
+        """
+        super().__init__()
+        self._settings, self._is_closing, self._refreshes = settings, False, 0
+        self._status: Status | None = None  # as shown
+        self._failure, self._activity = "", Activity()
+        self._late, self._situation = LateMeasurements(), Situation()
+
+        self.shown = Shown(self)
+        self.panels = make_panels(self.shown)
+        self.controls = self.panels.controls
+        self.messages = MessageStrip()
+        self.errors = ErrorReports(self.messages.alarm)
+        self.status_line = StatusLine()
+        self.controller = Controller(make_acquisition, self.messages)
+        self.settings = SettingsControl(self.controller)
+        self.light = LightControl(self.controller, self.controls)
+        self.routines = Routines(self.controller, self.settings, self.panels.camera)
+        self.guide = CalibrationGuide(self.controller, self.routines.use_lattice, self)
+        self.light.end_sequence = self.guide.end_for_light
+        self.region_dialog = SensorRegionDialog(self.controller, self)
+        self.recording_panel = RecordingPanel()
+        self.recording_bar = RecordingBar(self.controller, self.recording_panel, settings)
+        self.replay = ReplayBar(self.controls)
+        self.analyses = Analyses(self.panels, self.shown)
+        self._lay_out()
+        self._make_for = make_for
+        self.benches = Benches(self, self._open_bench, self.controller, self.settings, settings)
+        self._connect()
+        fill_menus(self, self._menus())
+        if settings is not None:
+            restore_state(settings, self)
+            folder = settings.value(_FOLDER)
+            if isinstance(folder, str) and Path(folder).is_dir():
+                self.recording_bar.recordings_folder = Path(folder)
+        fit_to_screen(self)
+        self._timer = timer(self, _REFRESH_INTERVAL_MS, self.refresh)
+        # Between two frames: together they would hold up the measurement.
+        self._text_timer = timer(self, _REFRESH_INTERVAL_MS // 2, self.update_text, is_single=True)
+        self.recording_panel.setEnabled(False)
+        self.update_text()
+
+    def _lay_out(self) -> None:
+        """Place panels in docks, and bars and messages below."""
+        self.setWindowTitle("svwfs")
+        self.resize(WINDOW_SIZE)
+        below = QWidget()
+        column(self.replay, self.messages, self.status_line, spacing=4, parent=below)
+        if (status_bar := self.statusBar()) is not None:
+            status_bar.setSizeGripEnabled(False)
+            status_bar.addPermanentWidget(below, 1)
+            status_bar.setMinimumWidth(_MIN_WIDTH)  # the controls may need more
+        self.docks = PanelDocks(self, self.panels, self.recording_bar)
+        if (bar := self.menuBar()) is not None:
+            bar.setNativeMenuBar(False)  # a native one has no corner
+            bar.setCornerWidget(self.recording_panel)
+
+    def _connect(self) -> None:
+        acts: dict[str, Callable[[Any], object]] = {
+            "light": self.light.switch,
+            "dark": self.light.take_dark,
+            "reference": self.light.take_reference,
+            "calibration": self.guide.begin,
+            "lattice": lambda _: self.routines.find_lattice(),
+            "auto_exposure": lambda _: self.routines.expose(),
+            "sensor_region": lambda _: self.region_dialog.begin(),
+        }
+        self.controls.requested.connect(
+            lambda name, value: acts[name](value) if name in acts else self.settings.want(name, value)
+        )
+        self.shown.exclusion_requested.connect(lambda row, column: self.settings.change(("lenslet", (row, column))))
+        self.messages.reconnect_requested.connect(self._reconnect)
+        for panel in self.panels:
+            panel.warned.connect(self.messages.warn)
+            panel.informed.connect(self.messages.inform)
+        for failed in (self.analyses.failed, self.replay.failed):
+            failed.connect(self.messages.warn)
+        for field in self.findChildren(NumberField):
+            field.refused.connect(self.messages.refuse)
+        theme.follow(self, self._forget_status)
+
+    def _menus(self) -> Mapping[str, Entries]:
+        """Return all menus: those of the panels follow the entries of the window that belong before them."""
+        presets: Entries = ()
+        preferences: Entries = ()
+        if self._settings is not None:  # else the window remembers nothing
+            show = DevicePresets(self.controller, self.controls, self._settings, self).show
+            presets = (("Presets of exposure and mask", "", show),)
+            preferences = (("Preferences", "", PreferencesDialog(self._settings, self).show),)
+
+        def of_panels(title: str) -> Entries:
+            return tuple(entry for panel in self.panels for entry in panel.menu_entries().get(title, ()))
+
+        bar, full = self.recording_bar, Qt.WindowState.WindowFullScreen
+        menus: dict[str, Entries] = {
+            "&File": (
+                ("Start or stop recording", "W", self.recording_panel.record),
+                ("Name, note and end of the recording", "Shift+W", bar.prepare),
+                ("Save the last seconds", "K", self.recording_panel.keep),
+                ("Replay a recording", "Ctrl+Shift+O", self._choose_recording),
+                ("Replay a recent recording", "", bar.recent_menu()),
+                ("Choose the recordings folder", "", bar.choose_recordings_folder),
+                None,
+                *of_panels("&File"),
+                ("Save a screenshot", "Ctrl+P", self.save_screenshot),
+                None,
+                ("Quit", "Ctrl+Q", self.quit),
+            ),
+            "&Bench": (
+                ("Open a bench", "Ctrl+O", self.benches.ask),
+                ("Open a recent bench", "", self.benches.recent_menu()),
+                ("Open a preset", "", self.benches.presets_menu()),
+                ("New bench from my camera", "Ctrl+N", self.benches.make),
+                ("Settings of the bench", "Ctrl+,", self.benches.edit),
+                ("Save the bench", "Ctrl+S", self.benches.save),
+                None,
+                *presets,
+                *of_panels("&Bench"),
+                ("Check the background", "B", self.routines.check_background),
+                None,
+                ("Accept the proposal", "Return", self.messages.enter),
+                ("Cancel, discard or dismiss", "Esc", self.messages.escape),
+                ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect),
+            ),
+            "&View": (
+                *of_panels("&View"),
+                ("Previous frame of a replay", ",", self.replay.back),
+                ("Next frame of a replay", ".", self.replay.forth),
+                ("Processing times", "T", self.status_line.timing_row.toggle),
+                None,
+                ("Panels", "", self.docks.menu()),
+                ("Plots", "I", self.docks.toggle_tabs),
+                ("Restore default layout", "", self.docks.restore_default),
+                *preferences,
+                ("Full screen", "F11", lambda: self.setWindowState(self.windowState() ^ full)),
+            ),
+        }
+        menus["&Help"] = (
+            ("Shortcuts and conventions", "F1", lambda: show_keys(self, menus)),
+            ("Message log", "Ctrl+L", partial(show_log, self, self.messages)),
+            ("Documentation", "Shift+F1", lambda: show_documentation(self, self.messages.warn)),
+            ("Tour of the window", "", self.show_tour),
+            ("How to cite", "", lambda: show_citation(self)),
+            ("About svwfs", "", self._show_about),
+        )
+        return menus
+
+    def connect_devices(self) -> None:
+        """Open the devices and start measuring, also after a failure."""
+        self.shown.measurement = self.shown.status = None
+        self._failure, self._activity = "", Activity("opening the devices")
+        self._forget_status()
+        self.status_line.restart()
+        self.controller.connect_devices()
+        self.update_text()
+        self._timer.start()
+
+    def open(
+        self, make_acquisition: Callable[[], Acquisition], begin: Begin = start_up, player: Player | None = None
+    ) -> None:
+        """Close the devices and connect others, also those of a `player`; `begin` sends the first commands.
+
+        The user is asked first if a recording is under way, or the light must be switched off by hand.
+        """
+
+        def connect() -> None:
+            self._timer.stop()
+            self._text_timer.stop()
+            self.controller.use(make_acquisition, begin, self._show_closing)
+            self.recording_bar.refresh()  # the recording has ended
+            self.errors.restart()
+            for panel in self.panels:
+                panel.forget_bench()
+            self.analyses.forget_bench()
+            self.replay.use(player)
+            self.connect_devices()
+
+        self.recording_bar.ask_to_end(lambda: self.light.ask_off(connect))
+
+    def _open_bench(self, bench: Bench) -> None:
+        self.open(lambda: self._make_for(bench))
+
+    def refresh(self) -> None:
+        """Show what has changed in the acquisition."""
+        acquisition = self.controller.acquisition
+        if acquisition is None:
+            return
+        if any([self.controller.poll(), self.light.poll(), self.shown.wanted != self.settings.wanted]):
+            self._forget_status()  # shown again, so that a refused value gives way to the one in force
+        self._failure = acquisition.failure  # read once: message and buttons must agree
+        self._activity = acquisition.activity  # before the status, which is that after a routine as soon as it ends
+        status = acquisition.status
+        if status is not None and self._failure:
+            is_light_on = status.is_light_on and status.bench.has_manual_light
+            status = replace(status, is_running=False, is_light_on=is_light_on)  # the state of failed devices
+        if status is not None and status != self._status:
+            self.show_status(status)
+        is_ready = self._status is not None and not self._failure
+        self.controls.setEnabled(is_ready)
+        self.recording_panel.setEnabled(is_ready and self.replay.isHidden())
+        self.messages.show_activity(self._activity, may_cancel=is_ready)
+        self._refreshes += 1
+        if self._failure:
+            self.update_text()
+        elif self._refreshes % _REFRESHES_PER_TEXT == 0:
+            self._text_timer.start()  # before the frame is drawn: if that fails, the text says so
+        measurement = acquisition.newest
+        is_new = measurement is not self.shown.measurement and not self.isMinimized()
+        if measurement is not None and is_new and not self._late.leave_out(measurement, self.shown.measurement):
+            start_s = time.perf_counter()
+            self.show_measurement(measurement)
+            self.unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
+
+    def show_measurement(self, measurement: Measurement) -> None:
+        """Show a frame and its wavefront, live or recorded."""
+        is_first, self.shown.measurement = self.shown.measurement is None, measurement
+        for panel in self.panels:
+            panel.show_measurement(measurement)
+        self.status_line.count(measurement)
+        if is_first:
+            self.update_text()
+        self.measurement_shown.emit(measurement)
+
+    def show_status(self, status: Status) -> None:
+        """Show the state of the instrument."""
+        self._status = status
+        self._situation.follow(status)
+        self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}")
+        self.shown.settings = status.bench.reconstruction
+        self.shown.wanted, self.shown.is_settled = dict(self.settings.wanted), self.controller.is_settled
+        for panel in self.panels:
+            panel.show_status(status)
+        if self.light.is_switching_off:
+            self.controls.show_switching_off()
+        self.replay.show_status(status)
+        self.region_dialog.show_status(status)
+
+    def update_text(self) -> None:
+        """Update the numbers and the message."""
+        acquisition, status, shown = self.controller.acquisition, self._status, self.shown
+        measurement = shown.measurement
+        if measurement is not None:
+            shown.statistics = frame_statistics(measurement.frame.pixels, self.panels.camera.full_scale)
+        shown.status = self.controller.status
+        alarm = self._situation.alarm(status, self._activity, measurement)
+        shown.liveness = liveness(status, self._failure, self._activity, measurement)
+        shown.problem = self._failure or self._activity.text or alarm
+        for panel in self.panels:
+            panel.show_numbers()
+            panel.show_liveness()
+        self.recording_bar.refresh()
+        self.status_line.update_text(status, acquisition.timings if acquisition else None)
+        self.messages.show_state(
+            failure=self._failure,
+            way_out=way_out(status),
+            may_reconnect=not is_replay(status),
+            warning="; ".join(filter(None, [alarm, self.replay.notice])),
+            advice=advice(status, self._activity, measurement),
+        )
+
+    def save_screenshot(self, path: Path | None = None) -> bool:
+        """Save a picture of the window, by default in the user's picture folder; return whether that succeeded."""
+        try:
+            if path is None:
+                folder = Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation) or ".")
+                make_folder(folder)
+                path = folder / f"svwfs-{datetime.now().astimezone():%Y%m%d-%H%M%S}.png"
+            write_picture(path, self.grab())
+        except RunError as error:
+            self.messages.warn(str(error))
+            return False
+        self.messages.inform(f"saved {path}")
+        return True
+
+    def open_file(self, path: Path) -> None:
+        """Play a recording in another window, open a bench, or show a frame."""
+        try:
+            if path.is_dir():
+                read_run(path)
+                self.recording_bar.play(path)
+            elif path.suffix == ".toml":
+                self.benches.open(str(path))
+            elif path.suffix.lower() in SUFFIXES:
+                self._show_frame(path)
+            else:
+                self.messages.warn(
+                    f"{path.name}: drop a recording's folder, a bench (.toml) or a frame (.tif, .fits, .png, .npy)"
+                )
+        except InputError as error:
+            self.messages.warn(str(error))
+
+    def _show_frame(self, path: Path) -> None:
+        acquisition = self.controller.acquisition
+        if acquisition is None:
+            return
+        if acquisition.recording is not None and acquisition.recording.stage == "recording":
+            self.messages.warn(f"{path.name}: is not shown during a recording, of which it would be part")
+            return
+        text = f"{path.name} is shown, reconstructed with the present reference; Space returns to the camera"
+        self.controller.send(lambda to: to.show_file(path), lambda _: self.messages.inform(text))
+
+    def _choose_recording(self) -> None:
+        """Ask for a recording, and play it in another window."""
+        before = str(self.recording_bar.recordings_folder)
+        if chosen := QFileDialog.getExistingDirectory(self, "Replay a recording", before):
+            self.open_file(Path(chosen))
+
+    def show_tour(self) -> None:
+        """Explain one part of the window after the other, beginning with the panels."""
+        for other in self.findChildren(Tour):
+            other.close()
+        tour = Tour(
+            self,
+            (
+                *((panel, f"The {panel.title.lower()}", panel.about) for panel in self.panels if panel.about),
+                (self.messages, "Messages", "What is wrong, why, and which key helps. Ctrl+L opens the log with times"),
+                (
+                    self.recording_panel,
+                    "Recording",
+                    (
+                        "W records every frame and its calibration; K saves the last ten seconds. Afterwards: replay,"
+                        " report and export. F1 lists all keys."
+                    ),
+                ),
+            ),
+        )
+        self.docks.settled.connect(tour.raise_)  # above a panel that has come to the front
+        tour.begin()
+
+    def offer_tour(self) -> None:
+        """Show the tour at the first start."""
+        if self._settings is not None and not self._settings.contains(_TOUR):
+            self._settings.setValue(_TOUR, 1)
+            self.show_tour()
+
+    def _show_about(self) -> None:
+        status = self.controller.status
+        devices = {} if status is None else {"Camera": status.camera_name, "Light": status.light_name}
+        show_about(self, {**devices, "Recordings": str(self.recording_bar.recordings_folder)})
+
+    def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Turn the light off at once; the window shows that it waits until the devices are closed."""
+        if event is not None and (self._is_closing or event.spontaneous()):
+            event.ignore()
+            if not self._is_closing:
+                self.quit()  # by the user
+            return
+        self._is_closing = True
+        if self._settings is not None:
+            save_state(self._settings, self)
+            self._settings.setValue(_FOLDER, str(self.recording_bar.recordings_folder))
+        self._timer.stop()
+        self._text_timer.stop()
+        self.analyses.close()
+        self.recording_bar.commands.close()
+        self.region_dialog.close()
+        self.controller.close(self._show_closing)
+        self.recording_bar.refresh()  # end, name and note of a recording that was under way
+        self._is_closing = False
+        super().closeEvent(event)
+
+    def _show_closing(self) -> None:
+        """Paint what the window waits for, without taking any command."""
+        for panel in (self.controls, self.recording_panel):
+            panel.setEnabled(False)
+        if (status := self.controller.status) is not None:
+            self.show_status(replace(status, is_running=False))
+            self.messages.show_closing(light_when_closing(status))
+        QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
+
+    def quit(self) -> None:
+        """Close the window; if a person switches the light, ask for that first."""
+        self.light.ask_off(lambda: QTimer.singleShot(0, self.close))
+
+    def _reconnect(self) -> None:
+        if self.controller.failure:
+            self.connect_devices()
+
+    def _forget_status(self) -> None:
+        """Show the status again, for example since icons are drawn in another theme."""
+        self._status = None

@@ -1,0 +1,102 @@
+"""Menus of the window, made of entries with their keys, or of the files used last."""
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from pathlib import Path
+
+from PyQt6.QtCore import QSettings, Qt
+from PyQt6.QtGui import QAction, QKeySequence
+from PyQt6.QtWidgets import QAbstractButton, QMainWindow, QMenu, QWidget
+
+from app.gui.panels.panel import Entries
+
+_MOST = 8  # recent files
+_EVERYWHERE = {"L"}  # keys that work in every dialog: the light
+
+
+def fill_menus(window: QMainWindow, menus: Mapping[str, Entries]) -> None:
+    """Fill the menu bar."""
+    for title, entries in menus.items():
+        if (bar := window.menuBar()) is not None and (menu := bar.addMenu(title)) is not None:
+            _fill(menu, entries)
+
+
+def _fill(menu: QMenu, entries: Entries) -> None:
+    buttons: list[tuple[QAction, QAbstractButton]] = []
+    for entry in entries:
+        if entry is None:
+            menu.addSeparator()
+            continue
+        text, key, act = entry
+        if isinstance(act, QMenu):
+            act.setTitle(text)
+            menu.addMenu(act)
+        elif (action := menu.addAction(text)) is not None:
+            if isinstance(act, QAbstractButton):
+                buttons.append((action, act))
+                act = act.click
+            action.setShortcut(QKeySequence(key))
+            action.setAutoRepeat(False)  # a held key switches once
+            if key in _EVERYWHERE:
+                action.setShortcutContext(Qt.ShortcutContext.ApplicationShortcut)
+            action.triggered.connect(lambda _=False, act=act: act())
+    menu.aboutToShow.connect(lambda: _follow(buttons))
+    menu.aboutToHide.connect(lambda: _enable(buttons))
+
+
+def _follow(buttons: list[tuple[QAction, QAbstractButton]]) -> None:
+    """Tick and grey the entries as their buttons."""
+    for action, one in buttons:
+        action.setEnabled(one.isEnabled() and not one.isHidden())
+        action.setCheckable(one.isCheckable())
+        action.setChecked(one.isChecked())
+
+
+def _enable(buttons: list[tuple[QAction, QAbstractButton]]) -> None:
+    """Enable the keys of a closed menu; a button refuses by itself."""
+    for action, _ in buttons:
+        action.setEnabled(True)
+
+
+class RecentFiles:
+    """A list of files or folders under one key of the settings."""
+
+    def __init__(self, settings: QSettings | None, key: str) -> None:
+        """Use what `settings` remember under `key`, such as "recent/benches"; without settings, only this session."""
+        self._settings, self._key = settings, key
+        self._names: list[str] = []
+
+    def add(self, path: Path) -> None:
+        """Put a path first."""
+        absolute = path.absolute()
+        paths = [absolute, *(one for one in self.paths() if one != absolute)]
+        self._names = [str(one) for one in paths[:_MOST]]
+        if self._settings is not None:
+            self._settings.setValue(self._key, self._names)
+
+    def paths(self) -> tuple[Path, ...]:
+        """Return at most eight paths that exist, the newest first."""
+        names: object = self._names if self._settings is None else self._settings.value(self._key)
+        listed = [names] if isinstance(names, str) else names  # an INI file stores a list of one as text
+        if not isinstance(listed, list):
+            return ()
+        return tuple(path for path in map(Path, filter(None, map(str, listed))) if path.exists())
+
+    def menu(self, parent: QWidget, text: Callable[[Path], str], act: Callable[[Path], object]) -> QMenu:
+        """Return a menu that lists the present paths and calls `act` with the chosen one."""
+        return listing_menu(parent, lambda: [(text(path), partial(act, path)) for path in self.paths()])
+
+
+def listing_menu(parent: QWidget, entries: Callable[[], Iterable[tuple[str, Callable[[], object]]]]) -> QMenu:
+    """Return a menu whose `entries`, texts with what they do, are listed whenever it opens."""
+    menu = QMenu(parent)
+
+    def fill() -> None:
+        menu.clear()
+        for text, act in entries():
+            menu.addAction(text, lambda _=False, act=act: act())
+        if menu.isEmpty() and (none := menu.addAction("None yet")) is not None:
+            none.setEnabled(False)
+
+    menu.aboutToShow.connect(fill)
+    return menu

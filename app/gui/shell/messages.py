@@ -1,0 +1,178 @@
+"""Messages: the strip that shows the most important one, a question or progress, and the log of all."""
+
+import time
+from collections import deque
+from datetime import datetime
+
+from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtGui import QColor
+from PyQt6.QtWidgets import QFrame, QProgressBar
+
+from app.acquisition.worker import Activity
+from app.gui.shell.wording import as_sentence
+from app.gui.widgets import theme
+from app.gui.widgets.basics import Button, ElidedLabel, colour_text, row
+
+_NOTICE_S = 8.0  # how long a notice is shown
+_MOST = 1000  # messages in the log
+
+
+class MessageStrip(QFrame):
+    """Shows one message by priority: failure, alarm, refused entry, question, notice, warning, advice."""
+
+    reconnect_requested = pyqtSignal()
+    cancel_requested = pyqtSignal()
+    logged = pyqtSignal()
+    answered = pyqtSignal(bool)  # whether the proposal is accepted
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setProperty("role", "strip")
+        self._notice, self._notice_colour, self._notice_until_s = "", theme.AMBER, 0.0
+        self._alarm = self._question = ""
+        self._lines: deque[tuple[str, str]] = deque(maxlen=_MOST)  # time and message
+        self._standing: dict[str, str] = {}  # last failure and warning
+        self._shown = ("", theme.DIM)
+        self.text = ElidedLabel()
+        self.reconnect = Button(
+            "Reconnect",
+            "Open the devices again, take dark and reference, and start measuring (Ctrl+R)",
+            self.reconnect_requested,
+        )
+        self.accept = Button("Use it", "Accept (Return)", lambda: self._answer(is_accepted=True))
+        self.discard = Button("Discard", "Change nothing (Esc)", lambda: self._answer(is_accepted=False))
+        self.dismiss = Button("Dismiss", "Remove this message (Esc)", lambda: self.alarm(""))
+        self.cancel = Button("Cancel", "Stop, and restore the devices (Esc)", self.cancel_requested)
+        self.progress = QProgressBar()
+        self.progress.setFixedWidth(200)
+        self.progress.setFormat("%p %")
+        hidden = (self.reconnect, self.accept, self.discard, self.dismiss, self.progress, self.cancel)
+        for widget in hidden:
+            widget.hide()
+        row((self.text, 1), *hidden, parent=self).setContentsMargins(10, 3, 6, 3)
+        self.setFixedHeight(self.cancel.sizeHint().height() + 8)  # the same with and without a button
+
+    @property
+    def log(self) -> str:
+        """The last thousand messages but advice and what is refused while it is typed, oldest first, with times."""
+        return "\n".join(f"{time}  {message}" for time, message in self._lines)
+
+    def warn(self, text: str) -> None:
+        """Show an amber notice: something was not done."""
+        self._notify(text, theme.AMBER)
+        self._say(text)
+
+    def refuse(self, text: str) -> None:
+        """Show a red notice: an entry cannot be used; empty text removes it."""
+        self._notify(text, theme.RED)
+
+    def inform(self, text: str) -> None:
+        """Show a green notice: something was done."""
+        self._notify(text, theme.GREEN)
+        self._say(text)
+
+    def clear_notice(self) -> None:
+        """Remove the notice."""
+        self._notice_until_s = 0.0
+
+    def alarm(self, text: str) -> None:
+        """Show an error until the user dismisses it; empty text removes it."""
+        self._alarm = text
+        self._say(text)
+
+    def ask(self, question: str, *, accept: str = "Use it", discard: str = "Discard") -> None:
+        """Show a question with the texts of its buttons; `answered` emits the decision."""
+        self._question = question
+        self._say(question)
+        self.accept.setText(accept)
+        self.discard.setText(discard)
+
+    def escape(self) -> None:
+        """Dismiss the alarm, discard the proposal, or request to cancel."""
+        if self._alarm:
+            self.alarm("")
+        elif self._asks:
+            self._answer(is_accepted=False)
+        elif self._question:
+            self.clear_notice()  # of a refused entry: the question is seen again
+        else:
+            self.cancel_requested.emit()
+
+    def enter(self) -> None:
+        """Accept the proposal unless another message hides it."""
+        if self._asks:
+            self._answer(is_accepted=True)
+
+    def show_activity(self, activity: Activity, *, may_cancel: bool) -> None:
+        """Show the progress of the worker's activity, if any; `may_cancel` is true if the devices are open."""
+        self.cancel.setVisible(may_cancel and activity.may_cancel and bool(activity.text))
+        self.progress.setVisible(bool(activity.text))
+        if activity.text:
+            self.progress.setRange(0, 1000 if activity.progress else 0)  # 0 to 0: busy, of unknown duration
+            self.progress.setValue(round(activity.progress * 1000))
+            self.progress.setToolTip(f"{activity.text}: Esc cancels" if activity.may_cancel else activity.text)
+
+    def show_state(
+        self, *, failure: str, warning: str, advice: str, way_out: str = "", may_reconnect: bool = True
+    ) -> None:
+        """Show the message of highest priority; `way_out` tells what follows from a failure and what to do."""
+        for name, text in (("failure", failure), ("warning", warning)):
+            if self._standing.get(name) != text:
+                self._standing[name] = text
+                self._say(text)
+        self.reconnect.setVisible(bool(failure) and may_reconnect)
+        if failure:
+            self._question = ""  # no device is left to apply it
+        for widget, is_shown in (
+            (self.accept, self._asks),
+            (self.discard, self._asks),
+            (self.dismiss, bool(self._alarm) and not failure),
+        ):
+            widget.setVisible(is_shown)
+        if failure:
+            self._show(f"{failure}  \N{EM DASH}  {way_out}", theme.RED)
+        elif self._alarm:
+            self._show(self._alarm, theme.RED)
+        elif self._asks:
+            self._show(self._question, theme.GREEN)
+        elif self._has_notice:
+            self._show(self._notice, self._notice_colour)
+        elif warning:
+            self._show(warning, theme.AMBER)
+        else:
+            self._show(advice, theme.DIM)
+
+    def show_closing(self, light: str) -> None:
+        """Show that the window closes as soon as the devices have ended; `light` tells what becomes of it."""
+        self._show(f"closing: {light}; waiting for the frame that is being processed", theme.AMBER)
+
+    @property
+    def _has_notice(self) -> bool:
+        return bool(self._notice) and time.monotonic() < self._notice_until_s
+
+    @property
+    def _asks(self) -> bool:
+        """True if the question is seen: no alarm and no refused entry hides it."""
+        is_refusing = self._has_notice and self._notice_colour is theme.RED
+        return bool(self._question) and not self._alarm and not is_refusing
+
+    def _answer(self, *, is_accepted: bool) -> None:
+        self._question = ""
+        self.answered.emit(is_accepted)
+
+    def _notify(self, text: str, colour: QColor) -> None:
+        self._notice, self._notice_colour, self._notice_until_s = text, colour, time.monotonic() + _NOTICE_S
+
+    def _say(self, text: str) -> None:
+        """Keep a message in the log, unless it repeats the newest."""
+        sentence = as_sentence(text)
+        if text and not (self._lines and self._lines[-1][1] == sentence):
+            self._lines.append((f"{datetime.now().astimezone():%Y-%m-%d %H:%M:%S}", sentence))
+            self.logged.emit()
+
+    def _show(self, text: str, colour: QColor) -> None:
+        sentence = as_sentence(text)
+        if (sentence, colour) != self._shown:
+            self._shown = (sentence, colour)
+            self.text.setText(sentence)
+            colour_text(self.text, colour)

@@ -1,0 +1,345 @@
+"""Recording: its buttons in the menu bar, and the bar with its name, note and end, and what can be done afterwards."""
+
+import math
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from datetime import datetime
+from pathlib import Path
+
+from PyQt6.QtCore import QSettings, QStandardPaths, Qt, QUrl
+from PyQt6.QtGui import QDesktopServices
+from PyQt6.QtWidgets import QFileDialog, QFrame, QMenu, QSizePolicy, QWidget
+
+from app.errors import InputError, RunError
+from app.gui.shell.background_commands import BackgroundCommands
+from app.gui.shell.controller import Controller
+from app.gui.shell.menus import RecentFiles
+from app.gui.shell.wording import gaps_in_words, recording_ended
+from app.gui.widgets import theme
+from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, label, mark_refused, row
+from app.gui.widgets.copies import ask_file
+from app.gui.widgets.fields import NumberField, TextField
+from app.progress import counted
+from app.recording.folder import describe, name_problem
+from app.recording.recorder import RECENT_S, Limit, RecordingState
+from drivers.interface import Range
+
+_WIDEST = "000000 frames   00:00   disk space for 000 min"  # more is cut off; the tool tip has it
+_STOP = "Stop recording"
+_BEHIND = 70  # waiting frames from which the number is shown
+_DISK_INTERVAL_S = 2.0  # between two queries of the free disk space
+_FRAMES, _SECONDS = "frames", "s"
+_NAME_TIP = "Appended to the name of the folder when the recording is finished"
+_EXPORTS = {  # suffix and what is written
+    "tiff": ("tif", "Frames as TIFF"),
+    "csv": ("csv", "RMS and coefficients as CSV"),
+    "netcdf": ("nc", "All results as NetCDF"),
+    "psf": ("tif", "Point-spread functions as TIFF"),
+    "zernike-table": ("csv", "Zernike coefficients as CSV"),
+    "double-zernike": ("nc", "Double Zernikes as NetCDF"),
+}
+
+
+class RecordingPanel(QWidget):
+    """Buttons, and the state of the recording."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.record = Toggle(
+            "Record", "Record every frame with all data needed to reconstruct it again (W)", self._leave_fields
+        )
+        self.keep = Button(f"Save last {RECENT_S:g} s", f"Save the last {RECENT_S:g} s as a recording (K)")
+        self.text = ElidedLabel("dim")
+        self.text.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
+        # A menu bar never updates the width of its corner; with a fixed height, too, a new text is not laid out.
+        self.text.setFixedSize(self.text.fontMetrics().horizontalAdvance(_WIDEST), self.text.minimumHeight())
+        self.text.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        row(self.text, self.keep, self.record, parent=self).setContentsMargins(10, 3, 6, 3)
+        self._show_button(is_recording=True)
+        self.record.setMinimumWidth(self.record.sizeHint().width())  # of the longer of its two texts
+        theme.follow(self, lambda: self._show_button(is_recording=self.record.isChecked()))
+        self.show_state(None)
+
+    def show_state(
+        self, state: RecordingState | None, free_minutes: float = math.inf, *, is_starting: bool = False
+    ) -> None:
+        """Show the current or last recording and the recording time that the disk has space for."""
+        is_recording = is_starting or (state is not None and state.stage == "recording")
+        self.record.setChecked(is_recording)
+        if (self.record.text() == _STOP) != is_recording:
+            self._show_button(is_recording=is_recording)
+        self.record.setEnabled(state is None or state.stage != "finishing")
+        room = () if math.isinf(free_minutes) else (f"disk space for {_duration(free_minutes)}",)
+        text = "   ".join((*_progress(state), *room))
+        self.text.setText(text)
+        self.text.setToolTip(text if state is None else f"{text}\n{state.folder}")
+
+    def _leave_fields(self) -> None:
+        if (window := self.window()) is not None:
+            window.setFocus()
+
+    def _show_button(self, *, is_recording: bool) -> None:
+        self.record.setText(_STOP if is_recording else "Record")
+        self.record.setIcon(theme.start_or_stop(is_running=True) if is_recording else theme.lamp(theme.RED))
+
+
+def _progress(state: RecordingState | None) -> tuple[str, ...]:
+    if state is None:
+        return ()
+    minutes, seconds = divmod(round(state.seconds), 60)
+    behind = (f"{state.waiting} waiting for the disk",) if state.waiting > _BEHIND else ()
+    gap = (gaps_in_words(state.gaps),) if state.gaps else ()
+    return (counted(state.frames), f"{minutes}:{seconds:02d}", *gap, *behind)
+
+
+def _duration(minutes: float) -> str:
+    return f"{minutes / 60:.0f} h" if minutes >= 600 else f"{minutes:.0f} min"
+
+
+class RecordingBar(QFrame):
+    """Records as a `RecordingPanel` asks; opens when a recording begins, and stays until it is closed."""
+
+    def __init__(self, controller: Controller, panel: RecordingPanel, settings: QSettings | None) -> None:
+        """Remember the recordings in `settings`."""
+        super().__init__()
+        self.setProperty("role", "strip")
+        self._controller, self._messages, self._panel = controller, controller.messages, panel
+        panel.record.clicked.connect(self._record)
+        panel.keep.clicked.connect(self._keep)
+        controller.connected.connect(self._restart)
+        documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
+        self.recordings_folder = Path(documents or ".") / "svwfs"
+        self._starting: Future[None] | None = None  # the last start of a recording
+        self._reported: set[Path] = set()  # recordings whose end was shown
+        self._free_minutes, self._disk_due_s = math.inf, -math.inf
+        self.recent = RecentFiles(settings, "recent/recordings")
+        self.commands = BackgroundCommands(controller.messages, self)
+        self._of: Path | None = None  # the recording as it began
+        self.folder: Path | None = None  # with its name, once it is finished
+        self._kept: Path | None = None
+        self.text = ElidedLabel()
+        self._name_problem = ""
+        self.name = TextField(tool_tip=_NAME_TIP, hint="name")
+        self.note = TextField(tool_tip="Kept in run.json and shown in the report", hint="note")
+        for field in (self.name, self.note):
+            field.setMinimumWidth(90)
+            field.entered.connect(lambda _: self._describe())
+        self.name.textChanged.connect(self._check_name)
+        self.stop_after = NumberField(name="Stop after", tool_tip="The recording ends by itself", lowest="never")
+        self.stop_after.show_value(0, Range(0, 1e6))
+        self.unit = Choice("Frames, or seconds between the first and the last", (_FRAMES, _SECONDS))
+        self.stop_after.entered.connect(lambda _: self._limit())
+        self.unit.activated.connect(lambda _: self._limit())
+        self.open = Button("Open folder", "Show the files", lambda: self.folder and self._show(self.folder))
+        self.replay = Button(
+            "Replay",
+            "Play it in another window; the devices go on here",
+            lambda: self.folder and self.play(self.folder),
+        )
+        self.report = Button("Report", "Write report.pdf into the folder and open it", self._report)
+        self.export = Button("Export", "Write it for other programs")
+        self.exports = QMenu(self)
+        for to, (_, text) in _EXPORTS.items():
+            self.exports.addAction(text, lambda _=False, to=to: self._export(to))
+        self.export.setMenu(self.exports)
+        self.done = Button("Close", "Hide this bar", self.hide)
+        self._afterwards = (self.open, self.replay, self.report, self.export)
+        self._limits = (label("Stop after", "dim"), self.stop_after, self.unit)
+        parts = ((self.text, 3), (self.name, 2), (self.note, 3), *self._limits, *self._afterwards, self.done)
+        row(*parts, parent=self).setContentsMargins(10, 3, 6, 3)
+        self._show_stage(None)
+        self.hide()
+
+    @property
+    def limit(self) -> Limit:
+        """When the next recording ends by itself."""
+        value = self.stop_after.value()
+        if not value:
+            return Limit()
+        return Limit(frames=round(value)) if self.unit.currentText() == _FRAMES else Limit(seconds=value)
+
+    def prepare(self) -> None:
+        """Open for the next recording."""
+        if self._stage != "recording":
+            self._forget()
+        self.show()
+        self.stop_after.edit()  # not the name: it would take the letters of shortcuts, also the light's
+
+    def use_recordings_folder(self, folder: Path) -> None:
+        """Write later recordings into another folder."""
+        self.recordings_folder = folder
+        self._messages.inform(f"recordings are saved in {folder}")
+
+    def choose_recordings_folder(self) -> None:
+        """Ask for the folder of later recordings."""
+        before = str(self.recordings_folder)
+        if chosen := QFileDialog.getExistingDirectory(self, "Recordings folder", before):
+            self.use_recordings_folder(Path(chosen))
+
+    def ask_to_end(self, then: Callable[[], object]) -> None:
+        """Call `then`, after the user has agreed that a recording ends."""
+        state = None if self._controller.acquisition is None else self._controller.acquisition.recording
+        if state is None or state.stage != "recording":
+            then()
+        else:
+            question = f"the recording {state.folder.name} ends if another bench is opened"
+            self._controller.ask(question, then, "End it and open", "Keep recording")
+
+    def refresh(self) -> None:
+        """Show the state of the recordings; report each end once."""
+        acquisition = self._controller.acquisition
+        if acquisition is None:
+            return
+        if time.monotonic() > self._disk_due_s:
+            self._disk_due_s = time.monotonic() + _DISK_INTERVAL_S
+            try:
+                self._free_minutes = acquisition.free_minutes(self.recordings_folder)
+            except OSError:  # the start of a recording reports it
+                self._free_minutes = math.inf
+        state, kept = acquisition.recording, acquisition.kept
+        is_starting = self._starting is not None and not self._starting.done()
+        self._panel.show_state(state, self._free_minutes, is_starting=is_starting)
+        self._report_ends(state, kept)
+        if state is not None and state.folder != self._of:
+            if self.folder is not None:
+                self._forget()
+            self._of = state.folder
+            self.show()
+        if kept is not None and kept.folder != self._kept and _is_over(kept):
+            self._kept = kept.folder
+            if state is None or _is_over(state):
+                self._forget()
+                self._finish(kept)
+        if state is not None and state.folder == self._of and self.folder is None:
+            self._show_stage(state)
+            if _is_over(state):
+                self._finish(state)
+
+    def _report_ends(self, *states: RecordingState | None) -> None:
+        for state in states:
+            if state is not None and _is_over(state) and state.folder not in self._reported:
+                self._reported.add(state.folder)
+                show = self._messages.alarm if state.stage == "ended early" else self._messages.inform
+                show(recording_ended(state))
+
+    def recent_menu(self) -> QMenu:
+        """Return a menu of the recent recordings."""
+        return self.recent.menu(self, lambda folder: folder.name, self.play)
+
+    def play(self, folder: Path) -> None:
+        """Play a recording in another window."""
+        self.commands.start_window("--replay", folder)
+
+    def _restart(self) -> None:
+        self._starting = None
+
+    def _record(self, on: bool) -> None:
+        acquisition = self._controller.acquisition
+        if acquisition is None:
+            return
+        if on:
+            self._messages.alarm("")
+            folder, limit = self._new_folder(), self.limit
+            self._starting = self._controller.send(lambda to: to.start_recording(folder, limit=limit, may_rename=True))
+            if acquisition.status is not None and not acquisition.status.is_light_on:
+                self._messages.warn("recording with the light off: L switches it on, W ends the recording")
+        elif self._starting is None:  # begun elsewhere
+            acquisition.stop_recording()
+        elif not self._starting.cancel():
+            self._starting.add_done_callback(lambda _: acquisition.stop_recording())  # at once if it has begun
+
+    def _keep(self) -> None:
+        self._controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
+
+    def _new_folder(self, suffix: str = "") -> Path:
+        return self.recordings_folder / f"{datetime.now().astimezone():%Y%m%d-%H%M%S}{suffix}"
+
+    def _forget(self) -> None:
+        self.folder = None
+        self.name.show_text("")
+        self.note.show_text("")
+        self._show_stage(None)
+
+    def _finish(self, state: RecordingState) -> None:
+        self.folder = state.folder
+        self._show_stage(state)
+        self.show()
+        if self.name.text() or self.note.text():
+            self._describe()
+        else:
+            self.recent.add(self.folder)
+
+    def _show_stage(self, state: RecordingState | None) -> None:
+        self._stage = "" if state is None else state.stage
+        is_over = state is not None and _is_over(state)
+        for widget in self._limits:
+            widget.setVisible(not is_over)
+        for each in self._afterwards:
+            each.setVisible(is_over)
+        if state is None:
+            self.text.setText("Next recording")
+            return
+        folder = self.folder or state.folder
+        self.text.setText(f"{counted(state.frames)} in {folder.name}" if is_over else f"Recording {state.folder.name}")
+        self.text.setToolTip(str(folder))
+
+    def _limit(self) -> None:
+        if self._controller.acquisition is not None:
+            self._controller.acquisition.limit_recording(self.limit)
+
+    def _check_name(self, name: str) -> None:
+        """Show in red, and say, why a name that is being typed cannot be used."""
+        problem = name_problem(name)
+        mark_refused(self.name, is_refused=bool(problem))
+        self.name.setToolTip(problem or _NAME_TIP)
+        if problem != self._name_problem:
+            self._name_problem = problem
+            self._messages.refuse(problem)
+
+    def _describe(self) -> None:
+        if self.folder is None:  # not finished
+            return
+        try:
+            self.folder = describe(self.folder, name=self.name.text(), note=self.note.text())
+        except (InputError, RunError) as error:
+            self._messages.warn(str(error))
+        else:
+            self._messages.inform(f"saved as {self.folder}")
+            self.text.setText(f"{self.text.text().partition(' in ')[0]} in {self.folder.name}")
+            self.text.setToolTip(str(self.folder))
+        self.recent.add(self.folder)
+
+    def _show(self, path: Path) -> None:
+        """Show a file in the program that the desktop has for it."""
+        if not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
+            self._messages.alarm(f"{path} cannot be shown here: this desktop has no program for it")
+
+    def _report(self) -> None:
+        if self.folder is not None:
+            out = self.folder / "report.pdf"
+            self.commands.start(
+                self.report,
+                f"writing the report of {self.folder.name}",
+                *("report", self.folder, "--out", out, "--overwrite"),
+                end=f"the report is in {out}",
+                then=lambda: self._show(out),
+            )
+
+    def _export(self, to: str) -> None:
+        if self.folder is None:
+            return
+        suffix, what = _EXPORTS[to]
+        proposed = self.folder.with_name(f"{self.folder.name}.{suffix}")
+        name = ask_file(self, what, str(proposed), f"*.{suffix}")
+        if name is not None:  # the dialog has asked whether to replace it
+            self.commands.start(
+                self.export,
+                f"exporting {self.folder.name}",
+                *("export", self.folder, "--to", to, "--out", name, "--overwrite"),
+                end=f"exported to {name}",
+            )
+
+
+def _is_over(state: RecordingState) -> bool:
+    return state.stage in {"finished", "ended early"}

@@ -1,0 +1,162 @@
+"""The replay bar: play, step, position and speed of a recording that is shown in place of the devices."""
+
+from concurrent.futures import Future
+
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QPainter, QPaintEvent
+from PyQt6.QtWidgets import QFrame, QSlider, QStyle
+
+from app.acquisition.instrument import Status
+from app.gui.panels.controls import ControlsPanel
+from app.gui.widgets import theme
+from app.gui.widgets.basics import Button, Choice, label, row, timer
+from app.recording.recover import frames_in_words
+from app.results.player import Player
+
+_QUARTER, _HALF = "\N{VULGAR FRACTION ONE QUARTER}", "\N{VULGAR FRACTION ONE HALF}"
+_SPEEDS = {
+    f"\N{MULTIPLICATION SIGN} {name}": speed
+    for name, speed in ((_QUARTER, 0.25), (_HALF, 0.5), ("1", 1.0), ("2", 2.0), ("4", 4.0))
+}
+_POLL_MS = 40
+
+
+class _Slider(QSlider):
+    """Slider with red marks at some of its values."""
+
+    marked: frozenset[int] = frozenset()
+
+    def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Paint the slider and its marks."""
+        super().paintEvent(event)
+        painter, style = QPainter(self), self.style()
+        handle = 0 if style is None else style.pixelMetric(QStyle.PixelMetric.PM_SliderLength, None, self)
+        for value in self.marked:
+            x = QStyle.sliderPositionFromValue(self.minimum(), self.maximum(), value, self.width() - handle)
+            painter.fillRect(x + handle // 2 - 1, 0, 2, self.height(), theme.RED)
+
+
+class ReplayBar(QFrame):
+    """Moves through the frames of a player; hidden without one.
+
+    A move stops the replay. While the slider is dragged, only the newest position is shown: reconstruction may be slow.
+    """
+
+    failed = pyqtSignal(str)  # why a frame cannot be shown
+
+    def __init__(self, controls: ControlsPanel) -> None:
+        """Play and stop with the start button of the `controls`, whose devices are disabled."""
+        super().__init__()
+        self.setProperty("role", "strip")
+        self._player: Player | None = None
+        self._controls = controls
+        self._wanted: int | None = None
+        self._target, self._direction = 0, 1  # of the last move
+        self._moving: Future[None] | None = None
+        self.badge = label("REPLAY", "badge")
+        self.play = Button("Play", "Play or pause (Space)", controls.start.click)
+        self.back = Button("\N{LEFTWARDS ARROW}", "Previous frame (,)", lambda: self._step(-1))
+        self.forth = Button("\N{RIGHTWARDS ARROW}", "Next frame (.)", lambda: self._step(1))
+        self.slider = _Slider(Qt.Orientation.Horizontal)
+        self.slider.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.slider.setToolTip("Position in the recording")
+        self.slider.valueChanged.connect(self._move)
+        self.text = label("")
+        self.speed = Choice("Speed beside that of the recording; a slow computer skips frames", _SPEEDS.items())
+        self.speed.setCurrentIndex(list(_SPEEDS.values()).index(1.0))
+        self.speed.activated.connect(lambda _: self._set_speed())
+        steps = self.back, self.play, self.forth
+        parts = self.badge, *steps, (self.slider, 1), self.text, label("Speed", "dim"), self.speed
+        row(*parts, parent=self).setContentsMargins(10, 4, 6, 4)
+        self._timer = timer(self, _POLL_MS, self.refresh)
+        self.use(None)
+
+    @property
+    def notice(self) -> str:
+        """Note about the version of the recording; empty if there is none."""
+        return "" if self._player is None else self._player.notice
+
+    def use(self, player: Player | None) -> None:
+        """Move through the frames of another player; hide without one."""
+        if self._player is not None and player is None:
+            self._controls.enable_devices(is_enabled=True)
+        self._player, self._wanted, self._moving = player, None, None
+        self.slider.marked = frozenset()
+        self.setVisible(player is not None)
+        for step in (self.back, self.forth):
+            step.setEnabled(player is not None)
+        if player is None:
+            self._timer.stop()
+            return
+        self._controls.enable_devices(is_enabled=False)
+        count = len(player.frames)
+        self.slider.setRange(0, count - 1)
+        self.text.setMinimumWidth(self.text.fontMetrics().horizontalAdvance(f"frame {count} of {count}  "))
+        self._timer.start()
+
+    def show_status(self, status: Status) -> None:
+        """Show whether the recording plays; keep the controls of the devices disabled, which the status enables."""
+        if self._player is not None:
+            self._controls.enable_devices(is_enabled=False)
+            self.play.setText("Pause" if status.is_running else "Play")
+            self.play.setIcon(theme.start_or_stop(is_running=status.is_running))
+
+    def refresh(self) -> None:
+        """Show the position, and go to the wanted one as soon as the last move is done."""
+        player = self._player
+        if player is None:
+            return
+        self._mark_damaged(player)
+        if self._moving is not None:
+            if not self._moving.done():
+                return
+            moved, self._moving = self._moving, None
+            try:
+                moved.result()
+            except Exception as error:  # noqa: BLE001 - every error is shown
+                self._mark_damaged(player)
+                if self._target not in self.slider.marked:
+                    self.failed.emit(str(error))
+                elif self._wanted is None:
+                    self._wanted = self._sound(self._target)
+        if self._wanted is not None:
+            self._target, self._wanted = self._wanted, None
+            self._moving = player.show_frame(self._target)
+        elif player.position is not None and not self.slider.isSliderDown():
+            with QSignalBlocker(self.slider):
+                self.slider.setValue(player.position)
+            self._write(player.position)
+
+    def _mark_damaged(self, player: Player) -> None:
+        """Say which frames were found damaged, and mark them on the slider."""
+        damaged = player.damaged
+        if new := sorted(damaged.keys() - self.slider.marked):
+            names = frames_in_words([player.frames[position] for position in new])
+            self.failed.emit(f"{names} skipped: {damaged[new[-1]]}")
+            self.slider.marked = frozenset(damaged)
+            self.slider.update()
+
+    def _write(self, position: int) -> None:
+        if self._player is not None:
+            frames = self._player.frames
+            self.text.setText(f"frame {position + 1} of {len(frames)}")
+            self.text.setToolTip(f"Frame {frames[position]} of the recording, as --frames counts: from 0")
+
+    def _move(self, position: int) -> None:
+        if self._player is not None and self._player.position is not None:
+            self._direction = 1 if position >= self._player.position else -1
+            self._wanted = self._sound(position)
+            self._write(position)
+
+    def _sound(self, position: int) -> int | None:
+        """Return this position, or the next one in the direction of the move whose frame is not known as damaged."""
+        while position in self.slider.marked:
+            position += self._direction
+        return position if self.slider.minimum() <= position <= self.slider.maximum() else None
+
+    def _step(self, by: int) -> None:
+        self.slider.setValue(self.slider.value() + by)
+
+    def _set_speed(self) -> None:
+        if self._player is not None:
+            self._player.set_speed(self.speed.currentData())

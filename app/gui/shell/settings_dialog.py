@@ -1,0 +1,249 @@
+"""Form for all settings of a bench, also for a new one with connected devices."""
+
+import threading
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from PyQt6.QtCore import QEvent, Qt
+from PyQt6.QtGui import QKeyEvent
+from PyQt6.QtWidgets import (
+    QCheckBox,
+    QDialog,
+    QFileDialog,
+    QFormLayout,
+    QLineEdit,
+    QListWidget,
+    QScrollArea,
+    QStackedWidget,
+    QWidget,
+)
+
+from app.bench.config import Bench, write_bench
+from app.bench.device_kinds import KINDS
+from app.bench.settings_form import FormField, SettingsForm, fault_path, in_words
+from app.errors import InputError, RunError
+from app.files import atomic_write
+from app.gui.widgets.basics import Button, Choice, ElidedLabel, column, label, mark_refused, row, timer
+from drivers.device import DiscoveredDevice
+
+_POLL_MS = 100
+_SIZE = (720, 560)  # px
+_NO_DEVICE = "Other, or simulated: choose the driver below"
+
+
+class _Number(QLineEdit):
+    """A line for a number, which leaves the key of the light alone."""
+
+    def event(self, event: QEvent | None) -> bool:
+        """Pass L to the shortcuts."""
+        is_light = isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_L and not event.modifiers()
+        if event is not None and is_light and event.type() == QEvent.Type.ShortcutOverride:
+            event.ignore()
+            return False
+        return super().event(event)
+
+
+class SettingsDialog(QDialog):
+    """Edits a form; calls `use(new_bench, old_bench)`, and `opened(file)` when a bench was saved."""
+
+    def __init__(
+        self, use: Callable[[Bench, Bench | None], object], opened: Callable[[str], object], parent: QWidget
+    ) -> None:
+        super().__init__(parent)
+        self.resize(*_SIZE)
+        self._use, self._opened = use, opened
+        self._form = SettingsForm({})
+        self._before: Bench | None = None  # the edited bench; None for a new one
+        self._found: list[DiscoveredDevice] = []
+        self._failed: list[str] = []  # searches and devices that cannot be used, with the reasons
+        self._search: threading.Thread | None = None
+        self.editors: dict[str, tuple[FormField, QWidget]] = {}
+        self.sections, self.pages = QListWidget(), QStackedWidget()
+        self.sections.setFixedWidth(170)
+        self.sections.currentRowChanged.connect(self.pages.setCurrentIndex)
+        self.camera, self.light = Choice(), Choice()
+        for kind, choice in (("camera", self.camera), ("light", self.light)):
+            choice.textActivated.connect(partial(self._choose_device, kind))
+        self.devices = QWidget()
+        connected = QFormLayout(self.devices)
+        connected.addRow("Connected camera", self.camera)
+        connected.addRow("Connected light", self.light)
+        self.failed = label("", "dim")
+        self.failed.setWordWrap(True)
+        connected.addRow(self.failed)
+        self.problem = ElidedLabel()
+        mark_refused(self.problem, is_refused=True)
+        self.apply = Button("Open", "", self._apply)
+        self.save = Button(
+            "Save \N{HORIZONTAL ELLIPSIS}", "Save these settings as a bench file, and open it", self._save
+        )
+        close = Button("Close", "Change nothing (Esc)", self.close)
+        ends = row((self.problem, 1), self.apply, self.save, close)
+        column(self.devices, (row(self.sections, (self.pages, 1)), 1), ends, spacing=8, parent=self).setContentsMargins(
+            12, 12, 12, 12
+        )
+        self._timer = timer(self, _POLL_MS, self._poll)
+
+    def edit(self, bench: Bench) -> None:
+        """Edit the settings of a bench."""
+        self.setWindowTitle("Settings of the bench")
+        self.devices.hide()
+        self.apply.setText("Apply")
+        self.apply.setToolTip("Use these settings; registration and reconstruction change while the camera runs")
+        self._begin(SettingsForm.of(bench))
+        self._before = self._check()
+
+    def make(self, template: Bench) -> None:
+        """Make a bench after the example of another, with devices that are searched for."""
+        self.setWindowTitle("New bench from my camera")
+        self.devices.show()
+        for choice in (self.camera, self.light):
+            choice.clear()
+            choice.addItem("Searching \N{HORIZONTAL ELLIPSIS}")
+            choice.setEnabled(False)
+        self.apply.setText("Open")
+        self.apply.setToolTip("Connect the devices with these settings")
+        self._before = None
+        self._begin(SettingsForm.of(template, is_new=True))
+        if self._search is None:
+            self._found, self._failed = [], []
+            self.failed.setText("")
+            self._search = threading.Thread(target=self._discover, name="device search", daemon=True)
+            self._search.start()
+            self._timer.start()
+
+    def _discover(self) -> None:
+        for kind in KINDS:
+            try:
+                devices, missing = kind.discover()
+            except Exception as error:  # noqa: BLE001 - every error is shown, and the other kinds are searched
+                devices, missing = (), f"{type(error).__name__}: {error}"
+            self._found += devices
+            self._failed += [f"{kind.name}: not searched: {missing}"] if missing else []
+            self._failed += [f"{one.name} cannot be used yet: {one.missing}" for one in devices if one.missing]
+
+    def _poll(self) -> None:
+        if self._search is None or self._search.is_alive():
+            return
+        self._search = None
+        self._timer.stop()
+        self.failed.setText("\n".join(self._failed))
+        for kind, choice in (("camera", self.camera), ("light", self.light)):
+            names = [device.name for device in self._found if device.kind == kind]
+            choice.clear()
+            choice.addItems([_NO_DEVICE if names else "None found: choose the driver below", *names])
+            choice.setEnabled(bool(names))
+
+    def _choose_device(self, kind: str, name: str) -> None:
+        for device in self._found:
+            if device.name == name and device.kind == kind:
+                self._form.use_device(device)
+                self._build(kind)
+
+    def _begin(self, form: SettingsForm) -> None:
+        self._form = form
+        self._build("sensor")
+        self.show()
+        self.activateWindow()
+
+    def _build(self, shown: str) -> None:
+        """Make the widgets of all fields; show one section."""
+        self.editors = {}
+        self.sections.setFocus()  # else Qt would give it from a removed editor to any other
+        self.sections.clear()
+        while (page := self.pages.widget(0)) is not None:
+            self.pages.removeWidget(page)
+            page.deleteLater()
+        for section in self._form.sections():
+            inner = QWidget()
+            layout = QFormLayout(inner)
+            about = label(section.help, "dim")
+            about.setWordWrap(True)
+            layout.addRow(about)
+            for field in section.fields:
+                editor = self._editor(field)
+                editor.setToolTip(f"<p>{field.help or field.label}</p>")
+                self.editors[field.path] = (field, editor)
+                layout.addRow(f"{field.label} ({field.unit})" if field.unit else field.label, editor)
+            area = QScrollArea()
+            area.setWidget(inner)
+            area.setWidgetResizable(True)
+            self.pages.addWidget(area)
+            self.sections.addItem(" \N{RIGHTWARDS ARROW} ".join(part.capitalize() for part in section.path.split(".")))
+            if section.path == shown:
+                self.sections.setCurrentRow(self.sections.count() - 1)
+        self._check()
+
+    def _editor(self, field: FormField) -> QWidget:
+        if field.kind == "switch":
+            box = QCheckBox()
+            box.setChecked(field.text == "true")
+            box.toggled.connect(lambda on: self._enter(field, box, "true" if on else "false"))
+            return box
+        if field.kind == "choice":
+            choice = Choice(items=[(value or "automatic", value) for value in field.choices])
+            choice.setCurrentIndex(choice.findData(field.text))
+            choice.activated.connect(lambda index: self._enter(field, choice, choice.itemData(index)))
+            return choice
+        line = _Number(field.text) if field.kind in {"number", "integer"} else QLineEdit(field.text)
+        line.setPlaceholderText(f"for example {field.example}" if field.example else "automatic" * field.is_optional)
+        line.textEdited.connect(lambda text: self._enter(field, line, text))
+        return line
+
+    def _enter(self, field: FormField, editor: QWidget, text: str) -> None:
+        try:
+            self._form.set(field, text)
+        except InputError as error:
+            self._show_problem(str(error), editor)
+            return
+        if field.path.endswith(".driver"):
+            self._build(field.path.split(".")[0])
+        else:
+            self._check()
+
+    def _check(self) -> Bench | None:
+        """Return the bench, or show what is wrong at its field."""
+        for field, editor in self.editors.values():
+            text = editor.text() if isinstance(editor, QLineEdit) else field.text
+            try:
+                field.parse(text)
+            except InputError as error:
+                self._show_problem(str(error), editor)
+                return None
+        try:
+            bench = self._form.bench()
+        except InputError as error:
+            _, faulty = self.editors.get(fault_path(error), (None, None))
+            self._show_problem(in_words(error, {path: field for path, (field, _) in self.editors.items()}), faulty)
+            return None
+        self._show_problem("", None)
+        return bench
+
+    def _show_problem(self, sentence: str, at: QWidget | None) -> None:
+        self.problem.setText(sentence)
+        for _, editor in self.editors.values():
+            mark_refused(editor, is_refused=editor is at)
+        for ending in (self.apply, self.save):
+            ending.setEnabled(not sentence)
+
+    def _apply(self) -> None:
+        if (bench := self._check()) is not None:
+            self.close()
+            self._use(bench, self._before)
+
+    def _save(self) -> None:
+        bench = self._check()
+        if bench is None:
+            return
+        name, _ = QFileDialog.getSaveFileName(self, "Save the bench", "bench.toml", "Bench (*.toml)")
+        if not name:
+            return
+        try:
+            with atomic_write(Path(name)) as temporary:
+                temporary.write_text(write_bench(bench), "utf-8")
+        except RunError as error:
+            self._show_problem(str(error), None)
+            return
+        self.close()
+        self._opened(name)

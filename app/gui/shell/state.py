@@ -1,0 +1,120 @@
+"""State kept between two starts: geometry, panels, choices and toggles; theme and size of texts."""
+
+from collections.abc import Mapping
+
+from PyQt6.QtCore import QByteArray, QObject, QRect, QSettings, QSize
+from PyQt6.QtGui import QAction, QActionGroup
+from PyQt6.QtWidgets import QAbstractButton, QApplication, QComboBox, QDialog, QFormLayout, QMainWindow, QWidget
+
+from app.gui.widgets import theme
+from app.gui.widgets.basics import Button, Choice, label
+
+_LAYOUT = 1  # a state of another version is ignored
+_FRAME = QSize(10, 40)  # px; window managers add it only when the window is shown
+_THEME, _SIZE = "preferences/theme", "preferences/text"  # keys of the settings
+_SIZES = (80, 100, 125, 150)  # percent of the desktop's
+
+
+def settings_file() -> QSettings:
+    """Return the user's settings of this program."""
+    return QSettings(QSettings.Format.IniFormat, QSettings.Scope.UserScope, "svwfs", "svwfs")
+
+
+def _parts(window: QMainWindow) -> Mapping[str, QObject]:
+    """Return what has a state, by its name: a key of the settings."""
+    return {name: part for part in window.findChildren(QObject) if "/" in (name := part.objectName())}
+
+
+def save_state(settings: QSettings, window: QMainWindow) -> None:
+    """Save the window and its parts: choices, toggles, and widgets that can be hidden."""
+    settings.setValue("window/geometry", window.saveGeometry())
+    settings.setValue("window/panels", window.saveState(_LAYOUT))
+    for key, part in _parts(window).items():
+        settings.setValue(key, _state(part))
+    settings.sync()
+
+
+def restore_state(settings: QSettings, window: QMainWindow) -> None:
+    """Restore what was saved."""
+    if isinstance(geometry := settings.value("window/geometry"), QByteArray):
+        window.restoreGeometry(geometry)
+    if isinstance(panels := settings.value("window/panels"), QByteArray):
+        window.restoreState(panels, _LAYOUT)
+    for key, part in _parts(window).items():
+        if settings.contains(key):
+            _restore(part, str(settings.value(key)))  # an INI file stores text
+
+
+def fit_to_screen(window: QMainWindow) -> None:
+    """Make the window, frame included, no larger than the free part of its screen, and move it there."""
+    if (screen := window.screen()) is None or window.isMaximized() or window.isFullScreen():
+        return
+    free = screen.availableGeometry()
+    window.resize(window.size().boundedTo(free.size() - _FRAME))
+    outer = QRect(window.pos(), window.size() + _FRAME)
+    outer.moveRight(min(outer.right(), free.right()))
+    outer.moveBottom(min(outer.bottom(), free.bottom()))
+    window.move(max(outer.left(), free.left()), max(outer.top(), free.top()))
+
+
+def _state(part: QObject) -> object:
+    match part:
+        case QActionGroup():
+            return "" if (chosen := part.checkedAction()) is None else chosen.text()
+        case QComboBox():
+            return part.currentText()
+        case QAction() | QAbstractButton():
+            return int(part.isChecked())
+        case QWidget():
+            return int(not part.isHidden())
+    raise TypeError(f"{type(part).__name__} has no state to save")
+
+
+def _restore(part: QObject, value: str) -> None:
+    is_on = value == "1"
+    match part:
+        case QActionGroup():
+            for action in part.actions():
+                if action.text() == value:
+                    action.trigger()
+        case QComboBox():
+            part.setCurrentText(value)  # ignored if there is no such item
+        case QAction() | QAbstractButton():
+            part.setChecked(is_on)
+        case QWidget():
+            part.setVisible(is_on)
+
+
+def apply_preferences(application: QApplication, settings: QSettings) -> None:
+    """Use the saved theme and size; before a window is made, because its panels measure their texts."""
+    theme.use_theme(application, str(settings.value(_THEME, "system")))
+    font, size = application.font(), str(settings.value(_SIZE, "100"))
+    if size.isdecimal() and int(size) in _SIZES:
+        font.setPointSizeF(font.pointSizeF() * int(size) / 100)
+        application.setFont(font)
+
+
+class PreferencesDialog(QDialog):
+    """Changes the theme at once, and the size from the next start on."""
+
+    def __init__(self, settings: QSettings, parent: QWidget) -> None:
+        super().__init__(parent)
+        self._settings = settings
+        self.setWindowTitle("Preferences")
+        self.theme = Choice(items=(("as the desktop", "system"), ("dark", "dark"), ("light", "light")))
+        self.size_choice = Choice(items=[(f"{percent} %", str(percent)) for percent in _SIZES])
+        for choice, key, usual in ((self.theme, _THEME, "system"), (self.size_choice, _SIZE, "100")):
+            choice.setCurrentIndex(choice.findData(str(settings.value(key, usual))))
+            choice.activated.connect(self._save)
+        form = QFormLayout(self)
+        form.addRow("Theme", self.theme)
+        form.addRow("Size of texts", self.size_choice)
+        form.addRow("", label("The size changes at the next start.", "dim"))
+        form.addRow("", Button("Close", "Close (Esc)", self.close))
+
+    def _save(self) -> None:
+        self._settings.setValue(_THEME, self.theme.currentData())
+        self._settings.setValue(_SIZE, self.size_choice.currentData())
+        application = QApplication.instance()
+        if isinstance(application, QApplication):
+            theme.use_theme(application, self.theme.currentData())

@@ -1,0 +1,209 @@
+"""The status line: rate, delay, losses and valid lenslets, and what is assumed of the sample; the rest as tool tip."""
+
+import math
+import time
+from collections import deque
+from collections.abc import Mapping
+from statistics import median
+
+import numpy as np
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QGridLayout, QLabel, QWidget
+
+from app.acquisition.instrument import Status
+from app.acquisition.worker import Measurement
+from app.gui.shell.wording import as_sentence, lenslet_summary
+from app.gui.widgets import theme
+from app.gui.widgets.basics import ElidedLabel, colour_text, column, label, row, row_of
+from app.gui.widgets.presentation import NOTHING
+from app.measurement.measurement import RefinementState, sample_sentence
+from app.timing import MEANINGS, STAGES, Stage, StageTimes, Timings
+from reconstruction.displacement import Displacement
+from reconstruction.layers.layered_wavefront import FREE
+
+_VALID = "Lenslets whose subimage matches the reference"
+_CORRECTION = "Age of the correction of systematic errors by the model of the bench"
+_ASSUMED = "What is assumed of the sample, and what the mask shows"
+_LOST = "Frames that the camera overwrote before they were read; red while they become more"
+_DELAY = "Processing delay: from the end of the exposure to the result, median over the last second"
+_WINDOW_S = 1.0  # over which rate and delay are taken
+_TIMES_INTERVAL_S = 1.0  # the percentiles of thousands of times take a millisecond
+_GAP = 14  # px between two parts
+_TIMES = ("median", "99 %", "max")
+
+
+class StatusLine(QWidget):
+    """Shows each value beside its name."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._newest: Measurement | None = None
+        self._recent: deque[tuple[float, int, float, int]] = deque()  # time, frames acquired, delay, frames lost
+        self.shown = 0
+        self._times_due_s = -math.inf
+        self.timing_row = TimingRow()
+        self.timing_row.setObjectName("window/times")
+        self.devices = label("", "dim")
+        self.simulated = label("SIMULATED", "badge")
+        self.simulated.setToolTip("No real device: camera, light and sample are computed")
+        self.simulated.hide()
+        self.rate, self.delay, self.lost = label(NOTHING), label(NOTHING), label("0")
+        self.valid, self.correction = label(NOTHING), label("off")
+        self.assumed = ElidedLabel("dim")
+        parts = (
+            ("frames/s", self.rate, "", "00.0"),
+            ("delay", self.delay, _DELAY, "0000.0 ms"),
+            ("lost", self.lost, _LOST, "000"),
+            ("valid", self.valid, _VALID, "000 of 000"),
+            ("correction", self.correction, _CORRECTION, "computing"),
+        )
+        named = []
+        for name, value, tool_tip, widest in parts:
+            value.setMinimumWidth(value.fontMetrics().horizontalAdvance(widest))  # so that the next does not move
+            named.append(row_of(label(name, "dim"), value))
+            named[-1].setToolTip(tool_tip)
+        self._counted, self._of_correction = named[0], named[-1]
+        line = row(*named, (self.assumed, 1), self.simulated, self.devices, spacing=_GAP)
+        column(self.timing_row, line, spacing=2, parent=self).setContentsMargins(10, 0, 10, 2)
+
+    def count(self, measurement: Measurement) -> None:
+        """Count a shown measurement."""
+        self.shown += 1
+        self._newest, time_s = measurement, measurement.frame.host_time_s
+        counts = measurement.counts
+        self._recent.append((time_s, counts.acquired, measurement.latency_s, counts.lost))
+        while self._recent[0][0] < time_s - _WINDOW_S and len(self._recent) > 2:
+            self._recent.popleft()
+
+    def restart(self) -> None:
+        """Forget the frames of the previous acquisition."""
+        self._newest = None
+        self._recent.clear()
+        self.shown = 0
+
+    def update_text(self, status: Status | None, timings: Timings | None) -> None:
+        """Update the numbers, those of the tool tip once a second."""
+        if timings is not None and (time.monotonic() > self._times_due_s or self.timing_row.isVisible()):
+            self._times_due_s = time.monotonic() + _TIMES_INTERVAL_S
+            summary = timings.summary()
+            self.timing_row.update_text(summary)
+            self.delay.setToolTip(f"<p>{_DELAY}.</p>{_timing_table(summary)}")
+        if status is not None:
+            self.simulated.setVisible(status.bench.is_simulated)
+            self.devices.setText("running" if status.is_running else "stopped")
+            self.devices.setToolTip(f"{status.camera_name}\n{status.light_name}")
+        last = self._newest
+        if last is None:
+            return
+        (first_s, first_count, _, first_lost), (last_s, last_count, _, lost) = self._recent[0], self._recent[-1]
+        _write(self.lost, str(lost))
+        colour_text(self.lost, theme.RED if lost > first_lost else theme.TEXT)
+        is_running = status is not None and status.is_running
+        has_rate = is_running and last_s > first_s
+        _write(self.rate, f"{(last_count - first_count) / (last_s - first_s):.1f}" if has_rate else NOTHING)
+        _write(self.delay, _duration(median(delay_s for _, _, delay_s, _ in self._recent)))
+        age = _duration(time.perf_counter() - last.exposure_end_s)
+        self._counted.setToolTip(
+            f"Frames acquired per second\n\n{last.counts.acquired} acquired, {last.counts.reconstructed} reconstructed,"
+            f" {self.shown} shown in this window; the shown one is {age} old"
+        )
+        self._show_valid(None if last.wavefront is None else last.wavefront.displacement)
+        self._show_assumed(last, "" if status is None else status.mask_note)
+        self._show_correction(last.assumed.refinement)
+
+    def _show_valid(self, displacement: Displacement | None) -> None:
+        text, tool_tip, colour = NOTHING, _VALID, theme.TEXT
+        if displacement is not None:
+            valid, count = np.count_nonzero(displacement.valid), displacement.valid.size
+            text = f"{valid} of {count}"
+            tool_tip = "\n".join([_VALID, *lenslet_summary(displacement)])
+            if valid < count:
+                colour = theme.AMBER if valid >= count / 2 else theme.RED
+        _write(self.valid, text)
+        self.valid.setToolTip(tool_tip)
+        colour_text(self.valid, colour)
+
+    def _show_assumed(self, measurement: Measurement, mask_note: str) -> None:
+        sample, told = measurement.assumed.sample, ""
+        if measurement.wavefront is not None:
+            told = f"Sample: {sample_sentence(sample or FREE, measurement.wavefront.field)}"
+            told += " (searching for layers)" * (sample is None)
+        told = told.replace("+-", "\N{PLUS-MINUS SIGN}")
+        self.assumed.setText(told)
+        self.assumed.setToolTip("".join(f"<p>{as_sentence(one)}.</p>" for one in (_ASSUMED, told, mask_note) if one))
+
+    def _show_correction(self, refinement: RefinementState) -> None:
+        change = f"The wavefront has changed by {refinement.moved_rad:.2f} rad RMS since the correction was computed"
+        text, why, colour = {
+            "off": ("off", "", theme.TEXT),
+            "preparing": ("computing", "", theme.TEXT),
+            "applied": (f"{refinement.age_s:.1f} s old", change, theme.GREEN),
+            "moved": ("rejected", f"{change}: too much to apply it", theme.AMBER),
+            "worse": ("rejected", "It brings the model no closer to the measurement", theme.AMBER),
+            "failed": ("failed", refinement.problem, theme.RED),
+        }[refinement.stage]
+        self._of_correction.setVisible(refinement.stage != "off")
+        _write(self.correction, text)
+        self.correction.setToolTip("\n".join(filter(None, [_CORRECTION, why])))
+        colour_text(self.correction, colour)
+
+
+def _write(value: QLabel, text: str) -> None:
+    """Show a text; a fixed size, which never shrinks, keeps Qt from laying out and painting the whole status bar."""
+    value.setText(text)
+    needed = value.sizeHint()
+    value.setFixedSize(max(value.minimumWidth(), needed.width()), needed.height())
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds * 1e3:.1f} ms" if seconds < 1 else f"{seconds:.1f} s"
+
+
+class TimingRow(QWidget):
+    """Median, 99th percentile and maximum of every stage; hidden at first."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 4)
+        grid.setHorizontalSpacing(_GAP)
+        grid.setVerticalSpacing(0)
+        for index, text in enumerate(("ms", *_TIMES)):
+            grid.addWidget(label(text, "dim"), index, 0)
+        self.values: dict[Stage, tuple[QLabel, ...]] = {}
+        for at, stage in enumerate(STAGES, 1):
+            name = label(stage.replace("_", " "), "dim")
+            self.values[stage] = tuple(label(NOTHING) for _ in _TIMES)
+            for index, widget in enumerate((name, *self.values[stage])):
+                widget.setToolTip(f"{stage.replace('_', ' ')}: {MEANINGS[stage]}")
+                widget.setAlignment(Qt.AlignmentFlag.AlignRight)
+                grid.addWidget(widget, index, at)
+            grid.setColumnMinimumWidth(at, self.fontMetrics().horizontalAdvance("0000.0"))
+        grid.setColumnStretch(len(STAGES) + 1, 1)
+        self.hide()
+
+    def toggle(self) -> None:
+        """Show or hide the row."""
+        self.setVisible(self.isHidden())
+
+    def update_text(self, summaries: Mapping[Stage, StageTimes]) -> None:
+        """Update the numbers."""
+        for stage, values in self.values.items():
+            for value, number in zip(values, _numbers(summaries[stage]), strict=True):
+                value.setText(number)
+
+
+def _timing_table(summaries: Mapping[Stage, StageTimes]) -> str:
+    """Return all stages as an HTML table."""
+    rows = "".join(
+        f"<tr><td>{stage.replace('_', ' ')}&nbsp;</td><td align='right'>{' / '.join(_numbers(summaries[stage]))}&nbsp;"
+        f"</td><td>{MEANINGS[stage]}</td></tr>"
+        for stage in STAGES
+    )
+    return f"<table><tr><td></td><td>{' / '.join(_TIMES)}, ms&nbsp;</td><td></td></tr>{rows}</table>"
+
+
+def _numbers(summary: StageTimes) -> tuple[str, ...]:
+    """Format the times of a stage in ms."""
+    times_s = (summary.p50_s, summary.p99_s, summary.max_s)
+    return tuple(f"{seconds * 1e3:.1f}" if summary.count else NOTHING for seconds in times_s)

@@ -1,0 +1,237 @@
+"""Texts about the state of the instrument, and whether the shown frame is live."""
+
+import math
+import time
+
+import numpy as np
+
+from app.acquisition.instrument import Status
+from app.acquisition.worker import Activity, Measurement
+from app.gui.panels.panel import Liveness
+from app.gui.widgets.presentation import percent
+from app.measurement.auto_exposure import AutoExposure
+from app.measurement.measurement import Gap
+from app.measurement.sensor_region import SensorArea, lenslets_outside
+from app.progress import counted
+from app.recording.recorded_devices import RecordedLight
+from app.recording.recorder import RecordingState
+from app.results.dataset import rotation_of
+from app.results.frame_tallies import ROTATES
+from reconstruction.displacement import Displacement, Outcome
+from reconstruction.lattice.search import Survey
+from reconstruction.quality.verdict import Quality
+from reconstruction.wavefront import Wavefront
+
+_SLOW_S = 1.0  # a frame shown for longer is explained
+_SATURATED = "saturated"  # in a problem of a frame
+
+
+class Situation:
+    """Follows status and failure of the acquisition."""
+
+    def __init__(self) -> None:
+        self._conditions: tuple[object, ...] = ()  # of the frames
+        self._changed_s = -math.inf  # time of their last change
+
+    def follow(self, status: Status) -> None:
+        """Note when the conditions of the frames change: what is wrong with earlier frames is over then."""
+        if (conditions := _conditions_of(status)) != self._conditions:
+            self._conditions, self._changed_s = conditions, time.perf_counter()
+
+    def alarm(self, status: Status | None, activity: Activity, measurement: Measurement | None) -> str:
+        """Return why wavefronts are missing or doubtful; empty during an activity, and if all is well."""
+        if status is None or activity.text:
+            return ""
+        is_present = measurement is not None and measurement.exposure_end_s >= self._changed_s
+        if measurement is None or not status.is_running or not is_present:
+            return warning(status)
+        return warning(status, measurement.problem, measurement.wavefront, measurement.quality)
+
+
+def liveness(status: Status | None, failure: str, activity: Activity, measurement: Measurement | None) -> Liveness:
+    """Return how the shown frame differs from a live one."""
+    if status is None or measurement is None:
+        waits = activity.text or failure
+        return Liveness("WAITING" if waits else "", waits, is_grey=bool(waits))
+    age_s = time.perf_counter() - measurement.exposure_end_s
+    age = f"{age_s:.0f} s" if age_s < 100 else f"{age_s / 60:.0f} min"
+    if measurement.file:
+        return Liveness(f"FILE {measurement.file}", "Space returns to the camera")
+    if is_replay(status):
+        return Liveness("REPLAY", status.camera_name)
+    if failure:
+        return Liveness(f"DISCONNECTED, {age} old", failure, is_grey=True)
+    is_stopped = not status.is_running and not activity.text
+    if is_stopped or (_is_old(measurement) and age_s > 3 * measurement.latency_s):  # a slow method is always late
+        why = "the camera is stopped: Space starts it" if is_stopped else "no newer frame has come yet"
+        return Liveness(f"PAUSED, {age} old", activity.text or why, is_grey=True)
+    reason = _stale(status)
+    return Liveness("STALE" if reason else "", reason, is_grey=bool(reason))
+
+
+def warning(
+    status: Status,
+    problem: str = "",
+    wavefront: Wavefront | None = None,
+    quality: Quality = Quality(),  # noqa: B008 - immutable
+) -> str:
+    """Return why wavefronts are missing or doubtful and which keys help; empty if all is well.
+
+    Without light, or with a reference for other frames, a `problem` of the newest frame is a consequence, unless it is
+    saturated; else it comes first, then its `quality`; subimages of its `wavefront` that rotate come last.
+    """
+    if problem and not status.is_light_on:
+        return "the light is off: switch it on (L)"
+    if status.warning and _shows_few(status, status.area):
+        return _cut_off(status, status.area)
+    if problem not in {"", status.warning} and (status.reference == "good" or _SATURATED in problem):
+        return problem
+    stale = (("D: dark", status.dark), ("R: reference", status.reference))
+    keys = ", ".join(key for key, validity in stale if validity != "good")
+    own = "" if status.warning in quality.sentence else status.warning
+    if quality.reasons and not keys:
+        return "; ".join(filter(None, (quality.sentence, own)))
+    if not status.warning and wavefront is not None and status.bench.registration.rotation:
+        rotation = rotation_of(wavefront)
+        return ROTATES if rotation is not None and rotation.contradicts_layers else ""
+    return f"{status.warning}  ({keys})" if status.warning and keys else status.warning
+
+
+def _conditions_of(status: Status) -> tuple[object, ...]:
+    """Return the conditions of the frames: what is wrong with a frame tells nothing of later ones under others."""
+    notes = (status.dark_note, status.reference_note)
+    return (status.bench, status.mask, status.is_sample_in, status.is_light_on, status.exposure_s, *notes)
+
+
+def _stale(status: Status) -> str:
+    """Return why wavefronts are shown in grey; empty if dark and reference fit the frames."""
+    notes = ((status.dark, status.dark_note), (status.reference, status.reference_note))
+    reasons = [note.rpartition("\n")[2] for validity, note in notes if validity == "doubtful"]
+    return "; ".join(reasons)
+
+
+def advice(status: Status | None, activity: Activity, measurement: Measurement | None) -> str:
+    """Return the current activity or the next useful key."""
+    if activity.text:
+        return f"{activity.text}: Esc cancels" if status is not None and activity.may_cancel else activity.text
+    if status is None:
+        return "no bench is open: open one (Ctrl+O), or a preset in the menu Bench"
+    if not status.is_running:
+        return "the replay is paused: Space plays it" if is_replay(status) else "the camera is stopped: Space starts it"
+    if measurement is not None and _is_old(measurement):
+        return "slow method: still reconstructing a frame; your command waits until it is done"
+    return status.mask_note or "F1 shows keys and conventions"
+
+
+def _is_old(measurement: Measurement) -> bool:
+    """True if a newer frame should have come by now."""
+    return time.perf_counter() - measurement.exposure_end_s > _SLOW_S + 2 * measurement.frame.exposure_s
+
+
+def is_replay(status: Status | None) -> bool:
+    """True if a recording plays in place of the devices."""
+    return status is not None and status.light_name == RecordedLight.name
+
+
+def way_out(status: Status | None) -> str:
+    """Return what a failure has shut down, and what to do: a manual light, only a person can switch off."""
+    if is_replay(status):
+        return "the replay has ended: open the recording again (Ctrl+Shift+O)"
+    if status is None:
+        return "no device is open: reconnect (Ctrl+R)"
+    if status.bench.has_manual_light:
+        return "the devices are shut down, switch the light off by hand: reconnect (Ctrl+R)"
+    return "light and devices are shut down: reconnect (Ctrl+R)"
+
+
+def left_behind(status: Status | None, waited_s: float) -> str:
+    """Return what is known of the light if the window closed before its worker had ended."""
+    hangs = f"a device or a computation did not end within {waited_s:g} s"
+    if status is None or (status.is_light_on and not status.bench.has_manual_light):
+        return f"{hangs}, so the light may still be on: switch it off by hand"
+    return f"{hangs}; {light_when_closing(status)}"
+
+
+def light_when_closing(status: Status) -> str:
+    """Return what becomes of the light while the window closes."""
+    if status.bench.has_manual_light:
+        return "switch the light off by hand" if status.is_light_on else "you noted that the light is off"
+    return "switching the light off" if status.is_light_on else "the light is off"
+
+
+def lattice_found(survey: Survey) -> str:
+    """Describe a proposed lattice."""
+    lattice, lit = survey.lattice, survey.illuminated
+    return (
+        f"found: pitch {lattice.pitch_px:.3f} px, rotation {lattice.rotation_rad * 1e3:+z.2f} mrad,"
+        f" centre {lattice.center_x_px:.2f}, {lattice.center_y_px:.2f} px;"
+        f" {lit.sum()} of {lit.size} illuminated; fit error {survey.residual_px:.3f} px RMS"
+    )
+
+
+def exposure_found(found: AutoExposure) -> str:
+    """Describe the result of the automatic exposure."""
+    return (
+        f"exposure {found.exposure_s * 1e3:.4g} ms, light {found.current_a * 1e3:.4g} mA:"
+        f" {percent(found.fill)} of full scale, after {counted(found.frames)}"
+    )
+
+
+def area_taken(status: Status, area: SensorArea) -> tuple[str, bool]:
+    """Describe the sensor area that the camera took, and return whether no lenslet is cut off."""
+    if _shows_few(status, area):
+        return _cut_off(status, area), False
+    retake = "" if status.reference == "good" else "; take a new dark (D) and reference (R)"
+    outside = _outside(status, area)
+    if outside:
+        return f"{outside} of {_lenslets(status)} lenslets are cut off by {area}{retake}", False
+    return f"the camera reads out {area}{retake}", True
+
+
+def _lenslets(status: Status) -> int:
+    return status.bench.sensor.lenslet_rows * status.bench.sensor.lenslet_columns
+
+
+def _outside(status: Status, area: SensorArea) -> int:
+    return 0 if status.lattice is None else lenslets_outside(status.lattice, status.bench.sensor, area)
+
+
+def _shows_few(status: Status, area: SensorArea) -> bool:
+    """True if most lenslets lie outside a part of the sensor, so that no reference can be used."""
+    return area.region != status.capabilities.sensor is not None and _outside(status, area) > _lenslets(status) / 2
+
+
+def _cut_off(status: Status, area: SensorArea) -> str:
+    return f"{_outside(status, area)} of {_lenslets(status)} lenslets are outside the region of {area}: enlarge it (P)"
+
+
+def recording_ended(state: RecordingState) -> str:
+    """Describe a finished recording."""
+    if state.stage == "ended early":
+        return f"the recording ended early, {counted(state.frames)} saved: {state.problem}"
+    causes = "; ".join(dict.fromkeys(gap.cause for gap in state.gaps))
+    gaps = f", with {gaps_in_words(state.gaps)} ({causes})" if state.gaps else ""
+    return f"recorded {counted(state.frames)} in {state.folder}{gaps}"
+
+
+def gaps_in_words(gaps: tuple[Gap, ...]) -> str:
+    """Return number and total time of the gaps of a recording."""
+    return f"{counted(len(gaps), 'gap')} of {sum(gap.seconds for gap in gaps):.1f} s"
+
+
+def lenslet_summary(displacement: Displacement) -> list[str]:
+    """Return one line for each reason why lenslets are lost, and one for the used dynamic range."""
+    counts = [
+        (np.count_nonzero(displacement.outcome == outcome), outcome.reason) for outcome in Outcome if outcome.reason
+    ]
+    used = percent(float(np.nanmax(displacement.range_used, initial=0.0)))
+    return [
+        *(f"{count} lost: {why}" for count, why in counts if count),
+        f"{used} of the dynamic range used; at 100 % light reaches the edge of its cell",
+    ]
+
+
+def as_sentence(text: str) -> str:
+    """Begin a message with a capital, unless it begins with the name of a file."""
+    first = text.partition(" ")[0].rstrip(":,;")
+    return text if "." in first else text[:1].upper() + text[1:]

@@ -1,0 +1,1 @@
+"""Widgets, scales and formats that the panels and the shell share."""

@@ -1,0 +1,244 @@
+"""Labels, buttons, choices and layouts of all panels."""
+
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+from PyQt6.QtCore import QEvent, QObject, QSize, Qt, QTimer, pyqtBoundSignal
+from PyQt6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QWheelEvent
+from PyQt6.QtWidgets import (
+    QAbstractScrollArea,
+    QBoxLayout,
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QLayout,
+    QPushButton,
+    QSizePolicy,
+    QStyle,
+    QStyleOptionComboBox,
+    QVBoxLayout,
+    QWidget,
+)
+
+from app.gui.widgets import theme
+
+Slot = Callable[..., object] | pyqtBoundSignal
+Item = QWidget | QLayout | tuple[QWidget | QLayout, int]  # the number is the stretch
+L = TypeVar("L", bound=QBoxLayout)
+_COMBO, _CURSOR = QStyle.ComplexControl.CC_ComboBox, 2  # px that Qt leaves beside a chosen text
+ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
+NAMES = {  # human names of settings' values; the others are their word
+    "gauss_newton": "Gauss-Newton",
+    "correlation_fft": "correlation (FFT)",
+    "itk_affine": "affine (ITK)",
+    "legendre": "Legendre",
+    "zernike": "Zernike",
+}
+
+
+def label(text: str, role: str = "", parent: QWidget | None = None) -> QLabel:
+    """Make a label; its role ("title", "dim", "on-image") selects the style."""
+    made = QLabel(text, parent)
+    made.setProperty("role", role)
+    return made
+
+
+def colour_text(shown: QLabel, colour: QColor) -> None:
+    """Show a text in a colour of the theme, also when the theme changes."""
+    _restyle(shown, "tone", theme.tone(colour))
+
+
+def mark_wanted(control: QWidget, *, is_wanted: bool) -> None:
+    """Show the value of a control in amber italics while it is wanted and not in force."""
+    _restyle(control, "wanted", is_wanted)
+
+
+def mark_refused(control: QWidget, *, is_refused: bool) -> None:
+    """Show in red what is typed and cannot be used."""
+    control.setStyleSheet(f"color: {theme.RED.name()};" if is_refused else "")
+
+
+def _restyle(widget: QWidget, name: str, value: object) -> None:
+    if (widget.property(name) or False) != value and (style := widget.style()) is not None:
+        widget.setProperty(name, value)
+        style.unpolish(widget)
+        style.polish(widget)
+
+
+class ElidedLabel(QLabel):
+    """A line of text without minimum width; an ellipsis replaces what does not fit, and the tool tip has it all.
+
+    The text is kept from QLabel, which would request a new layout for each change.
+    """
+
+    def __init__(self, role: str = "", text: str = "") -> None:
+        """Show a text; for `role` see `label`."""
+        super().__init__()
+        self.setProperty("role", role)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setMinimumHeight(self.fontMetrics().height())  # also when empty, so that nothing moves
+        self.setText(text)
+
+    def setText(self, text: str | None) -> None:  # noqa: N802 - Qt's name
+        """Show a text, also in the tool tip."""
+        self._text = text or ""
+        self.setToolTip(text)
+        self.setAccessibleName(text)
+        self.update()
+
+    def text(self) -> str:
+        """Return the whole text."""
+        return self._text
+
+    def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Paint the text, elided to the width."""
+        painter, style = QPainter(self), self.style()
+        fitting = self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width())
+        fitting = "" if fitting == "\N{HORIZONTAL ELLIPSIS}" else fitting
+        if isinstance(style, QStyle):
+            style.drawItemText(
+                painter, self.rect(), int(self.alignment()), self.palette(), True, fitting, self.foregroundRole()
+            )
+
+
+class Button(QPushButton):
+    """A button that does not take the focus when clicked.
+
+    While it has the focus, Space and Return press it, although both are shortcuts of the window.
+    """
+
+    def __init__(self, text: str, tool_tip: str, clicked: Slot | None = None) -> None:
+        super().__init__(text)
+        self.setToolTip(tool_tip)
+        self.setIconSize(QSize(14, 14))
+        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        if clicked is not None:
+            self.clicked.connect(clicked)
+
+    def event(self, event: QEvent | None) -> bool:
+        """Keep both keys from the shortcuts."""
+        if isinstance(event, QKeyEvent) and event.key() in {Qt.Key.Key_Space, *ENTER}:
+            if event.type() == QEvent.Type.ShortcutOverride:
+                event.accept()
+                return True
+            if event.type() == QEvent.Type.KeyPress and event.key() in ENTER:
+                self.click()
+                return True
+        return super().event(event)
+
+
+class Toggle(Button):
+    """A button that stays pressed until the next click."""
+
+    def __init__(
+        self, text: str, tool_tip: str, clicked: Slot | None = None, *, is_on: bool = False, key: str = ""
+    ) -> None:
+        """Under its `key`, if any, its state is kept between two starts."""
+        super().__init__(text, tool_tip, clicked)
+        self.setObjectName(key)
+        self.setCheckable(True)
+        self.setChecked(is_on)
+
+
+class Choice(QComboBox):
+    """A choice that Space opens and the wheel changes only with the focus, which a click does not give."""
+
+    def __init__(
+        self,
+        tool_tip: str = "",
+        items: Iterable[str | tuple[str, object]] = (),
+        changed: Slot | None = None,
+        *,
+        key: str = "",
+    ) -> None:
+        """Offer texts, some with data; `changed` is called when another is current. For the `key` see `Toggle`."""
+        super().__init__()
+        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.setObjectName(key)
+        self.setToolTip(tool_tip)
+        for item in items:
+            self.addItem(*((item,) if isinstance(item, str) else item))
+        self.currentTextChanged.connect(self.updateGeometry)
+        if changed is not None:
+            self.currentIndexChanged.connect(changed)
+
+    def show_choice(self, allowed: tuple[str, ...], chosen: str) -> None:
+        """Offer these values by their human names and show the chosen one, without emitting `activated`."""
+        if tuple(self.itemData(index) for index in range(self.count())) != allowed:
+            self.clear()
+            for value in allowed:
+                self.addItem(NAMES.get(value, value), value)
+            if (items := self.view()) is not None:
+                items.setMinimumWidth(items.sizeHintForColumn(0) + 8)  # no elided items below a narrow choice
+        self.setCurrentIndex(self.findData(chosen))
+        self.setEnabled(len(allowed) > 1)
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802 - Qt's name
+        """Return the size in which the chosen text is not cut."""
+        size, option, style = super().minimumSizeHint(), QStyleOptionComboBox(), self.style()
+        self.initStyleOption(option)
+        if isinstance(style, QStyle):
+            part = style.subControlRect(_COMBO, option, QStyle.SubControl.SC_ComboBoxEditField, self)
+            around = option.rect.width() - part.width() + _CURSOR
+            size.setWidth(self.fontMetrics().horizontalAdvance(self.currentText()) + around)
+        return size
+
+    def event(self, event: QEvent | None) -> bool:
+        """Keep Space from the shortcuts."""
+        is_shortcut = isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride
+        if isinstance(event, QKeyEvent) and is_shortcut and event.key() == Qt.Key.Key_Space:
+            event.accept()
+            return True
+        return super().event(event)
+
+    def wheelEvent(self, event: QWheelEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Ignore the wheel without the focus: scrolling past must not change a setting."""
+        if event is not None and not self.hasFocus():
+            event.ignore()
+        else:
+            super().wheelEvent(event)
+
+
+def timer(parent: QObject, interval_ms: int, act: Slot, *, is_single: bool = False) -> QTimer:
+    """Make a timer, stopped, that calls `act`."""
+    made = QTimer(parent)
+    made.setInterval(interval_ms)
+    made.setSingleShot(is_single)
+    made.timeout.connect(act)
+    return made
+
+
+def row(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QHBoxLayout:
+    """Arrange widgets and layouts from left to right, without margins."""
+    return _filled(QHBoxLayout(parent), items, spacing)
+
+
+def row_of(*items: Item) -> QWidget:
+    """Make a widget of items from left to right."""
+    made = QWidget()
+    row(*items, parent=made)
+    return made
+
+
+def column(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QVBoxLayout:
+    """Arrange widgets and layouts from top to bottom, without margins."""
+    return _filled(QVBoxLayout(parent), items, spacing)
+
+
+def unfocused(area: QAbstractScrollArea) -> None:
+    """Exclude an area from the Tab order."""
+    for widget in (area, area.viewport()):
+        if widget is not None:
+            widget.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+
+
+def _filled(layout: L, items: tuple[Item, ...], spacing: int) -> L:
+    layout.setContentsMargins(0, 0, 0, 0)
+    layout.setSpacing(spacing)
+    for item in items:
+        content, stretch = item if isinstance(item, tuple) else (item, 0)
+        if isinstance(content, QWidget):
+            layout.addWidget(content, stretch)
+        else:
+            layout.addLayout(content, stretch)
+    return layout

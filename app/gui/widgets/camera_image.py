@@ -1,0 +1,187 @@
+"""The camera's frame, its clipped pixels, and line segments over both, in camera pixels: cells, lost lenslets, arrows.
+
+pyqtgraph's own image item converts a frame twice, Qt's part in threads that wait for a core.
+"""
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pyqtgraph as pg
+from numpy.typing import NDArray
+from PyQt6.QtCore import QEvent, QRectF
+from PyQt6.QtGui import QColor, QImage, QMouseEvent, QPainter
+
+from app.gui.widgets import theme
+from app.gui.widgets.plot import Canvas
+from app.gui.widgets.scales import colour_table
+from app.results.pictures import FrameStatistics, Pixels, shaded
+from drivers.interface import Frame
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Lattice, centered_steps, lenslet_centers
+
+_SHADES = 256
+_ANYWHERE = QRectF(-1e6, -1e6, 2e6, 2e6)  # px
+_AROUND = [0, 1, 1, 2, 2, 3, 3, 0]  # corners at the ends of a cell's four borders
+_INSET = 0.88  # size of a lost lenslet's box over that of its cell
+_USUAL = 0.98  # share of the arrows that are not the longest few
+_HEAD = 0.35  # length of an arrow's head, in arrow lengths
+_BARBS = np.array([[[-0.9, 0.45], [-0.45, -0.9]], [[-0.9, -0.45], [0.45, -0.9]]])  # turn and shorten the shaft
+
+
+class CameraImage(pg.GraphicsObject):  # type: ignore[misc] # ships no types
+    """Shows counts in the colours between a black and a white level; pixel centres are at integers."""
+
+    def __init__(self, view: pg.ViewBox) -> None:
+        """Add an item without an image to a view."""
+        super().__init__()
+        self.pixels: Pixels = np.zeros((0, 0), np.uint32)  # as shown
+        self._image = QImage()
+        self._table = colour_table("grey", _SHADES)
+        view.addItem(self)
+
+    def show_counts(self, counts: NDArray[np.integer[Any]], black: float, white: float) -> None:
+        """Show the counts of a frame (row, column)."""
+        if counts.shape != self.pixels.shape:
+            self.prepareGeometryChange()
+        self.pixels = shaded(counts, black, white, self._table)  # the image refers to its memory
+        rows, columns = counts.shape
+        memory: Any = self.pixels.data
+        self._image = QImage(memory, columns, rows, 4 * columns, QImage.Format.Format_RGB32)
+        self.update()
+
+    def use_colours(self, name: str) -> None:
+        """Show the next frames in grey or the colours of a map of pyqtgraph."""
+        self._table = colour_table(name, _SHADES)
+
+    def boundingRect(self) -> QRectF:  # noqa: N802 - Qt's name
+        """Return the area of the pixels."""
+        rows, columns = self.pixels.shape
+        return QRectF(-0.5, -0.5, columns, rows)
+
+    def paint(self, painter: QPainter, *_: object) -> None:
+        """Paint the image."""
+        painter.drawImage(self.boundingRect(), self._image)
+
+
+class ClippedPixels(pg.ImageItem):  # type: ignore[misc] # ships no types
+    """Paints clipped pixels red over the camera image."""
+
+    def __init__(self, view: pg.ViewBox) -> None:
+        """Add an item without pixels to a view."""
+        super().__init__(axisOrder="row-major")  # pyqtgraph's default is column-major
+        self.setLookupTable(np.array([[0, 0, 0, 0], theme.RED_ON_IMAGE.getRgb()], np.uint8))
+        self.setZValue(0.5)
+        view.addItem(self)
+
+    def show_of(self, frame: Frame, known: FrameStatistics | None) -> None:
+        """Show those of a frame, if there were any when the statistics were taken."""
+        self.setVisible(known is not None and known.clipped_share > 0)
+        if known is not None and self.isVisible():
+            clipped = frame.pixels >= known.clip_level
+            self.setImage(clipped.view(np.uint8), autoLevels=False, levels=(0, 1))
+            self.setRect(QRectF(-0.5, -0.5, *clipped.shape[::-1]))
+
+
+class Picture(Canvas):
+    """The view of the camera image; tells of double clicks, and that the pointer has left."""
+
+    def __init__(self, double_clicked: Callable[[], None], left: Callable[[], None]) -> None:
+        super().__init__()
+        self._double_clicked, self._left = double_clicked, left
+
+    def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Tell of a double click."""
+        super().mouseDoubleClickEvent(event)
+        self._double_clicked()
+
+    def leaveEvent(self, event: QEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Tell that the pointer has left."""
+        super().leaveEvent(event)
+        self._left()
+
+
+class Segments(pg.PlotCurveItem):  # type: ignore[misc] # ships no types
+    """Segments given by pairs of ends, so that one item draws all; the pens are as wide at any zoom."""
+
+    def __init__(self, view: pg.ViewBox, colour: QColor, *, alpha: int = 255, width: int = 1, shadow: int = 0) -> None:
+        """Add an item without segments to a view; `shadow` is the width of a dark line below each, 0 for none."""
+        below = pg.mkPen((0, 0, 0, 200), width=shadow) if shadow else None
+        pen = pg.mkPen((colour.red(), colour.green(), colour.blue(), alpha), width=width)
+        super().__init__(pen=pen, shadowPen=below, connect="pairs", skipFiniteCheck=True)
+        self.setSegmentedLineMode("on")  # else it would make a path of them first
+        self.ends: Floats = np.zeros((0, 2))
+        self.setZValue(1)
+        view.addItem(self, ignoreBounds=True)
+
+    def draw(self, ends: Floats) -> None:
+        """Show other segments (2 * segment, xy)."""
+        if ends is not self.ends and not np.array_equal(ends, self.ends):
+            self.ends = ends
+            self.setData(*ends.T)
+
+    def boundingRect(self) -> QRectF:  # noqa: N802 - Qt's name
+        """Return where segments may lie; to find their true border in every frame costs a tenth of painting them."""
+        return _ANYWHERE
+
+
+@lru_cache(maxsize=4)
+def lattice_lines(lattice: Lattice, lenslet_rows: int, lenslet_columns: int) -> Floats:
+    """Return the borders of all cells as pairs of ends; a square lattice has each line once."""
+    if lattice.arrangement == "hexagonal":
+        middle = lenslet_centers(lattice.arrangement, lenslet_rows, lenslet_columns)[..., None, :]
+        return lattice.to_camera_px((middle + lattice.cell_corners[_AROUND]).reshape(-1, 2) * lattice.pitch_px)
+    x = centered_steps(lenslet_columns + 1)
+    y = centered_steps(lenslet_rows + 1)
+    vertical = [[(along, y[0]), (along, y[-1])] for along in x]
+    horizontal = [[(x[0], along), (x[-1], along)] for along in y]
+    return lattice.to_camera_px(np.array(vertical + horizontal).reshape(-1, 2) * lattice.pitch_px)
+
+
+def lost_boxes(lattice: Lattice, is_lost: NDArray[np.bool_]) -> Floats:
+    """Return a crossed box in the cell of every lost lenslet (lenslet_row, lenslet_column)."""
+    if not is_lost.any():
+        return np.zeros((0, 2))
+    middle = lenslet_centers(lattice.arrangement, *is_lost.shape)[is_lost]
+    box = lattice.cell_corners[[*_AROUND, 0, 2, 1, 3]] * _INSET
+    return lattice.to_camera_px((middle[:, None] + box).reshape(-1, 2) * lattice.pitch_px)
+
+
+def cell_border(lattice: Lattice, lenslets: tuple[int, int], at: tuple[int, int]) -> Floats:
+    """Return the border of the cell of one lenslet (row, column)."""
+    middle = lenslet_centers(lattice.arrangement, *lenslets)[at]
+    return lattice.to_camera_px((middle + lattice.cell_corners[_AROUND]) * lattice.pitch_px)
+
+
+def arrows(lattice: Lattice, displacement_px: Floats, magnification: float) -> Floats:
+    """Return an arrow from every lenslet's centre along its displacement (lenslet_row, lenslet_column, xy), px.
+
+    Lenslets without a displacement (NaN), or with one of 0, have no arrow.
+    """
+    known = np.isfinite(displacement_px).all(axis=-1) & displacement_px.any(axis=-1)
+    tail = _middles(lattice, *displacement_px.shape[:2])[known]
+    shaft = displacement_px[known] * magnification
+    tip = tail + shaft
+    barbs = tip + _HEAD * shaft @ _BARBS
+    return lattice.to_camera_px(np.stack([tail, tip, tip, barbs[0], tip, barbs[1]], axis=1).reshape(-1, 2))
+
+
+@lru_cache(maxsize=4)
+def _middles(lattice: Lattice, lenslet_rows: int, lenslet_columns: int) -> Floats:
+    """Return the lenslets' centres (lenslet_row, lenslet_column, xy) along the lattice, px."""
+    return lenslet_centers(lattice.arrangement, lenslet_rows, lenslet_columns) * lattice.pitch_px
+
+
+def arrow_length_px(displacement_px: Floats) -> float:
+    """Return the length of all but the longest few displacements (lenslet_row, lenslet_column, xy); NaN if none."""
+    length_px = np.hypot(*displacement_px[np.isfinite(displacement_px).all(axis=-1)].T)
+    length_px.sort()
+    return float(length_px[math.ceil(_USUAL * (length_px.size - 1))]) if length_px.size else float("nan")
+
+
+def lenslet_at(lattice: Lattice, shape: tuple[int, int], x_px: float, y_px: float) -> tuple[int, int] | None:
+    """Return row and column of the lenslet whose cell holds a camera pixel, if any."""
+    (column, row), _, is_inside = lattice.cells_at(np.array([x_px, y_px]), *shape)
+    return (int(row), int(column)) if is_inside else None

@@ -1,0 +1,228 @@
+"""The selected view enlarged: map with contours and cursor, two cross-sections, and the surface."""
+
+import math
+
+import numpy as np
+from PyQt6.QtCore import QPoint, QPointF, Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF, QShowEvent
+from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
+
+from app.gui.widgets import theme
+from app.gui.widgets.basics import ElidedLabel, Toggle, column, row
+from app.gui.widgets.plot import Plot
+from app.gui.widgets.presentation import number
+from app.gui.widgets.view_grid import STEPS, Maps, ViewGrid
+from app.results.pictures import contour_step, contours, project_surface
+from reconstruction.arrays import Floats
+
+_CONTOUR, _CURSOR = QColor(0, 0, 0, 150), QColor(0, 0, 0)  # on the map, in every theme
+_TURN_RAD = 0.01  # for each pixel of a drag
+_LINED = 41  # rows or columns; finer surfaces have no lines
+_EDGE = QColor(0, 0, 0, 60)
+
+
+class EnlargedMap(ViewGrid):
+    """One map with contours and a cursor."""
+
+    moved = pyqtSignal()
+
+    def __init__(self) -> None:
+        super().__init__((300, 260))
+        self.cursor_at: tuple[int, int] | None = None  # row and column; None: the middle
+        self.has_contours = True
+
+    @property
+    def values(self) -> Floats:
+        """The map, (row, column)."""
+        return np.zeros((0, 0)) if self.maps is None else self.maps.values[0, 0]
+
+    @property
+    def at(self) -> tuple[int, int]:
+        """Row and column under the cursor."""
+        rows, columns = self.values.shape
+        row, column = (rows // 2, columns // 2) if self.cursor_at is None else self.cursor_at
+        return min(row, rows - 1), min(column, columns - 1)
+
+    def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Paint map, contours and cursor."""
+        super().paintEvent(event)
+        if self.maps is None:
+            return
+        tile, (rows, columns) = self.tile(0, 0), self.values.shape
+        painter = QPainter(self)
+        painter.setClipRect(tile)
+        painter.translate(tile.topLeft().toPointF())
+        step_x, step_y = tile.width() / columns, tile.height() / rows
+        if self.has_contours:
+            painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+            painter.setPen(QPen(_CONTOUR, 1))
+            for line in contours(self.values, self.maps.scale.high):
+                painter.drawPolyline(QPolygonF([QPointF((x + 0.5) * step_x, (y + 0.5) * step_y) for x, y in line]))
+            painter.setRenderHint(QPainter.RenderHint.Antialiasing, on=False)
+        at_row, at_column = self.at
+        x, y = round((at_column + 0.5) * step_x), round((at_row + 0.5) * step_y)
+        painter.setPen(QPen(_CURSOR, 1, Qt.PenStyle.DashLine))
+        painter.drawLine(x, 0, x, tile.height())
+        painter.drawLine(0, y, tile.width(), y)
+
+    def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Move the cursor to the pointer."""
+        if event is not None and event.button() == Qt.MouseButton.LeftButton:
+            self._move(event.pos())
+
+    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Move the cursor with the pointer."""
+        if event is not None:
+            self._move(event.pos())
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Move the cursor by one row or column."""
+        step = None if event is None else STEPS.get(Qt.Key(event.key()))
+        if step is None or self.maps is None:
+            super().keyPressEvent(event)
+            return
+        self._set_cursor(self.at[0] + step[0], self.at[1] + step[1])
+
+    def _move(self, position: QPoint) -> None:
+        tile, (rows, columns) = self.tile(0, 0), self.values.shape
+        if self.maps is not None and tile.isValid():
+            inside = position - tile.topLeft()
+            self._set_cursor(inside.y() * rows // tile.height(), inside.x() * columns // tile.width())
+
+    def _set_cursor(self, row: int, column: int) -> None:
+        rows, columns = self.values.shape
+        self.cursor_at = min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
+        self.update()
+        self.moved.emit()
+
+
+class SurfaceView(QWidget):
+    """Paints one map; a drag turns it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.azimuth_rad, self.elevation_rad = 0.6, 0.6
+        self._maps: Maps | None = None
+        self._values: Floats = np.zeros((0, 0))
+        self._from = QPointF()
+        self.setMinimumSize(160, 140)
+        self.setToolTip("Drag to turn the surface")
+
+    def show_map(self, maps: Maps | None, values: Floats) -> None:
+        """Show the map (row, column) of one view, or nothing."""
+        self._maps, self._values = maps, values
+        self.update()
+
+    def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Paint the faces, the farthest first."""
+        maps, values = self._maps, self._values
+        if maps is None or min(values.shape) < 2:
+            return
+        limit = max(abs(maps.scale.low), abs(maps.scale.high))
+        surface = project_surface(values, limit, azimuth_rad=self.azimuth_rad, elevation_rad=self.elevation_rad)
+        colours = maps.scale.pixels(surface.values)
+        corners = surface.corners * (min(self.width(), self.height() * 1.4) / 1.5)
+        corners += (self.width() / 2, self.height() / 2)
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        is_lined = max(values.shape) <= _LINED
+        for face, colour, brightness in zip(corners, colours, surface.brightness, strict=True):
+            red, green, blue = ((int(colour) >> shift & 255) * brightness for shift in (16, 8, 0))
+            shaded = QColor(int(red), int(green), int(blue))
+            painter.setBrush(shaded)
+            painter.setPen(QPen(_EDGE if is_lined else shaded, 1))
+            painter.drawPolygon(QPolygonF([QPointF(x, y) for x, y in face]))
+
+    def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Begin to turn."""
+        if event is not None:
+            self._from = event.position()
+
+    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Turn the surface."""
+        if event is None:
+            return
+        step, self._from = event.position() - self._from, event.position()
+        self.azimuth_rad -= _TURN_RAD * step.x()
+        self.elevation_rad = min(max(self.elevation_rad + _TURN_RAD * step.y(), 0.1), math.pi / 2)
+        self.update()
+
+
+class EnlargedView(QDialog):
+    """Follows the selected view of a grid, in a window of its own."""
+
+    def __init__(self, grid: ViewGrid, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setObjectName("enlarged")
+        self.setWindowTitle("Enlarged view")
+        self.setWindowFlag(Qt.WindowType.WindowMaximizeButtonHint)
+        self._grid = grid
+        self.map = EnlargedMap()
+        self.map.moved.connect(self._show_sections)
+        self.across = Plot("Along x", "x", widest="\N{MINUS SIGN}0.00")
+        self.down = Plot("Along y", "y", widest="\N{MINUS SIGN}0.00")
+        self._curves = [plot.add_curve(theme.ACCENT) for plot in (self.across, self.down)]
+        self.surface = SurfaceView()
+        self.text = ElidedLabel()
+        self.contour_toggle = Toggle("Contours", "Lines of equal value", self._toggle_contours, is_on=True)
+        grid_layout = QGridLayout()
+        grid_layout.setSpacing(12)
+        grid_layout.addWidget(self.map, 0, 0, 2, 1)
+        grid_layout.addWidget(self.across, 0, 1)
+        grid_layout.addWidget(self.down, 1, 1)
+        grid_layout.addWidget(self.surface, 0, 2, 2, 1)
+        for index, stretch in enumerate((5, 3, 4)):
+            grid_layout.setColumnStretch(index, stretch)
+        layout = column(row((self.text, 1), self.contour_toggle), (grid_layout, 1), parent=self)
+        layout.setContentsMargins(10, 8, 10, 8)
+        self.resize(1180, 480)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Show the selected view of the grid as it is now."""
+        if not self.isVisible() and self.map.maps is not None:
+            return
+        maps, view = self._grid.maps, self._grid.selection
+        one: Maps | None = None
+        if maps is not None and maps.values.size:
+            rows, columns = maps.values.shape[:2]
+            i, j = view if view is not None and view[0] < rows and view[1] < columns else (rows // 2, columns // 2)
+            values = maps.values[i : i + 1, j : j + 1]
+            one = Maps(values, maps.scale, maps.describe, maps.is_smooth, maps.reach, maps.reach_unit)
+            self.map.set_captions({(0, 0): self._grid.captions[i, j]} if (i, j) in self._grid.captions else {})
+        self.map.show_maps(one)
+        self.surface.show_map(one, self.map.values)
+        self._show_sections()
+
+    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Show the present map."""
+        super().showEvent(event)
+        self.refresh()
+
+    def _toggle_contours(self) -> None:
+        self.map.has_contours = self.contour_toggle.isChecked()
+        self.map.update()
+
+    def _show_sections(self) -> None:
+        maps, values = self.map.maps, self.map.values
+        if maps is None:
+            for curve in self._curves:
+                curve.setData([], [])
+            self.text.setText("no wavefront")
+            return
+        (row_at, column_at), unit = self.map.at, maps.reach_unit
+        x, y = (np.linspace(-reach, reach, count) for reach, count in zip(maps.reach, values.shape[::-1], strict=True))
+        low, high = maps.scale.low, maps.scale.high
+        for plot, curve, along, section, axis in (
+            (self.across, self._curves[0], x, values[row_at], "x"),
+            (self.down, self._curves[1], y, values[:, column_at], "y"),
+        ):
+            curve.setData(along, section, connect="finite")
+            half = max(float(along[-1]), 1e-9)
+            plot.set_ranges((-half, half), (low, high))
+            plot.axes["bottom"].setLabel(f"{axis} ({unit})")
+        self.across.title.setText(f"Along x, at y = {number(float(y[row_at]))} {unit} ({maps.scale.title})")
+        self.down.title.setText(f"Along y, at x = {number(float(x[column_at]))} {unit} ({maps.scale.title})")
+        step = f"; contours every {number(contour_step(high), 1)} {maps.scale.title}" * self.map.has_contours
+        described = maps.describe(row_at, column_at, float(values[row_at, column_at]))
+        self.text.setText(described + step)

@@ -1,0 +1,238 @@
+"""Fields to type in, which keep their keys from the shortcuts of the window: numbers with units, and texts."""
+
+import math
+
+from PyQt6.QtCore import QEvent, QLocale, QObject, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QFocusEvent, QKeyEvent, QValidator, QWheelEvent
+from PyQt6.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QLineEdit, QWidget
+
+from app.bench.settings_form import typed_number
+from app.gui.widgets.basics import ENTER, mark_refused
+from drivers.interface import Range
+
+_BUTTONS_WIDTH = 26  # px, with the frame
+_LETTERS = 4  # of a word that may be shortened
+_COMMANDS = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.AltModifier | Qt.KeyboardModifier.MetaModifier
+
+
+class NumberField(QDoubleSpinBox):
+    """Shows a value in a convenient unit and emits it in SI units when the user enters it.
+
+    A comma or a point separates decimals, whatever the language of the desktop; other prefixes of the unit are
+    understood. A number outside the range is shown in red and not emitted.
+    """
+
+    entered = pyqtSignal(float)
+    refused = pyqtSignal(str)  # why what is typed cannot be used; empty as soon as it can
+
+    def __init__(self, *, tool_tip: str, name: str = "", unit: str = "", decimals: int = 0, lowest: str = "") -> None:
+        """Show values in `unit`, such as "ms", and the lowest value as the word `lowest`; errors start with `name`."""
+        super().__init__()
+        self._name, self._unit, self._allowed = name, unit, Range(0, 0)
+        self._shown_problem = ""
+        self._latest: tuple[float, Range] | None = None  # value in force and its range, in SI units
+        self._factor = 1e-3 if unit[:-1] == "m" else 1.0  # SI units have one letter
+        self.setLocale(QLocale.c())  # a point, as in the rest of the window
+        self.setGroupSeparatorShown(False)
+        self.setSuffix(f" {unit}" if unit else "")
+        self.setDecimals(decimals)
+        self.setSpecialValueText(lowest)
+        self.setToolTip(tool_tip)
+        self.setKeyboardTracking(False)
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)  # not by the wheel
+        self.setCorrectionMode(QAbstractSpinBox.CorrectionMode.CorrectToPreviousValue)
+        if decimals:
+            self.setStepType(QAbstractSpinBox.StepType.AdaptiveDecimalStepType)
+        usual = max((f"{0:.{decimals}f}".rjust(decimals + 5, "0") + self.suffix(), lowest), key=len)
+        self.setMinimumWidth(self.fontMetrics().horizontalAdvance(usual) + _BUTTONS_WIDTH)  # independent of the range
+        self.valueChanged.connect(self._enter)
+        if (line := self.lineEdit()) is not None:
+            line.textChanged.connect(self._mark)
+
+    def show_value(self, value: float, allowed: Range) -> None:
+        """Show a value and set the allowed range, both in SI units, without emitting; what is typed stays."""
+        self._latest, line = (value, allowed), self.lineEdit()
+        if line is not None and line.isModified() and self.hasFocus():
+            return
+        self._allowed = allowed
+        with QSignalBlocker(self):
+            self.setRange(allowed.minimum / self._factor, allowed.maximum / self._factor)
+            self.setValue(value / self._factor)
+        self._mark()
+
+    def edit(self) -> None:
+        """Take the focus and select the value, so that typing replaces it."""
+        self.setFocus()
+        self.selectAll()
+
+    def commit(self) -> bool:
+        """Use what is typed; return whether that is possible. Otherwise it stays, in red."""
+        if problem := self._problem():
+            self.refused.emit(problem)
+            return False
+        self.interpretText()
+        return True
+
+    def validate(self, text: str | None, position: int) -> tuple[QValidator.State, str, int]:
+        """Let everything be typed; only a number within the range is acceptable."""
+        state = QValidator.State.Intermediate if self._problem(text) else QValidator.State.Acceptable
+        return state, text or "", position
+
+    def valueFromText(self, text: str | None) -> float:  # noqa: N802 - Qt's name
+        """Return the typed value in the shown unit."""
+        value = self._parse(text or "")
+        return self.value() if value is None else value
+
+    def event(self, event: QEvent | None) -> bool:
+        """Keep typed keys from the shortcuts; Return enters, Esc restores, and both leave the field."""
+        if not isinstance(event, QKeyEvent):
+            return super().event(event)
+        key, kind = event.key(), event.type()
+        ends = key == Qt.Key.Key_Escape or key in ENTER
+        if kind == QEvent.Type.ShortcutOverride:
+            is_typed = bool(event.text()) and not event.modifiers() & _COMMANDS
+            if is_typed and key == Qt.Key.Key_L:  # in no number: it switches the light
+                event.ignore()
+                return False
+            if ends or is_typed:
+                event.accept()
+                return True
+        elif kind == QEvent.Type.KeyPress and ends:
+            if key == Qt.Key.Key_Escape:
+                self._restore()
+            elif not self.commit():
+                return True
+            self.clearFocus()  # digits are shortcuts again
+            return True
+        return super().event(event)
+
+    def focusOutEvent(self, event: QFocusEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Enter the value; restore the old one if that is refused."""
+        if problem := self._problem():
+            self._restore()
+            self.refused.emit(problem)
+        super().focusOutEvent(event)
+
+    def wheelEvent(self, event: QWheelEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Ignore the wheel without the focus: scrolling past must not change a device."""
+        if event is not None and not self.hasFocus():
+            event.ignore()
+        else:
+            super().wheelEvent(event)
+
+    def _parse(self, text: str) -> float | None:
+        """Return a typed value in the shown unit; None if it is no number with this unit."""
+        text = self._typed(text)
+        if self._is_word(text):
+            return self.minimum()
+        number = typed_number(text, self._unit, self._factor)
+        return None if number is None else number / self._factor
+
+    def _typed(self, text: str) -> str:
+        """Return a text without the suffix, which stays while the number is replaced."""
+        return text.removesuffix(self.suffix()).strip()
+
+    def _problem(self, text: str | None = None) -> str:
+        """Return why what is typed cannot be used; empty if it can."""
+        text = self.text() if text is None else text
+        value = self._parse(text)
+        word, lowest = self.specialValueText(), self.minimum() + bool(self.specialValueText())
+        allowed = (
+            f"{self._worded(lowest)} ... {self._worded(self.maximum())}{self.suffix()}{f', or {word}' * bool(word)}"
+        )
+        about = f"{self._name} {self._typed(text)}".strip()
+        if value is None:
+            return f"{about}: type a number {f'in {self._unit}, ' if self._unit else ''}{allowed}"
+        if not self.decimals() and value != round(value):
+            return f"{about}: only whole numbers {allowed} are allowed"
+        rounding = 0.5001 * 10.0 ** -self.decimals()
+        is_beyond = not lowest - rounding <= value <= self.maximum() + rounding
+        if is_beyond and not self._is_word(self._typed(text)):
+            return f"{about} is outside the allowed range {allowed}: not changed"
+        return ""
+
+    def _is_word(self, text: str) -> bool:
+        """True for the word of the lowest value, its first letters, and 0."""
+        word = self.specialValueText()
+        return bool(word) and (text == "0" or (len(text) >= _LETTERS and word.startswith(text.lower())))
+
+    def _worded(self, value: float) -> str:
+        if self.specialValueText() and math.isclose(value, self.minimum()):
+            return self.specialValueText()
+        return f"{round(value, self.decimals()):.12g}"
+
+    def _restore(self) -> None:
+        """Show the value in force again."""
+        if (line := self.lineEdit()) is not None:
+            word = self.specialValueText() if self.value() == self.minimum() else ""
+            line.setText(word or self.textFromValue(self.value()) + self.suffix())
+        if self._latest is not None:
+            self.show_value(*self._latest)
+
+    def _mark(self, _: str = "") -> None:
+        """Show in red what would be refused, and say why."""
+        problem = self._problem()
+        if problem != self._shown_problem:
+            self._shown_problem = problem
+            mark_refused(self, is_refused=bool(problem))
+            self.refused.emit(problem)
+
+    def _enter(self, value: float) -> None:
+        """Emit the entered value; rounding to the shown decimals must not leave the range."""
+        self.entered.emit(min(max(value * self._factor, self._allowed.minimum), self._allowed.maximum))
+
+
+class TextField(QLineEdit):
+    """Emits a changed text when the user enters it; Return enters, Esc restores, and both leave the field.
+
+    Keys are typed into it only after a click: Tab does not reach it, and a click anywhere else leaves it.
+    """
+
+    entered = pyqtSignal(str)
+
+    def __init__(self, *, tool_tip: str, hint: str) -> None:
+        super().__init__()
+        self._in_force = ""
+        self.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
+        self.setToolTip(tool_tip)
+        self.setPlaceholderText(hint)
+
+    def show_text(self, text: str) -> None:
+        """Show a text without emitting it."""
+        self._in_force = text
+        self.setText(text)
+
+    def event(self, event: QEvent | None) -> bool:
+        """Keep Return and Esc from the shortcuts; Qt does that for letters."""
+        if isinstance(event, QKeyEvent) and (event.key() == Qt.Key.Key_Escape or event.key() in ENTER):
+            if event.type() == QEvent.Type.ShortcutOverride:
+                event.accept()
+                return True
+            if event.type() == QEvent.Type.KeyPress:
+                if event.key() == Qt.Key.Key_Escape:
+                    self.setText(self._in_force)
+                self.clearFocus()
+                return True
+        return super().event(event)
+
+    def focusInEvent(self, event: QFocusEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Watch for clicks elsewhere."""
+        super().focusInEvent(event)
+        if (application := QApplication.instance()) is not None:
+            application.installEventFilter(self)
+
+    def eventFilter(self, on: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
+        """Leave the field when anything else is clicked, also what takes no focus: keys are shortcuts again."""
+        is_click = event is not None and event.type() == QEvent.Type.MouseButtonPress
+        if is_click and isinstance(on, QWidget) and on is not self and on.window() is self.window():
+            self.clearFocus()
+        return False
+
+    def focusOutEvent(self, event: QFocusEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Enter the text."""
+        super().focusOutEvent(event)
+        if (application := QApplication.instance()) is not None:
+            application.removeEventFilter(self)
+        if self.text() != self._in_force:
+            self._in_force = self.text()
+            self.entered.emit(self._in_force)

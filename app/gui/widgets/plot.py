@@ -1,0 +1,96 @@
+"""A titled plot in the colours of the window."""
+
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QColor
+from PyQt6.QtWidgets import QWidget
+
+from app.gui.widgets import theme
+from app.gui.widgets.basics import ElidedLabel, colour_text, column, label, row, unfocused
+from app.gui.widgets.copies import add_copy_menu, as_table
+
+
+class Canvas(pg.GraphicsView):  # type: ignore[misc] # pyqtgraph declares no types
+    """A graphics view on the background of the theme."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        theme.follow(self, lambda: self.setBackground(theme.BACKGROUND))
+
+
+class _Axis(pg.AxisItem):  # type: ignore[misc] # pyqtgraph declares no types
+    """An axis whose numbers have the minus sign of all other numbers."""
+
+    def tickStrings(  # noqa: N802 - pyqtgraph's name
+        self, values: list[float], scale: float, spacing: float
+    ) -> list[str]:
+        return [text.replace("-", "\N{MINUS SIGN}") for text in super().tickStrings(values, scale, spacing)]
+
+
+class Plot(QWidget):
+    """A titled plot without zoom or pan."""
+
+    def __init__(
+        self, title: str, bottom: str | None, keys: tuple[tuple[str, QColor], ...] = (), widest: str = "0.0"
+    ) -> None:
+        """Make an empty plot with a legend of `keys`, and room for the `widest` number on its left axis.
+
+        Without `bottom`, the text below it, there is no axis at the bottom.
+        """
+        super().__init__()
+        self.curves: list[pg.PlotCurveItem] = []
+        self.title = ElidedLabel("title", title)
+        self.graphics = Canvas()
+        self.graphics.setMinimumSize(120, 4 * self.fontMetrics().height())
+        unfocused(self.graphics)
+        self.view = pg.ViewBox(enableMenu=False, enableMouse=False, defaultPadding=0)
+        sides = ("left",) if bottom is None else ("left", "bottom")
+        self.axes = axes = {side: _Axis(side, linkView=self.view) for side in sides}
+        for axis in axes.values():
+            axis.enableAutoSIPrefix(enable=False)
+            axis.setStyle(tickLength=4, tickTextOffset=3)
+        font = self.fontMetrics()
+        axes["left"].setWidth(font.horizontalAdvance(widest) + 12)
+        if bottom is not None:
+            axes["bottom"].setHeight(2 * font.height() + 6)
+            axes["bottom"].setLabel(bottom)
+        theme.follow(self, self._colour_axes)
+        grid = pg.GraphicsLayout()
+        grid.setContentsMargins(0, 5, 12, 4)  # pyqtgraph draws the label a little below its axis
+        grid.setSpacing(0)
+        grid.addItem(axes["left"], 0, 0)
+        grid.addItem(self.view, 0, 1)
+        if bottom is not None:
+            grid.addItem(axes["bottom"], 1, 1)
+        self.graphics.setCentralItem(grid)
+        header = row((self.title, 1), spacing=8)
+        for text, colour in keys:
+            key = label(text)
+            colour_text(key, colour)
+            header.addWidget(key)
+        column(header, (self.graphics, 1), spacing=2, parent=self)
+        add_copy_menu(self, lambda _: self._numbers())
+
+    def _numbers(self) -> str:
+        """Return x and y of each curve as a table."""
+        known = [(x, y) for x, y in (curve.getData() for curve in self.curves) if x is not None and len(x)]
+        return "\n\n".join(as_table(("x", "y"), np.c_[x, y]) for x, y in known)
+
+    def add_curve(self, colour: QColor, width: int = 2, style: Qt.PenStyle = Qt.PenStyle.SolidLine) -> pg.PlotCurveItem:
+        """Add an empty curve."""
+        curve = pg.PlotCurveItem(antialias=True)
+        theme.follow(self, lambda: curve.setPen(pg.mkPen(colour, width=width, style=style)))
+        self.view.addItem(curve)
+        self.curves.append(curve)
+        return curve
+
+    def _colour_axes(self) -> None:
+        for axis in self.axes.values():
+            axis.setPen(theme.LINE)
+            axis.setTextPen(theme.DIM)
+            axis.setLabel(axis.labelText, color=theme.DIM.name())
+
+    def set_ranges(self, x: tuple[float, float], y: tuple[float, float]) -> None:
+        """Set what both axes span."""
+        self.view.setRange(xRange=x, yRange=y, padding=0)

@@ -1,0 +1,197 @@
+"""Colours, style sheet and icons of the window: dark for a dark room, or light as the desktop."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from PyQt6.QtCore import QEvent, QObject, QPointF, Qt
+from PyQt6.QtGui import QBrush, QColor, QIcon, QPainter, QPainterPath, QPalette, QPixmap, QPolygonF
+from PyQt6.QtWidgets import QApplication, QWidget
+
+BACKGROUND = QColor("#14171b")
+SURFACE = QColor("#1c2026")
+RAISED = QColor("#2a3038")
+LINE = QColor("#363d47")
+TEXT = QColor("#dde2e8")
+DIM = QColor("#98a2ae")
+ACCENT = QColor("#4fa3e3")
+GREEN = QColor("#62c073")
+AMBER = QColor("#f0b64a")
+RED = QColor("#ff6a5f")
+DISABLED = QColor("#69727d")
+CHECKED = QColor("#22394c")
+LIT = QColor("#ffc14d")  # the lamp of a light that is on
+ACCENT_ON_IMAGE, GREEN_ON_IMAGE, AMBER_ON_IMAGE, RED_ON_IMAGE = map(QColor, (ACCENT, GREEN, AMBER, RED))
+# An image is as dark in every theme.
+
+_LIGHT = (  # in place of the dark ones above
+    (BACKGROUND, "#eef0f3"),
+    (SURFACE, "#fafbfc"),
+    (RAISED, "#dfe4ea"),
+    (LINE, "#b4bdc8"),
+    (TEXT, "#1b2026"),
+    (DIM, "#525d69"),
+    (ACCENT, "#1668a8"),
+    (GREEN, "#1d7433"),
+    (AMBER, "#8a5600"),
+    (RED, "#c0281c"),
+    (DISABLED, "#8b949e"),
+    (CHECKED, "#c5dcef"),
+    (LIT, "#f0a400"),
+)
+_DARK = tuple((colour, colour.name()) for colour, _ in _LIGHT)
+_TONES = {"text": TEXT, "dim": DIM, "accent": ACCENT, "green": GREEN, "amber": AMBER, "red": RED}  # of texts
+
+
+def _style() -> str:
+    return f"""
+QToolTip {{ color: {TEXT.name()}; background: {RAISED.name()}; border: 1px solid {LINE.name()}; padding: 4px; }}
+QLabel[role="title"] {{ color: {TEXT.name()}; font-weight: 600; }}
+QLabel[role="dim"] {{ color: {DIM.name()}; }}
+QLabel[role="on-image"] {{ color: #dde2e8; background: rgba(20, 23, 27, 190); padding: 2px 6px; }}
+QLabel[role="badge"] {{ color: {BACKGROUND.name()}; background: {AMBER.name()}; font-weight: 600; padding: 2px 6px; }}
+{"".join(f'QLabel[tone="{name}"] {{ color: {colour.name()}; }}' for name, colour in _TONES.items())}
+QFrame[role="rule"] {{ background: {LINE.name()}; }}
+*[role="strip"] {{ background: {SURFACE.name()}; }}
+QFrame[role="bubble"] {{ background: {RAISED.name()}; border: 1px solid {ACCENT.name()}; border-radius: 6px; }}
+QFrame[role="outline"] {{ border: 2px solid {ACCENT.name()}; }}
+QFrame[role="bubble"] QLabel {{ border: none; }}
+*[wanted="true"] {{ color: {AMBER.name()}; font-style: italic; }}
+QPushButton {{ padding: 3px 8px; }}
+QPushButton:checked {{ background: {CHECKED.name()}; border: 1px solid #2f6f9f; border-radius: 3px; }}
+QPushButton[role="step"] {{ padding: 3px 4px; }}
+QPushButton[role="light"] {{ font-weight: 600; padding: 3px 6px; }}
+QPushButton[role="light"]:checked {{ border: 2px solid {RED.name()}; border-radius: 4px; }}
+QMenuBar {{ background: {SURFACE.name()}; padding: 3px 4px; }}
+QMenuBar::item {{ padding: 5px 8px; border-radius: 3px; }}
+QMenuBar::item:selected {{ background: {RAISED.name()}; }}
+QMainWindow::separator {{ background: {BACKGROUND.name()}; width: 6px; height: 6px; }}
+QMainWindow::separator:hover {{ background: {LINE.name()}; }}
+QTabBar::tab {{ color: {DIM.name()}; padding: 4px 4px; margin-right: 1px; border-bottom: 2px solid {LINE.name()}; }}
+QTabBar::tab:hover {{ color: {TEXT.name()}; }}
+QTabBar::tab:selected {{ color: {TEXT.name()}; border-bottom-color: {ACCENT.name()}; }}
+QStatusBar::item {{ border: none; }}
+QProgressBar {{ border: 1px solid {LINE.name()}; border-radius: 3px; text-align: center; color: {TEXT.name()};
+               background: {BACKGROUND.name()}; }}
+QProgressBar::chunk {{ background: #2f6f9f; }}
+"""
+
+
+def apply_theme(application: QApplication) -> None:
+    """Set the Fusion style for the whole application, in the colours that the desktop prefers, now and later."""
+    application.setStyle("Fusion")
+    _colour(application)
+    if (hints := application.styleHints()) is not None:
+        hints.colorSchemeChanged.connect(lambda _: _colour(application))
+
+
+def use_theme(application: QApplication, name: str) -> None:
+    """Use the "light" or "dark" colours from now on, or those of the desktop ("system")."""
+    application.setProperty("theme", name)
+    _colour(application)
+
+
+def tone(colour: QColor) -> str:
+    """Return the name of a theme colour in the style sheet."""
+    return next(name for name, one in _TONES.items() if one is colour)
+
+
+def _colour(application: QApplication) -> None:
+    hints, chosen = application.styleHints(), application.property("theme")
+    is_desktop_light = hints is not None and hints.colorScheme() is Qt.ColorScheme.Light
+    for colour, name in _LIGHT if chosen == "light" or (is_desktop_light and chosen != "dark") else _DARK:
+        colour.setNamedColor(name)  # the object that all parts of the window use
+    palette = QPalette()
+    roles = QPalette.ColorRole
+    for role, colour in (
+        (roles.Window, BACKGROUND),
+        (roles.WindowText, TEXT),
+        (roles.Base, SURFACE),
+        (roles.AlternateBase, RAISED),
+        (roles.ToolTipBase, RAISED),
+        (roles.ToolTipText, TEXT),
+        (roles.Text, TEXT),
+        (roles.Button, RAISED),
+        (roles.ButtonText, TEXT),
+        (roles.BrightText, RED),
+        (roles.Highlight, ACCENT),
+        (roles.HighlightedText, BACKGROUND),
+        (roles.PlaceholderText, DIM),
+        (roles.Link, ACCENT),
+        (roles.LinkVisited, ACCENT),
+    ):
+        palette.setColor(role, colour)
+    for role in (roles.WindowText, roles.Text, roles.ButtonText):
+        palette.setColor(QPalette.ColorGroup.Disabled, role, DISABLED)
+    application.setPalette(palette)
+    application.setStyleSheet(_style())
+    application.setWindowIcon(icon())
+
+
+class _Follower(QObject):
+    """Calls `paint` at each change of a widget's colours."""
+
+    def __init__(self, widget: QWidget, paint: Callable[[], object]) -> None:
+        super().__init__(widget)
+        self._paint = paint
+        widget.installEventFilter(self)
+
+    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
+        if event is not None and event.type() == QEvent.Type.PaletteChange:
+            self._paint()
+        return super().eventFilter(watched, event)
+
+
+def follow(widget: QWidget, paint: Callable[[], object]) -> None:
+    """Call `paint`, which sets colours of the theme, now and whenever the theme of a widget changes."""
+    paint()
+    _Follower(widget, paint)
+
+
+def icon() -> QIcon:
+    """Return the icon of the program."""
+    return QIcon(str(Path(__file__).parents[1] / "svwfs.svg"))
+
+
+def lamp(colour: QColor) -> QIcon:
+    """Return a small round lamp for a button that shows a state."""
+    path = QPainterPath()
+    path.addEllipse(6, 6, 20, 20)
+    return _icon(path, colour)
+
+
+def validity_lamp(validity: str) -> QIcon:
+    """Return a lamp that shows a state by its shape, too: a disc if "good", a triangle if "doubtful", else a ring."""
+    path = QPainterPath()
+    if validity == "doubtful":
+        path.addPolygon(QPolygonF([QPointF(16, 4), QPointF(30, 28), QPointF(2, 28)]))
+        return _icon(path, AMBER)
+    path.addEllipse(5, 5, 22, 22)
+    if validity == "good":
+        return _icon(path, GREEN)
+    path.addEllipse(9, 9, 14, 14)  # a hole: the fill rule is odd-even
+    return _icon(path, DIM)
+
+
+def start_or_stop(*, is_running: bool) -> QIcon:
+    """Return the icon of a button: a square stops, a triangle starts."""
+    path = QPainterPath()
+    if is_running:
+        path.addRect(7, 7, 18, 18)
+    else:
+        path.addPolygon(QPolygonF([QPointF(8, 5), QPointF(27, 16), QPointF(8, 27)]))
+    return _icon(path, TEXT if is_running else GREEN)
+
+
+def hatching() -> QBrush:
+    """Return the brush for unknown values."""
+    return QBrush(QColor("#6b737d"), Qt.BrushStyle.BDiagPattern)
+
+
+def _icon(path: QPainterPath, colour: QColor) -> QIcon:
+    pixmap = QPixmap(32, 32)
+    pixmap.fill(Qt.GlobalColor.transparent)
+    painter = QPainter(pixmap)
+    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    painter.fillPath(path, colour)
+    painter.end()
+    return QIcon(pixmap)

@@ -1,0 +1,339 @@
+"""Grid of maps, one for each view, with captions and a colour bar."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from PyQt6.QtCore import QEvent, QPoint, QRect, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap, QRegion
+from PyQt6.QtWidgets import QToolTip, QWidget
+
+from app.gui.widgets import theme
+from app.gui.widgets.copies import add_copy_menu, as_table
+from app.gui.widgets.scales import ColourScale
+from app.results.pictures import Pixels, enlarged
+from reconstruction.arrays import Floats
+
+_GAP, _NARROW_GAP = 10, 3  # px between views with captions, and without
+_BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, space left of it, space before its numbers
+_LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
+_CAPTION = 100  # px: small views stand apart, if there is room, so that their captions fit
+_MARGIN = 3  # px around all views, for the selection frame
+_BETWEEN = 4  # px between the captions of neighbours
+_SMALLEST_CAPTIONED = 40  # px: narrower views have the numbers in their tool tips only
+_STALE_OPACITY = 0.5
+STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
+
+Caption = tuple[tuple[str, ...], tuple[str, ...]]  # two lines, each with its wordings, longest first
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Maps:
+    """A map for every view; NaN is hatched."""
+
+    values: Floats  # (view_row, view_column, row, column)
+    scale: ColourScale
+    describe: Callable[[int, int, float], str]  # text for row, column and value of a pixel
+    is_smooth: bool = False  # whether to interpolate: samples of a function, not lenslets
+    reach: tuple[float, float] = (1.0, 1.0)  # x and y of the last column's and row's middle, about the map's middle
+    reach_unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Places of the views in the widget."""
+
+    first: QPoint  # corner of the first view
+    size: QSize  # of each
+    step: QSize  # from one to the next
+    bar_space: int  # width of the colour bar and its numbers; 0 if the views need it: tool tips have the values
+    has_captions: bool
+    tiles: QRegion  # of all views
+
+    def tile(self, view_row: int, view_column: int) -> QRect:
+        """Return the rectangle of a view without its caption."""
+        return QRect(self.first + QPoint(view_column * self.step.width(), view_row * self.step.height()), self.size)
+
+
+def arrange_views(room: QSize, shape: tuple[int, ...], *, bar_space: int, below: int, gap: int) -> Places:
+    """Arrange maps (view_row, view_column, row, column) in a room, with so many pixels below and between them."""
+    view_rows, view_columns, rows, columns = shape
+    if not min(shape):
+        return Places(QPoint(), QSize(), QSize(), 0, has_captions=False, tiles=QRegion())
+    width = (room.width() - 2 * _MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
+    height = (room.height() - 2 * _MARGIN - (view_rows - 1) * gap) / view_rows - below
+    scale = max(min(width / columns, height / rows), 0)
+    size = QSize(int(scale * columns), int(scale * rows))
+    free = room.width() - 2 * _MARGIN - bar_space - view_columns * size.width() - (view_columns - 1) * gap
+    wider = min(max(_CAPTION - size.width() - gap, 0), max(free, 0) // max(view_columns - 1, 1)) if below else 0
+    step = QSize(size.width() + gap + wider, size.height() + below + gap)
+    used = QSize(view_columns * step.width() - gap - wider + bar_space, view_rows * step.height() - gap)
+    left, top = (room.width() - used.width()) // 2, (room.height() - used.height()) // 2
+    first = QPoint(max(left, _MARGIN), max(top, _MARGIN))
+    tiles = QRegion()
+    for row, column in np.ndindex(view_rows, view_columns):
+        tiles += QRect(first + QPoint(column * step.width(), row * step.height()), size)
+    return Places(first, size, step, bar_space, has_captions=bool(below), tiles=tiles)
+
+
+class ViewGrid(QWidget):
+    """Paints the maps as the views lie in the field and frames the selected view."""
+
+    selected = pyqtSignal(int, int)  # view row and column
+    opened = pyqtSignal()  # the selected view, by a double click
+
+    def __init__(self, least: tuple[int, int] = (260, 190), empty: str = "no wavefront") -> None:
+        """Take at least this width and height, px; show the text `empty` without maps."""
+        super().__init__()
+        self.maps: Maps | None = None
+        self.empty = empty
+        self._pixels: Pixels = np.zeros((0, 0, 0, 0), np.uint32)
+        self._shown_scale: ColourScale | None = None
+        self._number_width = 0  # px
+        self._laid_out_for: tuple[int, ...] = ()
+        self._bar_key: tuple[str, QSize] | None = None  # colours and size of the pixmap
+        self._bar_pixmap = QPixmap()
+        self.is_stale = False  # whether the maps are grey, since dark or reference no longer fit
+        self.captions: Mapping[tuple[int, int], Caption] = {}  # by view_row and view_column
+        self.selection: tuple[int, int] | None = None  # the framed view
+        self.setMinimumSize(*least)
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        add_copy_menu(self, self._numbers_at)
+
+    def show_maps(self, maps: Maps | None) -> None:
+        """Show a map of every view, or that there is no wavefront."""
+        self.maps = maps
+        scale = None if maps is None else self._scale(maps)
+        before, self._shown_scale = self._shown_scale, scale
+        if maps is not None and scale is not None:
+            self._pixels = scale.pixels(maps.values)
+            if scale == before and not self._is_moved:
+                self.update(self.places.tiles)  # captions and colour bar are as before, and cost as much as the maps
+                return
+            before_px = self._number_width if before is not None and before.title == scale.title else 0
+            widths = [self.fontMetrics().horizontalAdvance(text) for _, text in maps.scale.ticks]
+            self._number_width = max(before_px, max(widths) + 1)  # shrinks only with another unit: the maps stay
+        self.update()
+
+    def show_stale(self, *, is_stale: bool) -> None:
+        """Show the maps in grey, or in colours."""
+        if is_stale != self.is_stale:
+            self.is_stale = is_stale
+            self.show_maps(self.maps)
+
+    def select(self, view: tuple[int, int] | None) -> None:
+        """Frame the view (view_row, view_column), or none."""
+        if view != self.selection:
+            self.selection = view
+            self.update()
+
+    def set_captions(self, captions: Mapping[tuple[int, int], Caption]) -> None:
+        """Show captions by (view_row, view_column), in the longest wording that fits."""
+        if captions != self.captions:
+            self.captions = captions
+            self.update(QRegion(self.rect()).subtracted(self.places.tiles))
+
+    def tile(self, view_row: int, view_column: int) -> QRect:
+        """Return the rectangle of a view without its caption."""
+        return self.places.tile(view_row, view_column)
+
+    def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Paint all views, and what is around them if it must be painted."""
+        painter = QPainter(self)
+        maps = self.maps
+        if maps is None:
+            painter.setPen(theme.DIM)
+            painter.drawText(self.rect(), Qt.AlignmentFlag.AlignCenter, self.empty)
+            return
+        places, painted = self.places, QRegion(self.rect()) if event is None else event.region()
+        if painted.intersects(places.tiles):
+            self._paint_maps(painter, maps)
+        self._paint_selection(painter)
+        if painted.subtracted(places.tiles).isEmpty():
+            return
+        if places.has_captions:
+            self._paint_captions(painter)
+        if places.bar_space:
+            self._paint_color_bar(painter, maps)
+
+    def event(self, event: QEvent | None) -> bool:
+        """Show the value under the pointer as a tool tip."""
+        if isinstance(event, QHelpEvent) and event.type() == QEvent.Type.ToolTip:
+            QToolTip.showText(event.globalPos(), self._value_at(event.pos()), self)
+            return True
+        return super().event(event)
+
+    def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Request to select the view under the pointer."""
+        is_left = event is not None and event.button() == Qt.MouseButton.LeftButton
+        if event is not None and is_left and (view := self._view_at(event.pos())) is not None:
+            self.selected.emit(*view)
+
+    def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Request to enlarge the view under the pointer."""
+        if event is not None and self._view_at(event.pos()) is not None:
+            self.opened.emit()
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Request to select a neighbour of the selected view."""
+        if event is None:
+            return
+        step = STEPS.get(Qt.Key(event.key()))
+        if step is None or self.selection is None or self.maps is None:
+            super().keyPressEvent(event)
+            return
+        row, column = self.selection[0] + step[0], self.selection[1] + step[1]
+        if 0 <= row < self.maps.values.shape[0] and 0 <= column < self.maps.values.shape[1]:
+            self.selected.emit(row, column)
+
+    def _scale(self, maps: Maps) -> ColourScale:
+        return maps.scale.in_grey if self.is_stale else maps.scale
+
+    def _view_at(self, position: QPoint) -> tuple[int, int] | None:
+        if self.maps is None:
+            return None
+        views = np.ndindex(self.maps.values.shape[:2])
+        return next(((row, column) for row, column in views if self.tile(row, column).contains(position)), None)
+
+    def _value_at(self, position: QPoint) -> str:
+        view = self._view_at(position)
+        if self.maps is None or view is None:
+            return ""
+        tile, values = self.tile(*view), self.maps.values[view]
+        inside = position - tile.topLeft()
+        row = inside.y() * values.shape[0] // tile.height()
+        column = inside.x() * values.shape[1] // tile.width()
+        text = self.maps.describe(row, column, float(values[row, column]))
+        return "\n".join([text, *(wordings[0] for wordings in self.captions.get(view, ()))])
+
+    def _numbers_at(self, position: QPoint) -> str:
+        """Return the map at a position, or the selected one, as a table."""
+        if self.maps is None:
+            return ""
+        return as_table((), self.maps.values[self._view_at(position) or self.selection or (0, 0)])
+
+    @property
+    def places(self) -> Places:
+        """Return the places of the views, computed again when something that they depend on has changed."""
+        if self._is_moved:
+            self._laid_out_for = self._layout_key
+            shape, line = self._shape, self.fontMetrics().height()
+            space = _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
+            has_bar = self.width() >= 2 * space + line and self.height() >= _LEAST_LINES * line
+            arrange = partial(arrange_views, self.size(), shape, bar_space=space if has_bar else 0)
+            captioned = arrange(below=2 * line + 4, gap=_GAP)
+            has_captions = captioned.size.width() >= _SMALLEST_CAPTIONED
+            self._places = captioned if has_captions else arrange(below=0, gap=_NARROW_GAP)
+        return self._places
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return (0, 0, 0, 0) if self.maps is None else self.maps.values.shape
+
+    @property
+    def _layout_key(self) -> tuple[int, ...]:
+        return (self.width(), self.height(), self.fontMetrics().height(), self._number_width, *self._shape)
+
+    @property
+    def _is_moved(self) -> bool:
+        """True if size, font, numbers or shape have changed since the places were computed."""
+        return self._layout_key != self._laid_out_for
+
+    def _paint_maps(self, painter: QPainter, maps: Maps) -> None:
+        """Paint all maps; unknown pixels, which are transparent, are hatched.
+
+        Each is clipped to a rectangle: all else Qt fills in threads of its own, and keeps Python's lock until they end.
+        """
+        places, hatching, is_known = self.places, theme.hatching(), bool(self._pixels.all())
+        if not is_known:
+            for row, column in np.argwhere(~self._pixels.all(axis=(2, 3))):
+                painter.fillRect(places.tile(row, column), theme.RAISED)
+                painter.fillRect(places.tile(row, column), hatching)
+        ratio = self.devicePixelRatioF()
+        width, height = math.ceil(places.size.width() * ratio), math.ceil(places.size.height() * ratio)
+        shown = enlarged(self._pixels, height, width, is_smooth=maps.is_smooth and is_known)
+        image = _image(shown.reshape(-1, width))  # one below the other; it refers to their memory
+        painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
+        for index, view in enumerate(np.ndindex(shown.shape[:2])):
+            painter.setClipRect(places.tile(*view))
+            painter.drawImage(QRectF(places.tile(*view)), image, QRectF(0, index * height, width, height))
+        painter.setClipping(False)
+        painter.setOpacity(1.0)
+
+    def _paint_captions(self, painter: QPainter) -> None:
+        line, width = self.fontMetrics().height(), self._caption_width
+        for index, colour in enumerate((theme.TEXT, theme.DIM)):
+            wording = self._wording(index)
+            if wording is None:
+                continue
+            painter.setPen(colour)
+            for (row, column), lines in self.captions.items():
+                tile = self.tile(row, column)
+                place = QRect(tile.center().x() - width // 2, tile.bottom() + 3 + index * line, width, line)
+                painter.drawText(place, Qt.AlignmentFlag.AlignCenter, lines[index][wording])
+
+    @property
+    def _caption_width(self) -> int:
+        """Width of a view and half of the gaps beside it, without touching the colour bar."""
+        return min(self.places.step.width() - _BETWEEN, self.places.size.width() + 2 * (_BAR_MARGIN - _BETWEEN))
+
+    def _wording(self, line: int) -> int | None:
+        """Return the longest wording of a line that fits under all views, if any."""
+        width, advance = self._caption_width, self.fontMetrics().horizontalAdvance
+        by_wording = zip(*(lines[line] for lines in self.captions.values()), strict=True)
+        return next((index for index, texts in enumerate(by_wording) if max(map(advance, texts)) <= width), None)
+
+    def _paint_selection(self, painter: QPainter) -> None:
+        if self.selection is None:
+            return
+        painter.setPen(QPen(theme.ACCENT, 2))
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        painter.drawRect(self.tile(*self.selection).adjusted(-1, -1, 1, 1))
+
+    def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
+        line, bar = self.fontMetrics().height(), self._bar(maps)
+        painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
+        painter.drawPixmap(bar.topLeft(), self._colour_bar(self._scale(maps), bar.size()))
+        painter.setOpacity(1.0)
+        painter.setPen(theme.TEXT)
+        title = QRect(bar.left(), bar.top() - line - 4, self.width(), line)
+        painter.drawText(title, Qt.AlignmentFlag.AlignVCenter, maps.scale.title)
+        for fraction, text in self._ticks(maps.scale, bar):
+            y = bar.top() + round((1 - fraction) * (bar.height() - 1))
+            text_y = min(max(y - line // 2, bar.top() - 2), bar.bottom() + 2 - line)
+            painter.drawLine(bar.right() + 1, y, bar.right() + 4, y)
+            place = QRect(bar.right() + _BAR_TICK, text_y, self._number_width, line)
+            painter.drawText(place, Qt.AlignmentFlag.AlignVCenter, text)
+
+    def _colour_bar(self, scale: ColourScale, size: QSize) -> QPixmap:
+        """Return the bar without its numbers; scaling an image in every frame took longer than all maps."""
+        key = (scale.colours, size)
+        if key != self._bar_key:
+            at = np.linspace(len(scale.bar) - 1, 0, size.height()).round().astype(np.intp)
+            self._bar_key = key
+            self._bar_pixmap = QPixmap.fromImage(_image(np.repeat(scale.bar[at, None], size.width(), axis=1)).copy())
+        return self._bar_pixmap
+
+    def _bar(self, maps: Maps) -> QRect:
+        """Return the place of the colour bar, below its title."""
+        view_rows, view_columns = maps.values.shape[:2]
+        top, bottom = self.tile(0, view_columns - 1), self.tile(view_rows - 1, view_columns - 1)
+        first = top.top() + self.fontMetrics().height() + 4
+        return QRect(top.right() + _BAR_MARGIN, first, _BAR_WIDTH, bottom.bottom() - first + 1)
+
+    def _ticks(self, scale: ColourScale, bar: QRect) -> tuple[tuple[float, str], ...]:
+        """Return all numbers, both ends with the middle, or the ends only, as fit beside the bar."""
+        ticks, most = tuple(scale.ticks), bar.height() // self.fontMetrics().height()
+        if len(ticks) > most:
+            ticks = ticks[:: max((len(ticks) - 1) // 2, 1)]
+        return ticks[:: len(ticks) - 1] if len(ticks) > most else ticks
+
+
+def _image(pixels: Pixels) -> QImage:
+    """Return an image that refers to the memory of pixels (row, column)."""
+    rows, columns = pixels.shape
+    memory: Any = pixels.data
+    return QImage(memory, columns, rows, 4 * columns, QImage.Format.Format_ARGB32_Premultiplied)
