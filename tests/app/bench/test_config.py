@@ -136,7 +136,7 @@ def test_non_rigid_method_is_kept_in_a_recorded_bench_and_refused_in_a_new_one(m
     assert fault.value.line == text.splitlines().index(f'method = "{method}"') + 1
     assert parse_bench(text, "b", ("registration.method=centroids",)).registration.method == "centroids"
     for other in ("flow = 3", 'flow = "other"'):
-        with pytest.raises(BenchError, match="unknown key flow"):
+        with pytest.raises(BenchError, match="flow is an unknown key"):
             parse_bench(MINIMAL.replace("[registration]", f"[registration]\n{other}", 1), "b")
 
 
