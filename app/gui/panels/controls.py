@@ -314,13 +314,13 @@ class StepButton(Button):
 class _LightButton(Toggle):
     """A button that also asks for darkness while its panel is disabled: a bench is opened."""
 
-    typed = pyqtSignal(object)  # its key was typed into this field
+    typed = pyqtSignal()  # its key was typed into a field
 
     def click(self) -> None:
         """Press the button, as menu and key do."""
         field = QApplication.focusWidget()
-        if isinstance(field, Field) and field.takes_light_key():
-            self.typed.emit(field)
+        if isinstance(field, Field) and field.take_light_key():
+            self.typed.emit()
         elif self.isEnabled():
             super().click()
         elif self.isEnabledTo(self.parentWidget()):  # it is not disabled itself, as by a replay

@@ -11,7 +11,6 @@ from app.acquisition.worker import Acquisition
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
 from app.gui.shell.wording import is_replay
-from app.gui.widgets.fields import Field
 from app.progress import counted
 
 _REST_S = 1.0  # after a request to switch off: the second click of a double click, or a held key, lights nothing
@@ -55,16 +54,14 @@ class LightControl:
         else:
             then()
 
-    def take_key(self, field: Field) -> None:
-        """Switch off what shines, or may be lighting up, by an L that is typed into a field; else it is a letter."""
+    def take_key(self) -> None:
+        """Switch off what shines, or may be lighting up, by an L that is typed into a field; it never lights."""
         acquisition = self._acquisition
         status = None if acquisition is None else acquisition.status
         is_lit = status is not None and status.is_light_on
         if acquisition is not None and not is_replay(status) and (is_lit or self._is_busy(acquisition)):
             self.switch(on=False)
-            self._messages.warn("L switches the light off, also in a field; while the light is off, L is a letter")
-        else:
-            field.type_light_key()
+            self._messages.warn("L switches the light off, also where it is typed: outside of fields, L switches it on")
 
     def switch(self, on: bool) -> None:
         """Switch the light, and end a sequence. While a command waits or runs, it may be lighting up: always off.

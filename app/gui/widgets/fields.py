@@ -16,27 +16,29 @@ _COMMANDS = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.AltModifie
 
 
 class Field:
-    """Base of all fields: an L that is typed goes to the window first, which switches off a light that shines."""
+    """Base of all fields: an L that is typed is also the key of the light, which it may switch off."""
 
-    _has_light_key = False
+    _light_key = ""  # text of an L that was left to the shortcuts
 
     def leaves_light_key(self, event: QEvent | None) -> bool:
-        """Return whether the event offers an L; then it is left to the shortcuts."""
+        """Return whether the event offers an L, which is left to the shortcuts."""
         if not isinstance(event, QKeyEvent) or event.type() != QEvent.Type.ShortcutOverride:
             return False
         if event.key() != Qt.Key.Key_L or event.modifiers():
             return False
-        self._has_light_key = not event.isAutoRepeat()
+        self._light_key = "" if event.isAutoRepeat() else event.text()
         event.ignore()
         return True
 
-    def takes_light_key(self) -> bool:
-        """Return once whether an L was typed into this field: the menu has an entry for it, too."""
-        has_key, self._has_light_key = self._has_light_key, False
-        return has_key
+    def take_light_key(self) -> bool:
+        """Type an L that was left to the shortcuts; return whether there was one: the menu has the entry, too."""
+        text, self._light_key = self._light_key, ""
+        if text:
+            self._type_light_key(text)
+        return bool(text)
 
-    def type_light_key(self) -> None:
-        """Type the L; it is in no number."""
+    def _type_light_key(self, text: str) -> None:
+        """Type it; it is in no number."""
 
 
 class NumberField(Field, QDoubleSpinBox):
@@ -216,9 +218,9 @@ class NumberLine(Field, QLineEdit):
 class TextLine(NumberLine):
     """A line for a text."""
 
-    def type_light_key(self) -> None:
-        """Type the L."""
-        QApplication.sendEvent(self, QKeyEvent(QEvent.Type.KeyPress, Qt.Key.Key_L, Qt.KeyboardModifier.NoModifier, "l"))
+    def _type_light_key(self, text: str) -> None:
+        none = Qt.KeyboardModifier.NoModifier
+        self.keyPressEvent(QKeyEvent(QEvent.Type.KeyPress, Qt.Key.Key_L, none, text))  # sent, it would be a shortcut
 
 
 class TextField(TextLine):
