@@ -285,7 +285,6 @@ FIELDS: dict[str, tuple[Callable[[MainWindow], QWidget], bool]] = {  # and wheth
     "recording's note": (lambda window: window.recording_bar.note, True),
     "exposure": (lambda window: window.controls.exposure, False),
     "frames": (lambda window: window.controls.frames, False),
-    "region": (lambda window: window.region_dialog.show() or window.region_dialog.rows, False),
     "preset's name": (preset_name, True),
     "number in the settings": (lambda window: settings_line(window, is_number=True), False),
     "text in the settings": (lambda window: settings_line(window, is_number=False), True),
