@@ -156,14 +156,16 @@ def test_device_failure_is_shown_and_window_reconnects(make_window: MakeWindow, 
 
 
 @pytest.mark.slow
-def test_light_that_does_not_answer_is_not_called_off(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+def test_light_that_does_not_answer_is_not_called_off(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
     window, camera = live
 
     def fail(**_: object) -> None:
         raise Disconnected("the light was unplugged")
 
-    camera.light._switch = fail  # type: ignore[method-assign] # a fault
-    camera.light._is_lit = fail  # type: ignore[method-assign]
+    for request in ("_switch", "_is_lit"):
+        monkeypatch.setattr(camera.light, request, fail)
     qtbot.waitUntil(lambda: "light may still be on" in window.messages.text.text())
     assert window.controls.light.text() == "Light not\nreached"
 
