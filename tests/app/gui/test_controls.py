@@ -24,6 +24,7 @@ from reconstruction.settings import Method, PupilBasis
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_rest")
 def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     controls = window.controls

@@ -30,12 +30,6 @@ def focused(window: QWidget) -> QWidget:
     return QApplication.focusWidget() or window
 
 
-@pytest.fixture
-def no_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The light may be switched on as soon as it is off."""
-    monkeypatch.setattr("app.gui.shell.light_control._REST_S", 0.0)
-
-
 def activate(window: QWidget, qtbot: QtBot) -> None:
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
