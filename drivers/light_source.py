@@ -20,6 +20,7 @@ import numpy as np
 from drivers.device import Device, Property, Range
 from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected, LightHeldOff, WrongState
 
+MAY_BE_ON = "the light may still be on: switch it off by hand"  # in the error of a light that does not answer
 _RAMP_STEPS = 8  # from the lowest to the highest current
 _RAMP_S = 0.08
 _ATTEMPTS = 2  # to switch off: a command can be lost
@@ -339,7 +340,7 @@ class ManualLight(LightSource):
 
 def _still_lit(error: DeviceError) -> DeviceError:
     """Extend the error of a light that could not be switched off."""
-    return type(error)(f"{error}; the light may still be on: switch it off by hand")
+    return type(error)(f"{error}; {MAY_BE_ON}")
 
 
 _open_lights: WeakSet[LightSource] = WeakSet()

@@ -174,6 +174,12 @@ def live(make_window: MakeWindow, qtbot: QtBot) -> tuple[MainWindow, FakeCamera]
     return window, camera
 
 
+@pytest.fixture
+def no_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The light may be switched on as soon as it is off."""
+    monkeypatch.setattr("app.gui.shell.light_control._REST_S", 0.0)
+
+
 SMALL_TOML = """
 [sensor]
 lenslet_rows = 5

@@ -15,13 +15,21 @@ FRAMES = 20  # default number averaged into the dark, and into the reference
 _SAME_LATTICE = 0.05  # of the pitch; frames are doubted beyond
 
 
-def start_up(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bool = False) -> tuple[Future[Any], ...]:
+def start_up(
+    acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bool = False, is_lit: bool = True
+) -> tuple[Future[Any], ...]:
     """Turn the light on, take a dark and a reference, move the sample in and start the camera.
 
     The steps run in order; cancelling one skips only that one. With a manual stage the position of the sample is
     unknown: the camera starts after the dark, and the user requests the reference. With `auto_expose` the exposure is
-    found first.
+    found first. Unless `is_lit`, the light stays off, and there is no reference.
     """
+    if not is_lit:
+        return (
+            acquisition.submit(Instrument.take_dark, frames),
+            *([] if acquisition.bench.has_manual_stage else [acquisition.submit(Instrument.set, "is_sample_in", True)]),
+            acquisition.submit(Instrument.set, "is_running", True),
+        )
     if acquisition.bench.has_manual_stage:
         return (
             acquisition.submit(Instrument.set, "is_light_on", True),

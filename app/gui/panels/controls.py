@@ -5,7 +5,7 @@ from functools import partial
 from typing import get_args
 
 from PyQt6.QtCore import QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QFrame, QHBoxLayout, QSizePolicy
+from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QFrame, QHBoxLayout, QSizePolicy
 
 from app.acquisition.instrument import Status
 from app.acquisition.kept_averages import Validity, taken_at
@@ -14,7 +14,7 @@ from app.bench.config import AUTOMATIC, Bench
 from app.gui.panels.panel import Entries, Panel, Shown
 from app.gui.widgets import theme
 from app.gui.widgets.basics import Button, Choice, Item, Slot, Toggle, column, label, mark_wanted, row
-from app.gui.widgets.fields import NumberField
+from app.gui.widgets.fields import Field, NumberField
 from app.gui.widgets.presentation import percent
 from app.measurement.averages import AVERAGED_FRAMES
 from drivers.interface import Range
@@ -59,7 +59,7 @@ class ControlsPanel(Panel):
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
-        self._is_running = False
+        self._is_running, self._has_devices = False, True
         self._make_devices()
         self._make_calibration()
         self.choices = {name: _choice(tip, partial(self._choose, name)) for name, tip in _CHOICES.items()}
@@ -192,8 +192,15 @@ class ControlsPanel(Panel):
         """Show that the light is being switched off."""
         self.light.setText("Switching\noff \N{HORIZONTAL ELLIPSIS}")
 
+    def show_unreached_light(self) -> None:
+        """Show that nothing is known of the light, and nothing can switch it."""
+        self.light.setText("Light not\nreached")
+        self.light.setIcon(theme.validity_lamp("doubtful"))
+
     def enable_devices(self, *, is_enabled: bool) -> None:
-        """Enable all, or only the reconstruction and the start button: a recording plays in place of the devices."""
+        """Enable all, or only the reconstruction: a recording plays in place of the devices, by buttons of its own."""
+        self._has_devices = is_enabled
+        self.start.setVisible(is_enabled)
         reconstruction = {self.registration, self.warp, self.method, self.basis, self.pupil_modes, self.refine}
         for control in self.findChildren((QAbstractButton, QAbstractSpinBox, QComboBox)):
             if control not in {*reconstruction, self.start}:
@@ -220,9 +227,9 @@ class ControlsPanel(Panel):
                 field.show_value(wanted.get(name, value) or 0, interval)
         self.current.setEnabled(status.current_range_a.maximum > status.current_range_a.minimum)
         self.em_gain.setEnabled(allowed.em_gain_range.maximum > allowed.em_gain_range.minimum)
-        for name, texts, chosen in (
+        for name, values, chosen in (
             ("amplifier", allowed.amplifiers, status.amplifier),
-            ("readout_speed", tuple(map(str, allowed.readout_speeds)), str(status.readout_speed)),
+            ("readout_speed", allowed.readout_speeds, status.readout_speed),
             ("mask", status.masks, status.mask),
             ("registration.method", get_args(Method), registration.method),
             ("registration.warp", (AUTOMATIC, *FIELD_MODES), registration.warp),
@@ -230,7 +237,7 @@ class ControlsPanel(Panel):
             ("reconstruction.basis", get_args(PupilBasis), reconstruction.basis),
         ):
             mark_wanted(self.choices[name], is_wanted=name in wanted)
-            self.choices[name].show_choice(texts, str(wanted.get(name, chosen) or AUTOMATIC))
+            self.choices[name].show_choice(values, wanted.get(name, chosen) or AUTOMATIC)
         self.refine.setChecked(wanted.get("reconstruction.refine", reconstruction.refine))
         mark_wanted(self.refine, is_wanted="reconstruction.refine" in wanted)
         self.warp.setEnabled(registration.method == "gauss_newton")
@@ -238,12 +245,14 @@ class ControlsPanel(Panel):
             control.setEnabled(reconstruction.method == "modal")
         # Of a manual light only what a person has said is known.
         lights = ("Light\nnoted off", "Light\nby hand") if status.bench.has_manual_light else ("Light off", "Light on")
+        if not self._has_devices:
+            lights = ("Light\nwas off", "Light\nwas on")
         for shown, names, is_on, colour in (
             (self.light, lights, status.is_light_on, theme.LIT),
             (self.sample, ("Sample out", "Sample in"), status.is_sample_in, theme.ACCENT),
         ):
             shown.setText(names[is_on])
-            shown.setChecked(is_on)
+            shown.setChecked(is_on and self._has_devices)  # a pressed light has a red edge
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
         about_reference = "\n".join(filter(None, (status.reference_note, status.mask_note)))
         self.dark.show_step(status.dark, taken_at(status.dark_note), status.dark_note)
@@ -305,9 +314,14 @@ class StepButton(Button):
 class _LightButton(Toggle):
     """A button that also asks for darkness while its panel is disabled: a bench is opened."""
 
+    typed = pyqtSignal()  # its key was typed into a field
+
     def click(self) -> None:
-        """Press the button."""
-        if self.isEnabled():
+        """Press the button, as menu and key do."""
+        field = QApplication.focusWidget()
+        if isinstance(field, Field) and field.take_light_key():
+            self.typed.emit()
+        elif self.isEnabled():
             super().click()
         elif self.isEnabledTo(self.parentWidget()):  # it is not disabled itself, as by a replay
             self.clicked.emit(False)

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
-from PyQt6.QtCore import QEvent, QMimeData
+from PyQt6.QtCore import QEvent, QMimeData, Qt
 from PyQt6.QtGui import QDropEvent
 from PyQt6.QtWidgets import QMainWindow
 
@@ -40,7 +40,8 @@ class BaseWindow(QMainWindow):
         if event is not None and event.type() == QEvent.Type.WindowActivate:
             self.setFocus()
         if isinstance(event, QDropEvent) and (paths := _paths(event.mimeData())):  # also its subclasses: enter, move
-            event.acceptProposedAction()
+            event.setDropAction(Qt.DropAction.CopyAction)  # after a move, the source may delete its file
+            event.accept()
             for path in paths if event.type() == QEvent.Type.Drop else ():
                 self.open_file(path)
             return True
@@ -91,7 +92,7 @@ def _is_late(newest: Measurement, shown: Measurement) -> bool:
 
 
 class ErrorReports:
-    """Turns errors of timers and slots into a red message; each distinct one is shown and printed once."""
+    """Turns errors of timers and slots into a red message; each is shown and printed once until it is dismissed."""
 
     def __init__(self, show: Callable[[str], object]) -> None:
         """`show` receives a sentence for the user."""
@@ -99,7 +100,7 @@ class ErrorReports:
         self._known: set[str] = set()
 
     def restart(self) -> None:
-        """Report known errors again: another bench is open."""
+        """Report known errors again: their message was dismissed, or another bench is open."""
         self._known.clear()
 
     @contextmanager

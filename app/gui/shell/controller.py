@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
+from functools import partial
 from typing import Any, TypeVar
 
 from PyQt6.QtCore import QObject, pyqtSignal
@@ -76,8 +77,8 @@ class Controller(QObject):
         self.close(meanwhile)
         self._make_acquisition, self._begin = make_acquisition, begin
 
-    def connect_devices(self) -> None:
-        """Start an acquisition, if a bench is open; close the previous one first."""
+    def connect_devices(self, *, is_lit: bool) -> None:
+        """Start an acquisition, if a bench is open; close the previous one first. `is_lit`: see `start_up`."""
         if self._make_acquisition is None:
             return
         if self.acquisition is not None:
@@ -86,7 +87,8 @@ class Controller(QObject):
         self.acquisition = self._make_acquisition()
         self.acquisition.start()
         self.connected.emit()
-        self._pending = [(future, None, None) for future in self._begin(self.acquisition)]
+        begin = self._begin if is_lit else partial(start_up, is_lit=False)
+        self._pending = [(future, None, None) for future in begin(self.acquisition)]
         release_memory()  # of the one before
 
     def close(self, meanwhile: Callable[[], object]) -> None:
@@ -135,10 +137,18 @@ class Controller(QObject):
                     then(result)
         return bool(done)
 
-    def ask(self, question: str, act: Callable[[], object], accept: str = "Use it", discard: str = "Discard") -> None:
-        """Ask the user, and act if the answer is yes."""
+    def ask(
+        self,
+        question: str,
+        act: Callable[[], object],
+        accept: str = "Use it",
+        discard: str = "Discard",
+        *,
+        loses: bool = False,
+    ) -> None:
+        """Ask the user, and act if the answer is yes; see `MessageStrip.ask`."""
         self._on_accept = act
-        self.messages.ask(question, accept=accept, discard=discard)
+        self.messages.ask(question, accept=accept, discard=discard, loses=loses)
 
     def _decide(self, is_accepted: bool) -> None:
         act, self._on_accept = self._on_accept, None

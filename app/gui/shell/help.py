@@ -158,7 +158,7 @@ def show_log(parent: QWidget, messages: MessageStrip) -> None:
     dialog = TextDialog("log", "Message log", parent, is_fixed_width=True)
 
     def update() -> None:
-        dialog.show_log(messages.log)
+        dialog.show_log(messages.log or f"No message so far. Shown now: {messages.text.text()}")
 
     update()
     messages.logged.connect(update)

@@ -1,5 +1,7 @@
 """Control of the light, and of the averages that need it on or off; a person is asked to switch a manual one."""
 
+import math
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Literal
@@ -8,7 +10,10 @@ from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
+from app.gui.shell.wording import is_replay
 from app.progress import counted
+
+_REST_S = 1.0  # after a request to switch off: the second click of a double click, or a held key, lights nothing
 
 
 class LightControl:
@@ -16,7 +21,10 @@ class LightControl:
 
     def __init__(self, controller: Controller, controls: ControlsPanel) -> None:
         self._controller, self._controls, self._messages = controller, controls, controller.messages
+        controls.light.typed.connect(self.take_key)
         self._switching_off: Future[None] | None = None
+        self._rests_until_s = -math.inf
+        self.is_kept_off = False  # whether the user's last request was to switch off
         self.end_sequence: Callable[[], bool] = lambda: False  # of commands; returns whether one was running
 
     @property
@@ -46,6 +54,15 @@ class LightControl:
         else:
             then()
 
+    def take_key(self) -> None:
+        """Switch off what shines, or may be lighting up, by an L that is typed into a field; it never lights."""
+        acquisition = self._acquisition
+        status = None if acquisition is None else acquisition.status
+        is_lit = status is not None and status.is_light_on
+        if acquisition is not None and not is_replay(status) and (is_lit or self._is_busy(acquisition)):
+            self.switch(on=False)
+            self._messages.warn("L switches the light off, also where it is typed: outside of fields, L switches it on")
+
     def switch(self, on: bool) -> None:
         """Switch the light, and end a sequence. While a command waits or runs, it may be lighting up: always off.
 
@@ -54,22 +71,29 @@ class LightControl:
         acquisition = self._acquisition
         if acquisition is None:
             return
-        has_ended, status = self.end_sequence(), acquisition.status
-        is_busy = has_ended or acquisition.activity.text or self.is_switching_off or not self._controller.is_idle
+        has_ended, status, now_s = self.end_sequence(), acquisition.status, time.monotonic()
+        is_busy, rests = has_ended or self._is_busy(acquisition), now_s < self._rests_until_s
         if status is not None and status.bench.has_manual_light:
             if has_ended:
                 acquisition.cancel()
             self._controls.light.setChecked(status.is_light_on)  # until it is confirmed
             self._ask_by_hand(on=on)
-        elif on and not is_busy:
+        elif on and not is_busy and not rests:
+            self.is_kept_off = False
             self._controller.send(lambda to: to.submit(Instrument.set, "is_light_on", True))
         else:
+            self.is_kept_off, self._rests_until_s = True, now_s + _REST_S
             self._switching_off = acquisition.switch_light_off()
             self._messages.clear_notice()
             if on:
-                self._messages.warn("the light stays off: commands were waiting; L switches it on")
+                why = "it was switched off within the last second" if rests else "commands were waiting"
+                self._messages.warn(f"the light stays off: {why}; L switches it on")
             self._controls.light.setChecked(False)
             self._controls.show_switching_off()
+
+    def _is_busy(self, acquisition: Acquisition) -> bool:
+        """Return whether a command waits or runs."""
+        return bool(acquisition.activity.text) or self.is_switching_off or not self._controller.is_idle
 
     def take_dark(self, frames: int) -> None:
         """Average frames without light."""

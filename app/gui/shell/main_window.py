@@ -46,6 +46,7 @@ from app.images import SUFFIXES
 from app.recording.folder import read_run
 from app.results.pictures import frame_statistics
 from app.results.player import Player
+from drivers.light_source import MAY_BE_ON
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
 _MIN_WIDTH = 900  # px; captions and plots need it
@@ -141,6 +142,7 @@ class MainWindow(BaseWindow):
         )
         self.shown.exclusion_requested.connect(lambda row, column: self.settings.change(("lenslet", (row, column))))
         self.messages.reconnect_requested.connect(self._reconnect)
+        self.messages.dismissed.connect(self.errors.restart)
         for panel in self.panels:
             panel.warned.connect(self.messages.warn)
             panel.informed.connect(self.messages.inform)
@@ -216,13 +218,13 @@ class MainWindow(BaseWindow):
         )
         return menus
 
-    def connect_devices(self) -> None:
-        """Open the devices and start measuring, also after a failure."""
+    def connect_devices(self, *, is_lit: bool = True) -> None:
+        """Open the devices and start measuring, also after a failure; `is_lit`: see `start_up`."""
         self.shown.measurement = self.shown.status = None
         self._failure, self._activity = "", Activity("opening the devices")
         self._forget_status()
         self.status_line.restart()
-        self.controller.connect_devices()
+        self.controller.connect_devices(is_lit=is_lit)
         self.update_text()
         self._timer.start()
 
@@ -244,6 +246,7 @@ class MainWindow(BaseWindow):
                 panel.forget_bench()
             self.analyses.forget_bench()
             self.replay.use(player)
+            self.light.is_kept_off = False
             self.connect_devices()
 
         self.recording_bar.ask_to_end(lambda: self.light.ask_off(connect))
@@ -266,6 +269,8 @@ class MainWindow(BaseWindow):
             status = replace(status, is_running=False, is_light_on=is_light_on)  # the state of failed devices
         if status is not None and status != self._status:
             self.show_status(status)
+        if MAY_BE_ON in self._failure:
+            self.controls.show_unreached_light()
         is_ready = self._status is not None and not self._failure
         self.controls.setEnabled(is_ready)
         self.recording_panel.setEnabled(is_ready and self.replay.isHidden())
@@ -441,11 +446,14 @@ class MainWindow(BaseWindow):
 
     def quit(self) -> None:
         """Close the window; if a person switches the light, ask for that first."""
-        self.light.ask_off(lambda: QTimer.singleShot(0, self.close))
+        self.light.ask_off(lambda: QTimer.singleShot(0, self.close))  # within a close event, Qt would skip `closeEvent`
 
     def _reconnect(self) -> None:
+        """Open the devices again; the light stays off if the user had switched it off."""
         if self.controller.failure:
-            self.connect_devices()
+            self.connect_devices(is_lit=not self.light.is_kept_off)
+            if self.light.is_kept_off:
+                self.messages.warn("the light stays off, as you left it: L switches it on, then R takes a reference")
 
     def _forget_status(self) -> None:
         """Show the status again, for example since icons are drawn in another theme."""

@@ -23,6 +23,7 @@ class MessageStrip(QFrame):
     reconnect_requested = pyqtSignal()
     cancel_requested = pyqtSignal()
     logged = pyqtSignal()
+    dismissed = pyqtSignal()  # the alarm was removed
     answered = pyqtSignal(bool)  # whether the proposal is accepted
 
     def __init__(self) -> None:
@@ -30,6 +31,7 @@ class MessageStrip(QFrame):
         self.setProperty("role", "strip")
         self._notice, self._notice_colour, self._notice_until_s = "", theme.AMBER, 0.0
         self._alarm = self._question = ""
+        self._loses = False  # whether "yes" ends something
         self._lines: deque[tuple[str, str]] = deque(maxlen=_MOST)  # time and message
         self._standing: dict[str, str] = {}  # last failure and warning
         self._shown = ("", theme.DIM)
@@ -39,7 +41,7 @@ class MessageStrip(QFrame):
             "Open the devices again, take dark and reference, and start measuring (Ctrl+R)",
             self.reconnect_requested,
         )
-        self.accept = Button("Use it", "Accept (Return)", lambda: self._answer(is_accepted=True))
+        self.accept = Button("Use it", "", lambda: self._answer(is_accepted=True))
         self.discard = Button("Discard", "Change nothing (Esc)", lambda: self._answer(is_accepted=False))
         self.dismiss = Button("Dismiss", "Remove this message (Esc)", lambda: self.alarm(""))
         self.cancel = Button("Cancel", "Stop, and restore the devices (Esc)", self.cancel_requested)
@@ -78,13 +80,19 @@ class MessageStrip(QFrame):
     def alarm(self, text: str) -> None:
         """Show an error until the user dismisses it; empty text removes it."""
         self._alarm = text
+        if not text:
+            self.dismissed.emit()
         self._say(text)
 
-    def ask(self, question: str, *, accept: str = "Use it", discard: str = "Discard") -> None:
-        """Show a question with the texts of its buttons; `answered` emits the decision."""
-        self._question = question
+    def ask(self, question: str, *, accept: str = "Use it", discard: str = "Discard", loses: bool = False) -> None:
+        """Show a question with the texts of its buttons; `answered` emits the decision.
+
+        If "yes" `loses` something, it is amber, and Return does not accept.
+        """
+        self._question, self._loses = question, loses
         self._say(question)
         self.accept.setText(accept)
+        self.accept.setToolTip("Accept" if loses else "Accept (Return)")
         self.discard.setText(discard)
 
     def escape(self) -> None:
@@ -99,8 +107,8 @@ class MessageStrip(QFrame):
             self.cancel_requested.emit()
 
     def enter(self) -> None:
-        """Accept the proposal unless another message hides it."""
-        if self._asks:
+        """Accept the proposal, unless another message hides it or something would be lost."""
+        if self._asks and not self._loses:
             self._answer(is_accepted=True)
 
     def show_activity(self, activity: Activity, *, may_cancel: bool) -> None:
@@ -134,7 +142,7 @@ class MessageStrip(QFrame):
         elif self._alarm:
             self._show(self._alarm, theme.RED)
         elif self._asks:
-            self._show(self._question, theme.GREEN)
+            self._show(self._question, theme.AMBER if self._loses else theme.GREEN)
         elif self._has_notice:
             self._show(self._notice, self._notice_colour)
         elif warning:

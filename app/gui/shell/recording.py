@@ -164,7 +164,7 @@ class RecordingBar(QFrame):
         if self._stage != "recording":
             self._forget()
         self.show()
-        self.stop_after.edit()  # not the name: it would take the letters of shortcuts, also the light's
+        self.name.setFocus()  # what is typed now is its name
 
     def use_recordings_folder(self, folder: Path) -> None:
         """Write later recordings into another folder."""
@@ -184,7 +184,7 @@ class RecordingBar(QFrame):
             then()
         else:
             question = f"the recording {state.folder.name} ends if another bench is opened"
-            self._controller.ask(question, then, "End it and open", "Keep recording")
+            self._controller.ask(question, then, "End it and open", "Keep recording", loses=True)
 
     def refresh(self) -> None:
         """Show the state of the recordings; report each end once."""
@@ -276,7 +276,7 @@ class RecordingBar(QFrame):
         for widget in self._limits:
             widget.setVisible(not is_over)
         for each in self._afterwards:
-            each.setVisible(is_over)
+            each.setVisible(is_over and (each is self.open or bool(state and state.frames)))
         if state is None:
             self.text.setText("Next recording")
             return

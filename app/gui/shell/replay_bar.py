@@ -89,9 +89,9 @@ class ReplayBar(QFrame):
             self._timer.stop()
             return
         self._controls.enable_devices(is_enabled=False)
-        count = len(player.frames)
-        self.slider.setRange(0, count - 1)
-        self.text.setMinimumWidth(self.text.fontMetrics().horizontalAdvance(f"frame {count} of {count}  "))
+        self.slider.setRange(0, len(player.frames) - 1)
+        last = player.frames[-1]
+        self.text.setMinimumWidth(self.text.fontMetrics().horizontalAdvance(f"frame {last} of {last} ... {last}  "))
         self._timer.start()
 
     def show_status(self, status: Status) -> None:
@@ -139,8 +139,8 @@ class ReplayBar(QFrame):
     def _write(self, position: int) -> None:
         if self._player is not None:
             frames = self._player.frames
-            self.text.setText(f"frame {position + 1} of {len(frames)}")
-            self.text.setToolTip(f"Frame {frames[position]} of the recording, as --frames counts: from 0")
+            self.text.setText(f"frame {frames[position]} of {frames[0]} ... {frames[-1]}")
+            self.text.setToolTip("Frames are counted from 0, as in files, messages and --frames")
 
     def _move(self, position: int) -> None:
         if self._player is not None and self._player.position is not None:

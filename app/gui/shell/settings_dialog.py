@@ -5,8 +5,6 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import QEvent, Qt
-from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import (
     QCheckBox,
     QDialog,
@@ -25,23 +23,12 @@ from app.bench.settings_form import FormField, SettingsForm, fault_path, in_word
 from app.errors import InputError, RunError
 from app.files import atomic_write
 from app.gui.widgets.basics import Button, Choice, ElidedLabel, column, label, mark_refused, row, timer
+from app.gui.widgets.fields import NumberLine, TextLine
 from drivers.device import DiscoveredDevice
 
 _POLL_MS = 100
 _SIZE = (720, 560)  # px
 _NO_DEVICE = "Other, or simulated: choose the driver below"
-
-
-class _Number(QLineEdit):
-    """A line for a number, which leaves the key of the light alone."""
-
-    def event(self, event: QEvent | None) -> bool:
-        """Pass L to the shortcuts."""
-        is_light = isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_L and not event.modifiers()
-        if event is not None and is_light and event.type() == QEvent.Type.ShortcutOverride:
-            event.ignore()
-            return False
-        return super().event(event)
 
 
 class SettingsDialog(QDialog):
@@ -186,7 +173,7 @@ class SettingsDialog(QDialog):
             choice.setCurrentIndex(choice.findData(field.text))
             choice.activated.connect(lambda index: self._enter(field, choice, choice.itemData(index)))
             return choice
-        line = _Number(field.text) if field.kind in {"number", "integer"} else QLineEdit(field.text)
+        line = (NumberLine if field.kind in {"number", "integer"} else TextLine)(field.text)
         line.setPlaceholderText(f"for example {field.example}" if field.example else "automatic" * field.is_optional)
         line.textEdited.connect(lambda text: self._enter(field, line, text))
         return line

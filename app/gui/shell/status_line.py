@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QGridLayout, QLabel, QWidget
 
 from app.acquisition.instrument import Status
 from app.acquisition.worker import Measurement
-from app.gui.shell.wording import as_sentence, lenslet_summary
+from app.gui.shell.wording import as_sentence, is_replay, lenslet_summary
 from app.gui.widgets import theme
 from app.gui.widgets.basics import ElidedLabel, colour_text, column, label, row, row_of
 from app.gui.widgets.presentation import NOTHING
@@ -26,6 +26,7 @@ _CORRECTION = "Age of the correction of systematic errors by the model of the be
 _ASSUMED = "What is assumed of the sample, and what the mask shows"
 _LOST = "Frames that the camera overwrote before they were read; red while they become more"
 _DELAY = "Processing delay: from the end of the exposure to the result, median over the last second"
+_OLD_S = 30.0  # age of a correction; the next one takes some seconds at most
 _WINDOW_S = 1.0  # over which rate and delay are taken
 _TIMES_INTERVAL_S = 1.0  # the percentiles of thousands of times take a millisecond
 _GAP = 14  # px between two parts
@@ -80,6 +81,13 @@ class StatusLine(QWidget):
         self._newest = None
         self._recent.clear()
         self.shown = 0
+        for value, text in ((self.rate, NOTHING), (self.delay, NOTHING), (self.lost, "0"), (self.devices, "")):
+            _write(value, text)
+        colour_text(self.lost, theme.TEXT)
+        self.simulated.hide()
+        self._show_valid(None)
+        self._show_correction(RefinementState("off"))
+        self.assumed.setText("")
 
     def update_text(self, status: Status | None, timings: Timings | None) -> None:
         """Update the numbers, those of the tool tip once a second."""
@@ -97,7 +105,9 @@ class StatusLine(QWidget):
             return
         (first_s, first_count, _, first_lost), (last_s, last_count, _, lost) = self._recent[0], self._recent[-1]
         _write(self.lost, str(lost))
-        colour_text(self.lost, theme.RED if lost > first_lost else theme.TEXT)
+        is_live = status is None or not is_replay(status)
+        self.lost.setToolTip("" if is_live else "Frames that were lost when this was recorded")
+        colour_text(self.lost, theme.RED if lost > first_lost and is_live else theme.TEXT)
         is_running = status is not None and status.is_running
         has_rate = is_running and last_s > first_s
         _write(self.rate, f"{(last_count - first_count) / (last_s - first_s):.1f}" if has_rate else NOTHING)
@@ -134,10 +144,11 @@ class StatusLine(QWidget):
 
     def _show_correction(self, refinement: RefinementState) -> None:
         change = f"The wavefront has changed by {refinement.moved_rad:.2f} rad RMS since the correction was computed"
+        by_age = theme.AMBER if refinement.age_s > _OLD_S else theme.GREEN
         text, why, colour = {
             "off": ("off", "", theme.TEXT),
             "preparing": ("computing", "", theme.TEXT),
-            "applied": (f"{refinement.age_s:.1f} s old", change, theme.GREEN),
+            "applied": (f"{refinement.age_s:.1f} s old", change, by_age),
             "moved": ("rejected", f"{change}: too much to apply it", theme.AMBER),
             "worse": ("rejected", "It brings the model no closer to the measurement", theme.AMBER),
             "failed": ("failed", refinement.problem, theme.RED),

@@ -162,12 +162,12 @@ class Choice(QComboBox):
         if changed is not None:
             self.currentIndexChanged.connect(changed)
 
-    def show_choice(self, allowed: tuple[str, ...], chosen: str) -> None:
+    def show_choice(self, allowed: tuple[str | int, ...], chosen: str | int) -> None:
         """Offer these values by their human names and show the chosen one, without emitting `activated`."""
         if tuple(self.itemData(index) for index in range(self.count())) != allowed:
             self.clear()
             for value in allowed:
-                self.addItem(NAMES.get(value, value), value)
+                self.addItem(NAMES.get(str(value), str(value)), value)
             if (items := self.view()) is not None:
                 items.setMinimumWidth(items.sizeHintForColumn(0) + 8)  # no elided items below a narrow choice
         self.setCurrentIndex(self.findData(chosen))

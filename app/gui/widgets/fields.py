@@ -15,7 +15,33 @@ _LETTERS = 4  # of a word that may be shortened
 _COMMANDS = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.AltModifier | Qt.KeyboardModifier.MetaModifier
 
 
-class NumberField(QDoubleSpinBox):
+class Field:
+    """Base of all fields: an L that is typed is also the key of the light, which it may switch off."""
+
+    _light_key = ""  # text of an L that was left to the shortcuts
+
+    def leaves_light_key(self, event: QEvent | None) -> bool:
+        """Return whether the event offers an L, which is left to the shortcuts."""
+        if not isinstance(event, QKeyEvent) or event.type() != QEvent.Type.ShortcutOverride:
+            return False
+        if event.key() != Qt.Key.Key_L or event.modifiers():
+            return False
+        self._light_key = "" if event.isAutoRepeat() else event.text()
+        event.ignore()
+        return True
+
+    def take_light_key(self) -> bool:
+        """Type an L that was left to the shortcuts; return whether there was one: the menu has the entry, too."""
+        text, self._light_key = self._light_key, ""
+        if text:
+            self._type_light_key(text)
+        return bool(text)
+
+    def _type_light_key(self, text: str) -> None:
+        """Type it; it is in no number."""
+
+
+class NumberField(Field, QDoubleSpinBox):
     """Shows a value in a convenient unit and emits it in SI units when the user enters it.
 
     A comma or a point separates decimals, whatever the language of the desktop; other prefixes of the unit are
@@ -85,15 +111,14 @@ class NumberField(QDoubleSpinBox):
 
     def event(self, event: QEvent | None) -> bool:
         """Keep typed keys from the shortcuts; Return enters, Esc restores, and both leave the field."""
+        if self.leaves_light_key(event):
+            return False
         if not isinstance(event, QKeyEvent):
             return super().event(event)
         key, kind = event.key(), event.type()
         ends = key == Qt.Key.Key_Escape or key in ENTER
         if kind == QEvent.Type.ShortcutOverride:
             is_typed = bool(event.text()) and not event.modifiers() & _COMMANDS
-            if is_typed and key == Qt.Key.Key_L:  # in no number: it switches the light
-                event.ignore()
-                return False
             if ends or is_typed:
                 event.accept()
                 return True
@@ -182,7 +207,23 @@ class NumberField(QDoubleSpinBox):
         self.entered.emit(min(max(value * self._factor, self._allowed.minimum), self._allowed.maximum))
 
 
-class TextField(QLineEdit):
+class NumberLine(Field, QLineEdit):
+    """A line for a number."""
+
+    def event(self, event: QEvent | None) -> bool:
+        """Leave L to the window."""
+        return not self.leaves_light_key(event) and super().event(event)
+
+
+class TextLine(NumberLine):
+    """A line for a text."""
+
+    def _type_light_key(self, text: str) -> None:
+        none = Qt.KeyboardModifier.NoModifier
+        self.keyPressEvent(QKeyEvent(QEvent.Type.KeyPress, Qt.Key.Key_L, none, text))  # sent, it would be a shortcut
+
+
+class TextField(TextLine):
     """Emits a changed text when the user enters it; Return enters, Esc restores, and both leave the field.
 
     Keys are typed into it only after a click: Tab does not reach it, and a click anywhere else leaves it.
@@ -203,7 +244,7 @@ class TextField(QLineEdit):
         self.setText(text)
 
     def event(self, event: QEvent | None) -> bool:
-        """Keep Return and Esc from the shortcuts; Qt does that for letters."""
+        """Keep Return and Esc from the shortcuts; Qt does that for other letters than L."""
         if isinstance(event, QKeyEvent) and (event.key() == Qt.Key.Key_Escape or event.key() in ENTER):
             if event.type() == QEvent.Type.ShortcutOverride:
                 event.accept()

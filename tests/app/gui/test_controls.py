@@ -12,9 +12,10 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
-from support.window_tools import press
+from support.window_tools import MakeWindow, press, wait_for_wavefront
 
 from app.acquisition.kept_averages import Validity
+from app.bench.config import AUTOMATIC
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.gui.widgets.basics import NAMES
@@ -23,6 +24,7 @@ from reconstruction.settings import Method, PupilBasis
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_rest")
 def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     controls = window.controls
@@ -47,6 +49,45 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
     assert controls.amplifier.currentText() == "normal"
     controls.light.click()
     qtbot.waitUntil(lambda: "was taken with another amplifier" in window.messages.text.text())
+
+
+class ThreeSpeeds(FakeCamera):
+    """Also reads out at three speeds."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._capabilities = replace(self._capabilities, readout_speeds=(1, 2, 3))
+        self._speed = 3
+
+    def _read_readout_speed(self) -> int:
+        return self._speed
+
+    def _set_readout_speed(self, readout_speed: int) -> None:
+        self._speed = readout_speed
+
+
+@pytest.mark.slow
+def test_every_choice_reaches_the_instrument(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window(ThreeSpeeds())
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    choices = dict(window.controls.choices)
+    choices["registration.method"] = choices.pop("registration.method")  # other than Gauss-Newton disables the warp
+    choices["reconstruction.method"] = choices.pop("reconstruction.method")  # and zonal the basis
+    for name, choice in choices.items():
+        assert choice.isEnabled(), name
+        index = (choice.currentIndex() + 1) % choice.count()
+        wanted = choice.itemData(index)
+        choice.setCurrentIndex(index)  # as a user does
+        choice.activated.emit(index)
+        qtbot.waitUntil(lambda: window.controller.is_settled and not window.settings.wanted)
+        status = window.controller.status
+        assert status is not None
+        section, _, key = name.rpartition(".")
+        in_force = getattr(getattr(status.bench, section) if section else status, key)
+        assert in_force == (None if wanted == AUTOMATIC else wanted), name
+        assert choice.itemData(choice.currentIndex()) == wanted, name
+    assert "display failed" not in window.messages.log
 
 
 @pytest.mark.slow

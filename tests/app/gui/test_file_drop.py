@@ -67,6 +67,28 @@ def test_dragging_across_opens_nothing(
 
 
 @pytest.mark.slow
+def test_source_that_proposes_a_move_is_told_of_a_copy(
+    live: tuple[MainWindow, FakeCamera], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else it may delete what was dropped."""
+    window, _ = live
+    monkeypatch.setattr(window, "open_file", lambda _: None)
+    data = QMimeData()
+    data.setUrls([QUrl.fromLocalFile(str(tmp_path))])
+    both = Qt.DropAction.MoveAction | Qt.DropAction.CopyAction
+    button, keys = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.ShiftModifier
+    for event in (
+        QDragEnterEvent(QPoint(50, 50), both, data, button, keys),
+        QDragMoveEvent(QPoint(50, 50), both, data, button, keys),
+        QDropEvent(QPointF(50, 50), both, data, button, keys),
+    ):
+        event.setDropAction(Qt.DropAction.MoveAction)
+        QApplication.sendEvent(window, event)
+        assert event.isAccepted()
+        assert event.dropAction() == Qt.DropAction.CopyAction
+
+
+@pytest.mark.slow
 def test_bench_is_opened(live: tuple[MainWindow, FakeCamera], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     window, _ = live
     asked: list[str] = []

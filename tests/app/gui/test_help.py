@@ -54,6 +54,14 @@ def test_log_keeps_notices_with_their_times(make_window: MakeWindow, tmp_path: P
     window.messages.inform("closed")  # must not reach the deleted dialog
 
 
+def test_empty_log_repeats_the_sentence_of_the_strip(make_window: MakeWindow) -> None:
+    window = make_window()
+    choose(window, "Message log")
+    sentence = window.messages.text.text()
+    assert "Ctrl+O" in sentence
+    assert opened(window, "log").view.toPlainText() == f"No message so far. Shown now: {sentence}"
+
+
 def test_log_tells_what_failed(make_window: MakeWindow, qtbot: QtBot) -> None:
     camera = FakeCamera()
     camera.fault = RuntimeError("smoke")

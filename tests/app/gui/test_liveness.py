@@ -83,6 +83,7 @@ def test_frame_of_a_file_says_so(live: tuple[MainWindow, FakeCamera], qtbot: QtB
     qtbot.waitUntil(lambda: badges(window)[:2] == ("", ""))
 
 
+@pytest.mark.usefixtures("no_rest")
 @pytest.mark.slow
 @pytest.mark.parametrize("is_inspected", [True, False])
 def test_lenslet_without_wavefront_gives_the_reason(

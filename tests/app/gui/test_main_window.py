@@ -10,17 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PyQt6.QtCore import QEvent, QObject, Qt
+from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QApplication, QLabel, QWidget
 from pytestqt.qtbot import QtBot
-from support.gui_bench import FakeCamera, make_measurement
+from support.gui_bench import BENCH, FakeCamera, make_measurement, opener
 from support.patience import HANG_S, own_time, wait_until
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, press, views, wait_for_wavefront
 
-from app.acquisition.worker import Activity
+from app.acquisition.worker import Acquisition, Activity
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import FrameTotals
+from app.measurement.measurement import Assumptions, FrameTotals, RefinementState
 from app.recording.recorder import RecordingState
 from drivers.interface import Disconnected, Frame
 from reconstruction.displacement import Outcome
@@ -152,6 +153,40 @@ def test_device_failure_is_shown_and_window_reconnects(make_window: MakeWindow, 
     qtbot.waitUntil(lambda: "unplugged" not in window.messages.text.text())
     assert not window.messages.reconnect.isVisible()
     assert window.controls.isEnabled()
+
+
+@pytest.mark.slow
+def test_light_that_does_not_answer_is_not_called_off(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, camera = live
+
+    def fail(**_: object) -> None:
+        raise Disconnected("the light was unplugged")
+
+    for request in ("_switch", "_is_lit"):
+        monkeypatch.setattr(camera.light, request, fail)
+    qtbot.waitUntil(lambda: "light may still be on" in window.messages.text.text())
+    assert window.controls.light.text() == "Light not\nreached"
+
+
+@pytest.mark.slow
+def test_status_line_shows_nothing_old_while_a_bench_opens(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    line = window.status_line
+    qtbot.waitUntil(lambda: line.rate.text() != "\N{EN DASH}" and line.devices.text() == "running")
+    window.open(lambda: Acquisition(BENCH, opener(FakeCamera())))
+    shown = [label.text() for label in (line.rate, line.delay, line.valid, line.lost, line.devices, line.assumed)]
+    assert shown == ["\N{EN DASH}"] * 3 + ["0", "", ""]
+
+
+@pytest.mark.parametrize(("age_s", "colour"), [(2.0, theme.GREEN), (120.0, theme.AMBER)])
+def test_old_correction_is_not_green(make_window: MakeWindow, age_s: float, colour: QColor) -> None:
+    line = make_window().status_line
+    assumed = Assumptions(refinement=RefinementState("applied", age_s, 0.1))
+    line.count(replace(make_measurement(dim_frame(), views()), assumed=assumed))
+    line.update_text(None, None)
+    assert line.correction.property("tone") == theme.tone(colour)
 
 
 @pytest.mark.slow

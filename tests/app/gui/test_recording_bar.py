@@ -61,6 +61,23 @@ def test_single_frame_is_counted_in_the_singular(
 
 
 @pytest.mark.slow
+def test_recording_without_frames_offers_only_its_folder(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
+) -> None:
+    window, camera = live
+    bar = window.recording_bar
+    bar.recordings_folder = tmp_path
+    press(qtbot, window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: not camera.is_running and window.controller.is_settled)
+    press(qtbot, window, Qt.Key.Key_W)
+    qtbot.waitUntil(lambda: bar._stage == "recording")
+    press(qtbot, window, Qt.Key.Key_W)
+    qtbot.waitUntil(lambda: bar.folder is not None)
+    assert bar.text.text().startswith("0 frames in ")
+    assert [each.isVisible() for each in (bar.open, bar.replay, bar.report, bar.export)] == [True, False, False, False]
+
+
+@pytest.mark.slow
 def test_recording_ends_by_itself_with_name_and_note(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, opened: list[Path]
 ) -> None:
@@ -104,7 +121,8 @@ def test_name_given_afterwards_renames_the_folder(
     assert Recording(next(tmp_path.iterdir())).run["note"] == "fed at noon"
     type_into(qtbot, bar.name, "sl")  # letters that are commands outside the field
     assert [path.name[15:] for path in tmp_path.iterdir()] == ["-sl"]
-    assert camera.light.shines
+    assert camera.stage.is_sample_in
+    qtbot.waitUntil(lambda: not camera.light.shines)  # l switches it off everywhere
     bar.name.setFocus()
     qtbot.keyClicks(bar.name, "x")  # type: ignore[no-untyped-call] # pytest-qt declares no types for it
     press(qtbot, bar.name, Qt.Key.Key_Escape)

@@ -14,6 +14,7 @@ from support.window_tools import press, wait_for_wavefront
 
 from app.acquisition.worker import Acquisition
 from app.gui.shell.main_window import MainWindow
+from app.gui.widgets import theme
 from app.recording.reader import Recording
 
 
@@ -43,6 +44,10 @@ def test_another_bench_waits_for_an_answer(recording: MainWindow, qtbot: QtBot, 
     window.open(make)
     window.update_text()
     assert "ends if another bench is opened" in window.messages.text.text()
+    assert window.messages.text.property("tone") == theme.tone(theme.AMBER)
+    assert "Return" not in window.messages.accept.toolTip()
+    press(qtbot, window, Qt.Key.Key_Return)
+    assert window.messages.accept.isVisible()  # the question is still open
     window.messages.discard.click()
     assert stage(window) == "recording"
     assert not opened

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from support.window_tools import picture, press
 
 from app.acquisition.worker import Acquisition, FrameTotals
 from app.gui.shell.main_window import MainWindow
+from app.gui.widgets import theme
 from app.measurement.measurement import Measurement
 from app.recording.folder import describe
 from app.recording.reader import Recording
@@ -80,7 +82,7 @@ def pause(qtbot: QtBot, window: MainWindow) -> None:
     qtbot.waitUntil(lambda: window.replay.play.text() == "Play")
     window.replay.refresh()  # or the slider, still at an earlier frame, might not move
     window.replay.slider.setValue(3)
-    qtbot.waitUntil(lambda: window.replay.text.text() == "frame 4 of 6")
+    qtbot.waitUntil(lambda: window.replay.text.text() == "frame 5 of 2 ... 7")
     qtbot.waitUntil(lambda: window.replay._wanted is None and window.replay._moving is None)
 
 
@@ -90,7 +92,7 @@ def test_steps_show_the_frame_beside(window: MainWindow, qtbot: QtBot, recording
     qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 3)
     press(qtbot, window, Qt.Key.Key_Period)
     qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 4)
-    assert window.replay.text.text() == "frame 5 of 6"
+    assert window.replay.text.text() == "frame 6 of 2 ... 7"
     window.replay.back.click()
     window.replay.back.click()
     qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 2)
@@ -143,14 +145,30 @@ def test_devices_are_disabled_and_reconstruction_is_not(window: MainWindow, qtbo
     assert controls.method.isEnabled()
     assert controls.readout_speed.currentText() == "3"  # as recorded
     assert window.replay.badge.isVisible()
+    assert not controls.start.isVisible()  # the bar has its own
+    assert controls.light.text() == "Light\nwas on"
+    assert not controls.light.isChecked()  # no red edge
     before = counts(window)
     press(qtbot, window, Qt.Key.Key_L)  # the light
     press(qtbot, window, Qt.Key.Key_Period)
-    qtbot.waitUntil(lambda: window.replay.text.text() == "frame 5 of 6")
+    qtbot.waitUntil(lambda: window.replay.text.text() == "frame 6 of 2 ... 7")
     assert window.controller.status is not None
     assert window.controller.status.is_light_on
     qtbot.waitUntil(lambda: counts(window) != before)
     assert counts(window) == FrameTotals(before.acquired + 1, before.reconstructed + 1, before.lost)
+
+
+@pytest.mark.slow
+def test_recorded_losses_are_not_red(window: MainWindow, qtbot: QtBot) -> None:
+    qtbot.waitUntil(lambda: window._status is not None and window.shown.measurement is not None)
+    assert window.shown.measurement is not None
+    for lost in (0, 50):
+        counted = replace(window.shown.measurement.counts, lost=lost)
+        window.status_line.count(replace(window.shown.measurement, counts=counted))
+    window.status_line.update_text(window._status, None)
+    assert window.status_line.lost.text() == "50"
+    assert window.status_line.lost.property("tone") == theme.tone(theme.TEXT)
+    assert "recorded" in window.status_line.lost.toolTip()
 
 
 def test_speed_multiplies_the_recorded_rate(window: MainWindow, qtbot: QtBot, recording: Recording) -> None:
@@ -251,7 +269,7 @@ def test_damaged_frames_are_skipped_with_a_notice_and_marked(
         step.click()
         qtbot.waitUntil(partial(is_at, window, player, end))
         bar.refresh()
-        assert bar.text.text() == f"frame {end + 1} of {FRAMES}"
+        assert bar.text.text() == f"frame {end} of 0 ... {FRAMES - 1}"  # as in the messages below
     assert bar.slider.marked == {3, 5}
     assert "Frame 3 skipped: " in window.messages.log
     assert "Frame 5 skipped: " in window.messages.log

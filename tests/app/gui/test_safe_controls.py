@@ -327,6 +327,7 @@ def test_key_operates_the_focused_button_alone(live: tuple[MainWindow, FakeCamer
     assert camera.is_running
 
 
+@pytest.mark.usefixtures("no_rest")
 def test_light_goes_off_while_a_frame_is_reconstructed(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -90,13 +90,7 @@ def test_user_is_asked_before_the_window_closes(by_hand: tuple[MainWindow, Manua
 
 
 def close_by_user(window: MainWindow) -> None:
-    class Event(QCloseEvent):
-        def spontaneous(self) -> bool:
-            return True
-
-    event = Event()
-    window.closeEvent(event)
-    assert not event.isAccepted()
+    QApplication.sendEvent(window.windowHandle(), QCloseEvent())
     QApplication.processEvents()
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QSettings, Qt
+from PyQt6.QtGui import QCloseEvent
+from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, press, wait_for_wavefront
@@ -106,13 +109,34 @@ def test_early_end_is_shown_until_dismissed(live: tuple[MainWindow, FakeCamera],
     qtbot.waitUntil(lambda: not window.messages.dismiss.isVisible())
 
 
+def close_as_the_window_system_does(window: MainWindow) -> None:
+    """Its event reaches Qt's window, not the widget."""
+    QApplication.sendEvent(window.windowHandle(), QCloseEvent())
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("close", [MainWindow.close, MainWindow.quit, close_as_the_window_system_does])
 def test_closing_the_window_finishes_the_recording(
-    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
+    make_window: MakeWindow,
+    qtbot: QtBot,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    close: Callable[[MainWindow], object],
 ) -> None:
-    window, _ = live
-    window.recording_bar.recordings_folder = tmp_path
+    settings, camera = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat), FakeCamera()
+    window = make_window(camera, settings=settings)
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    window.recording_bar.recordings_folder = tmp_path / "runs"
     window.recording_panel.record.click()
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
-    window.close()
-    assert only_recording(tmp_path).is_complete
+    close(window)
+    close(window)  # a second click meanwhile
+    qtbot.waitUntil(lambda: not window.isVisible())
+    assert only_recording(tmp_path / "runs").is_complete
+    assert window.controller.acquisition is not None
+    assert not window.controller.acquisition.is_alive
+    assert camera.is_closed
+    assert not camera.light.shines
+    assert settings.contains("window/panels")
+    assert "cannot schedule new futures" not in "".join(capfd.readouterr())
