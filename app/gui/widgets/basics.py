@@ -4,15 +4,17 @@ from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 from PyQt6.QtCore import QEvent, QObject, QSize, Qt, QTimer, pyqtBoundSignal
-from PyQt6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QWheelEvent
+from PyQt6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QResizeEvent, QTextLayout, QWheelEvent
 from PyQt6.QtWidgets import (
     QAbstractScrollArea,
     QBoxLayout,
     QComboBox,
+    QFrame,
     QHBoxLayout,
     QLabel,
     QLayout,
     QPushButton,
+    QScrollArea,
     QSizePolicy,
     QStyle,
     QStyleOptionComboBox,
@@ -26,6 +28,7 @@ Slot = Callable[..., object] | pyqtBoundSignal
 Item = QWidget | QLayout | tuple[QWidget | QLayout, int]  # the number is the stretch
 L = TypeVar("L", bound=QBoxLayout)
 _COMBO, _CURSOR = QStyle.ComplexControl.CC_ComboBox, 2  # px that Qt leaves beside a chosen text
+_FRAME = QSize(10, 40)  # px; window managers add it only when a window is shown
 ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 NAMES = {  # human names of settings' values; the others are their word
     "gauss_newton": "Gauss-Newton",
@@ -66,17 +69,18 @@ def _restyle(widget: QWidget, name: str, value: object) -> None:
 
 
 class ElidedLabel(QLabel):
-    """A line of text without minimum width; an ellipsis replaces what does not fit, and the tool tip has it all.
+    """A text without minimum width; an ellipsis replaces what does not fit, and the tool tip has it all.
 
     The text is kept from QLabel, which would request a new layout for each change.
     """
 
-    def __init__(self, role: str = "", text: str = "") -> None:
-        """Show a text; for `role` see `label`."""
+    def __init__(self, role: str = "", text: str = "", *, lines: int = 1) -> None:
+        """Show a text in as many lines as it needs, at most `lines`; for `role` see `label`."""
         super().__init__()
         self.setProperty("role", role)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.setMinimumHeight(self.fontMetrics().height())  # also when empty, so that nothing moves
+        self._most, self._taken = lines, 1
+        self._keep_room()
         self.setText(text)
 
     def setText(self, text: str | None) -> None:  # noqa: N802 - Qt's name
@@ -84,21 +88,54 @@ class ElidedLabel(QLabel):
         self._text = text or ""
         self.setToolTip(text)
         self.setAccessibleName(text)
+        self._take_lines()
         self.update()
 
     def text(self) -> str:
         """Return the whole text."""
         return self._text
 
+    @property
+    def shown(self) -> str:
+        """The text as it is painted: lines that fit the width, the last one elided."""
+        lines = self._wrapped() if self._most > 1 else [self._text]
+        first, rest = lines[: self._most - 1], "".join(lines[self._most - 1 :])
+        fitting = self.fontMetrics().elidedText(rest, Qt.TextElideMode.ElideRight, self.width())
+        return "\n".join([*first, "" if fitting == "\N{HORIZONTAL ELLIPSIS}" else fitting]).rstrip("\n")
+
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
         """Paint the text, elided to the width."""
         painter, style = QPainter(self), self.style()
-        fitting = self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width())
-        fitting = "" if fitting == "\N{HORIZONTAL ELLIPSIS}" else fitting
         if isinstance(style, QStyle):
             style.drawItemText(
-                painter, self.rect(), int(self.alignment()), self.palette(), True, fitting, self.foregroundRole()
+                painter, self.rect(), int(self.alignment()), self.palette(), True, self.shown, self.foregroundRole()
             )
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Take the lines that the text needs at this width."""
+        super().resizeEvent(event)
+        if event is not None and event.size().width() != event.oldSize().width():
+            self._taken = 1
+            self._take_lines()
+
+    def _take_lines(self) -> None:
+        """Take more lines if the text needs them; only another width gives them back, so that nothing jumps."""
+        if self._most > 1:
+            self._taken = max(self._taken, min(len(self._wrapped()), self._most))
+            self._keep_room()
+
+    def _keep_room(self) -> None:
+        self.setMinimumHeight(self._taken * self.fontMetrics().height())  # also when empty, so that nothing moves
+
+    def _wrapped(self) -> list[str]:
+        """Return the lines of the text at this width."""
+        layout, lines = QTextLayout(self._text, self.font()), []
+        layout.beginLayout()
+        while (line := layout.createLine()).isValid():
+            line.setLineWidth(self.width())
+            lines.append(self._text[line.textStart() : line.textStart() + line.textLength()])
+        layout.endLayout()
+        return lines
 
 
 class Button(QPushButton):
@@ -223,6 +260,28 @@ def row_of(*items: Item) -> QWidget:
 def column(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QVBoxLayout:
     """Arrange widgets and layouts from top to bottom, without margins."""
     return _filled(QVBoxLayout(parent), items, spacing)
+
+
+def within_screen(widget: QWidget, size: QSize) -> QSize:
+    """Return a size that fits, with the frame of its window, on the screen of a widget."""
+    screen = widget.screen()
+    return size if screen is None else size.boundedTo(screen.availableGeometry().size() - _FRAME)
+
+
+class Scrolled(QScrollArea):
+    """Contents at their full size, which scroll where the screen is smaller."""
+
+    def __init__(self, contents: QWidget) -> None:
+        super().__init__()
+        self.setWidget(contents)
+        self.setWidgetResizable(True)
+        self.setFrameShape(QFrame.Shape.NoFrame)
+        unfocused(self)
+
+    def sizeHint(self) -> QSize:  # noqa: N802 - Qt's name
+        """Return the size of the contents; Qt would limit it."""
+        contents = self.widget()
+        return super().sizeHint() if contents is None else contents.sizeHint()
 
 
 def unfocused(area: QAbstractScrollArea) -> None:
