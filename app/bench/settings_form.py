@@ -88,6 +88,8 @@ class FormField:
             return text == "true"
         if self.kind in {"text", "choice"}:
             return text
+        if not text and self.kind == "toml":
+            return []  # a list of nothing
         if self.kind == "toml":
             try:
                 return tomllib.loads(f"value = {text}")["value"]
@@ -274,7 +276,7 @@ def _text(kind: Kind, value: Any, factor: float) -> str:
                 + ", ".join(f"{key} = {tomli_w.dumps({'v': one})[4:].strip()}" for key, one in plain.items())
                 + " }"
             )
-        return str(list(plain))
+        return str(list(plain)) if len(plain) else ""
     return str(value)
 
 

@@ -13,7 +13,7 @@ from app.gui.shell.controller import Controller
 from app.gui.shell.settings_control import SettingsControl
 from app.gui.shell.wording import exposure_found, lattice_found
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, column, label, row
+from app.gui.widgets.basics import Button, Scrolled, column, label, row, within_screen
 from app.measurement.auto_exposure import AutoExposure
 from app.measurement.averages import BackgroundCheck
 from app.measurement.routines import Cancelled
@@ -74,7 +74,9 @@ class CalibrationGuide(QDialog):
         self._answers: dict[bool, Callable[[], object]] = {}  # called after "yes" and after "no"
         self.lamps = {step: label("") for step in STEPS}
         self.results = {step: label("", "dim") for step in STEPS}
-        grid = QGridLayout()
+        steps = QWidget()
+        grid = QGridLayout(steps)
+        grid.setContentsMargins(0, 0, 0, 0)
         grid.setHorizontalSpacing(10)
         grid.setVerticalSpacing(2)
         grid.setColumnMinimumWidth(1, _WIDTH)
@@ -94,10 +96,11 @@ class CalibrationGuide(QDialog):
         self.yes = Button("", "Return", lambda _: self._answers[True]())
         self.no = Button("", "Esc", lambda _: self._answers[False]())
         answers = row((self.question, 1), self.yes, self.no)
-        column(grid, answers, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
+        column((Scrolled(steps), 1), answers, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
 
     def begin(self, frames: int) -> None:
         """Take all steps, averaging `frames` frames into dark and reference; while they run, only show them."""
+        self.resize(within_screen(self, self.sizeHint()))
         self.show()
         self.activateWindow()
         if self._is_running:

@@ -28,7 +28,7 @@ Slot = Callable[..., object] | pyqtBoundSignal
 Item = QWidget | QLayout | tuple[QWidget | QLayout, int]  # the number is the stretch
 L = TypeVar("L", bound=QBoxLayout)
 _COMBO, _CURSOR = QStyle.ComplexControl.CC_ComboBox, 2  # px that Qt leaves beside a chosen text
-_FRAME = QSize(10, 40)  # px; window managers add it only when a window is shown
+FRAME = QSize(10, 40)  # px; window managers add it only when a window is shown
 ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 NAMES = {  # human names of settings' values; the others are their word
     "gauss_newton": "Gauss-Newton",
@@ -36,11 +36,17 @@ NAMES = {  # human names of settings' values; the others are their word
     "itk_affine": "affine (ITK)",
     "legendre": "Legendre",
     "zernike": "Zernike",
+    "dcam": "Hamamatsu (DCAM)",
+    "genicam": "GigE and USB3 Vision (GenICam)",
+    "micro_manager": "Micro-Manager",
+    "thorlabs_dc4100": "Thorlabs DC4100",
+    "thorlabs_dc2200": "Thorlabs DC2200",
+    "coolled": "CoolLED",
 }
 
 
 def label(text: str, role: str = "", parent: QWidget | None = None) -> QLabel:
-    """Make a label; its role ("title", "dim", "on-image") selects the style."""
+    """Make a label; its role ("title", "dim", "badge") selects the style."""
     made = QLabel(text, parent)
     made.setProperty("role", role)
     return made
@@ -265,7 +271,7 @@ def column(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QVB
 def within_screen(widget: QWidget, size: QSize) -> QSize:
     """Return a size that fits, with the frame of its window, on the screen of a widget."""
     screen = widget.screen()
-    return size if screen is None else size.boundedTo(screen.availableGeometry().size() - _FRAME)
+    return size if screen is None else size.boundedTo(screen.availableGeometry().size() - FRAME)
 
 
 class Scrolled(QScrollArea):

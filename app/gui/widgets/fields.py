@@ -60,6 +60,11 @@ class NumberField(QDoubleSpinBox):
             self.setValue(value / self._factor)
         self._mark()
 
+    def use_unit(self, unit: str) -> None:
+        """Show and take values in another unit, as they are."""
+        self._unit, self._factor = unit, 1.0
+        self.setSuffix(f" {unit}" if unit else "")
+
     def edit(self) -> None:
         """Take the focus and select the value, so that typing replaces it."""
         self.setFocus()

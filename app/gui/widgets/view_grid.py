@@ -19,9 +19,9 @@ from reconstruction.arrays import Floats
 
 _GAP, _NARROW_GAP = 10, 3  # px between views with captions, and without
 _BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, space left of it, space before its numbers
-_LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
+LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
 _CAPTION = 100  # px: small views stand apart, if there is room, so that their captions fit
-_MARGIN = 3  # px around all views, for the selection frame
+MARGIN = 3  # px around all views, for the selection frame
 _BETWEEN = 4  # px between the captions of neighbours
 _SMALLEST_CAPTIONED = 40  # px: narrower views have the numbers in their tool tips only
 _STALE_OPACITY = 0.5
@@ -63,16 +63,16 @@ def arrange_views(room: QSize, shape: tuple[int, ...], *, bar_space: int, below:
     view_rows, view_columns, rows, columns = shape
     if not min(shape):
         return Places(QPoint(), QSize(), QSize(), 0, has_captions=False, tiles=QRegion())
-    width = (room.width() - 2 * _MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
-    height = (room.height() - 2 * _MARGIN - (view_rows - 1) * gap) / view_rows - below
+    width = (room.width() - 2 * MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
+    height = (room.height() - 2 * MARGIN - (view_rows - 1) * gap) / view_rows - below
     scale = max(min(width / columns, height / rows), 0)
     size = QSize(int(scale * columns), int(scale * rows))
-    free = room.width() - 2 * _MARGIN - bar_space - view_columns * size.width() - (view_columns - 1) * gap
+    free = room.width() - 2 * MARGIN - bar_space - view_columns * size.width() - (view_columns - 1) * gap
     wider = min(max(_CAPTION - size.width() - gap, 0), max(free, 0) // max(view_columns - 1, 1)) if below else 0
     step = QSize(size.width() + gap + wider, size.height() + below + gap)
     used = QSize(view_columns * step.width() - gap - wider + bar_space, view_rows * step.height() - gap)
     left, top = (room.width() - used.width()) // 2, (room.height() - used.height()) // 2
-    first = QPoint(max(left, _MARGIN), max(top, _MARGIN))
+    first = QPoint(max(left, MARGIN), max(top, MARGIN))
     tiles = QRegion()
     for row, column in np.ndindex(view_rows, view_columns):
         tiles += QRect(first + QPoint(column * step.width(), row * step.height()), size)
@@ -85,14 +85,29 @@ class ViewGrid(QWidget):
     selected = pyqtSignal(int, int)  # view row and column
     opened = pyqtSignal()  # the selected view, by a double click
 
-    def __init__(self, least: tuple[int, int] = (260, 190), empty: str = "no wavefront") -> None:
-        """Take at least this width and height, px; show the text `empty` without maps."""
-        super().__init__()
+    def __init__(
+        self,
+        least: tuple[int, int] = (260, 160),
+        empty: str = "no wavefront",
+        parent: QWidget | None = None,
+        *,
+        widest: str = "",
+        is_captioned: bool = True,
+    ) -> None:
+        """Take at least this width and height, px; show the text `empty` without maps.
+
+        The numbers beside the colour bar have room for the `widest` one, so that several grids are alike. Without
+        captions, the maps take their room.
+        """
+        super().__init__(parent)
+        self._is_captioned = is_captioned
+        self.has_bar: bool | None = None  # None: if there is room
+        self.is_hatched = True  # whether unknown pixels are hatched, or only grey
         self.maps: Maps | None = None
         self.empty = empty
         self._pixels: Pixels = np.zeros((0, 0, 0, 0), np.uint32)
         self._shown_scale: ColourScale | None = None
-        self._number_width = 0  # px
+        self._least_number = self._number_width = self.fontMetrics().horizontalAdvance(widest)  # px
         self._laid_out_for: tuple[int, ...] = ()
         self._bar_key: tuple[str, QSize] | None = None  # colours and size of the pixmap
         self._bar_pixmap = QPixmap()
@@ -113,7 +128,8 @@ class ViewGrid(QWidget):
             if scale == before and not self._is_moved:
                 self.update(self.places.tiles)  # captions and colour bar are as before, and cost as much as the maps
                 return
-            before_px = self._number_width if before is not None and before.title == scale.title else 0
+            is_same = before is not None and before.title == scale.title
+            before_px = self._number_width if is_same else self._least_number
             widths = [self.fontMetrics().horizontalAdvance(text) for _, text in maps.scale.ticks]
             self._number_width = max(before_px, max(widths) + 1)  # shrinks only with another unit: the maps stay
         self.update()
@@ -221,13 +237,19 @@ class ViewGrid(QWidget):
         if self._is_moved:
             self._laid_out_for = self._layout_key
             shape, line = self._shape, self.fontMetrics().height()
-            space = _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
-            has_bar = self.width() >= 2 * space + line and self.height() >= _LEAST_LINES * line
+            space, has_bar = self.bar_space, self.has_bar
+            if has_bar is None:
+                has_bar = self.width() >= 2 * space + line and self.height() >= LEAST_LINES * line
             arrange = partial(arrange_views, self.size(), shape, bar_space=space if has_bar else 0)
             captioned = arrange(below=2 * line + 4, gap=_GAP)
-            has_captions = captioned.size.width() >= _SMALLEST_CAPTIONED
+            has_captions = self._is_captioned and captioned.size.width() >= _SMALLEST_CAPTIONED
             self._places = captioned if has_captions else arrange(below=0, gap=_NARROW_GAP)
         return self._places
+
+    @property
+    def bar_space(self) -> int:
+        """Width of a colour bar with its numbers, px."""
+        return _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
 
     @property
     def _shape(self) -> tuple[int, ...]:
@@ -235,7 +257,8 @@ class ViewGrid(QWidget):
 
     @property
     def _layout_key(self) -> tuple[int, ...]:
-        return (self.width(), self.height(), self.fontMetrics().height(), self._number_width, *self._shape)
+        line = self.fontMetrics().height()
+        return (self.width(), self.height(), line, self._number_width, self.has_bar is not False, *self._shape)
 
     @property
     def _is_moved(self) -> bool:
@@ -251,7 +274,8 @@ class ViewGrid(QWidget):
         if not is_known:
             for row, column in np.argwhere(~self._pixels.all(axis=(2, 3))):
                 painter.fillRect(places.tile(row, column), theme.RAISED)
-                painter.fillRect(places.tile(row, column), hatching)
+                if self.is_hatched:
+                    painter.fillRect(places.tile(row, column), hatching)
         ratio = self.devicePixelRatioF()
         width, height = math.ceil(places.size.width() * ratio), math.ceil(places.size.height() * ratio)
         shown = enlarged(self._pixels, height, width, is_smooth=maps.is_smooth and is_known)
