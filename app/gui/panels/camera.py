@@ -227,7 +227,7 @@ class CameraPanel(Panel):
                 brightness, colour = f"{brightness}: nearly saturated, shorten the exposure", theme.AMBER
             parts.append(brightness)
         colour_text(self.caption, colour)
-        has_arrows = self._arrows.isVisible()
+        has_arrows = self._arrows.isVisible() and colour is theme.DIM  # a warning needs the room
         length = f"arrows \N{MULTIPLICATION SIGN} {self._magnification:g}" if has_arrows else ""
         self.caption.setText("    ".join([*parts, self._pointed_at() or length]))
 

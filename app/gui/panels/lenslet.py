@@ -71,7 +71,7 @@ class LensletPanel(Panel):
             self._exclude,
         )
         header = row((self.name, 1), self.exclude)
-        column(header, (images, 1), column(self.numbers, self.quality, spacing=0), parent=self)
+        column(header, column(self.numbers, self.quality, spacing=0), (images, 1), parent=self)
         self.select(None)
 
     def inspect(self, row: int, column: int) -> None:

@@ -19,7 +19,7 @@ from app.gui.widgets import theme
 from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, colour_text, column, row_of
 from app.gui.widgets.copies import ask_file, write_picture
 from app.gui.widgets.enlarged_view import EnlargedView
-from app.gui.widgets.fields import NumberField
+from app.gui.widgets.fields import BUTTONS_WIDTH, NumberField
 from app.gui.widgets.presentation import PRESENTATIONS, Presentation, number, place
 from app.gui.widgets.scales import AdaptiveScale
 from app.gui.widgets.view_grid import Maps, ViewGrid
@@ -73,6 +73,7 @@ class WavefrontPanel(Panel):
         self.freeze_scale.toggled.connect(self._show_limit)
         self.limit = NumberField(name="Limit of the colours", decimals=3, tool_tip="Limit of the frozen colour scale")
         self.limit.entered.connect(self._fix_limit)
+        self.limit.setFixedWidth(self.limit.fontMetrics().horizontalAdvance("0000.000 waves") + BUTTONS_WIDTH)
         self.limit.hide()
         self.menu = DisplayMenu(self)
         self.menu.changed.connect(self._apply_options)

@@ -158,8 +158,11 @@ class PanelDocks:
     def use_tall_layout(self) -> None:
         """Restore the layout from before the window became low."""
         if self._tall is not None:
+            front = next((dock for dock in self._tabs if dock.panel.isVisible()), None)
             tall, self._tall = self._tall, None
             self._window.restoreState(tall)
+            if front is not None:
+                front.raise_()
 
     def _take_turns(self) -> None:
         """Make the camera the first tab of the plots if the window is low, and part them when it is not any more."""

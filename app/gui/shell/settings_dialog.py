@@ -42,7 +42,7 @@ from app.gui.widgets.basics import (
 from drivers.device import DiscoveredDevice
 
 _POLL_MS = 100
-_SIZE = QSize(720, 480)
+_SIZE = QSize(52, 34)  # heights of a line
 _DETAIL = re.compile(r" \(.*?\)(?=:)")  # of an error, before the advice: a system's words, in its language
 _NO_DEVICE = "Other, or simulated: choose the driver below"
 
@@ -66,7 +66,7 @@ class SettingsDialog(QDialog):
         self, use: Callable[[Bench, Bench | None], object], opened: Callable[[str], object], parent: QWidget
     ) -> None:
         super().__init__(parent)
-        self.resize(within_screen(self, _SIZE))
+        self.resize(within_screen(self, _SIZE * self.fontMetrics().height()))
         self._use, self._opened = use, opened
         self._form = SettingsForm({})
         self._before: Bench | None = None  # the edited bench; None for a new one
@@ -134,7 +134,7 @@ class SettingsDialog(QDialog):
             except Exception as error:  # noqa: BLE001 - every error is shown, and the other kinds are searched
                 devices, missing = (), f"{type(error).__name__}: {error}"
             self._found += devices
-            self._failed += [f"{kind.name}: not searched: {missing}"] if missing else []
+            self._failed += [f"{kind.name}, not searched: {missing}"] if missing else []
             self._failed += [f"{one.name} cannot be used yet: {one.missing}" for one in devices if one.missing]
 
     def _poll(self) -> None:

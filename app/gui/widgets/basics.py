@@ -285,9 +285,13 @@ class Scrolled(QScrollArea):
         unfocused(self)
 
     def sizeHint(self) -> QSize:  # noqa: N802 - Qt's name
-        """Return the size of the contents; Qt would limit it."""
-        contents = self.widget()
-        return super().sizeHint() if contents is None else contents.sizeHint()
+        """Return the size of the contents, which Qt would limit, and room for the scroll bar."""
+        contents, bar = self.widget(), self.verticalScrollBar()
+        if contents is None or bar is None:
+            return super().sizeHint()
+        width = contents.sizeHint().width()
+        height = max(contents.sizeHint().height(), contents.heightForWidth(width))
+        return QSize(width + bar.sizeHint().width(), height)
 
 
 def unfocused(area: QAbstractScrollArea) -> None:

@@ -135,7 +135,7 @@ class SurfaceView(QWidget):
 
     def _on_widget(self, projected: Floats) -> Floats:
         """Scale and centre projected points (..., xy), px, with room for the numbers of the axes."""
-        scale = min(self.width() / 1.7, self.height() / 1.35)
+        scale = min(self.width() / 1.5, self.height() / 1.35)
         return np.asarray(projected * scale + (self.width() / 2, self.height() / 2))
 
     def _paint_axes(self, painter: QPainter, maps: Maps) -> None:
@@ -160,8 +160,11 @@ class SurfaceView(QWidget):
         outward = on_base - on_base.mean(axis=0)
         for axis, reach, edges in (("x", maps.reach[0], ((0, 1), (2, 3))), ("y", maps.reach[1], ((1, 2), (3, 0)))):
             near = max(edges, key=lambda edge: on_base[list(edge), 1].mean())  # the edge in front
-            middle = on_base[list(near)].mean(axis=0) + 16 * np.sign(outward[list(near)].mean(axis=0))
-            self._write(painter, middle, f"{axis} \N{PLUS-MINUS SIGN}{number(reach)} {maps.reach_unit}")
+            text = f"{axis} \N{PLUS-MINUS SIGN}{number(reach)} {maps.reach_unit}"
+            away = outward[list(near)].mean(axis=0)
+            away /= max(float(np.linalg.norm(away)), 1e-9)
+            room = np.array([painter.fontMetrics().horizontalAdvance(text), painter.fontMetrics().height()]) / 2 + 4
+            self._write(painter, on_base[list(near)].mean(axis=0) + away * room, text)
 
     def _write(self, painter: QPainter, at: Floats, text: str) -> None:
         """Write a text around a point, within the widget."""

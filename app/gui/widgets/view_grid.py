@@ -8,7 +8,18 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPoint, QRect, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap, QRegion
+from PyQt6.QtGui import (
+    QColor,
+    QHelpEvent,
+    QImage,
+    QKeyEvent,
+    QMouseEvent,
+    QPainter,
+    QPaintEvent,
+    QPen,
+    QPixmap,
+    QRegion,
+)
 from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui.widgets import theme
@@ -125,6 +136,8 @@ class ViewGrid(QWidget):
         before, self._shown_scale = self._shown_scale, scale
         if maps is not None and scale is not None:
             self._pixels = scale.pixels(maps.values)
+            if self.is_stale:
+                self._pixels = _faded(self._pixels, self.palette().window().color())
             if scale == before and not self._is_moved:
                 self.update(self.places.tiles)  # captions and colour bar are as before, and cost as much as the maps
                 return
@@ -280,12 +293,10 @@ class ViewGrid(QWidget):
         width, height = math.ceil(places.size.width() * ratio), math.ceil(places.size.height() * ratio)
         shown = enlarged(self._pixels, height, width, is_smooth=maps.is_smooth and is_known)
         image = _image(shown.reshape(-1, width))  # one below the other; it refers to their memory
-        painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
         for index, view in enumerate(np.ndindex(shown.shape[:2])):
             painter.setClipRect(places.tile(*view))
             painter.drawImage(QRectF(places.tile(*view)), image, QRectF(0, index * height, width, height))
         painter.setClipping(False)
-        painter.setOpacity(1.0)
 
     def _paint_captions(self, painter: QPainter) -> None:
         line, width = self.fontMetrics().height(), self._caption_width
@@ -354,6 +365,12 @@ class ViewGrid(QWidget):
         if len(ticks) > most:
             ticks = ticks[:: max((len(ticks) - 1) // 2, 1)]
         return ticks[:: len(ticks) - 1] if len(ticks) > most else ticks
+
+
+def _faded(pixels: Pixels, background: QColor) -> Pixels:
+    """Return colours halfway to the background; transparent ones, which are hatched, stay so."""
+    halves = [colours >> 1 & np.uint32(0x7F7F7F) for colours in (pixels, np.uint32(background.rgb()))]
+    return np.where(pixels, np.uint32(0xFF000000) | (halves[0] + halves[1]), np.uint32(0))
 
 
 def _image(pixels: Pixels) -> QImage:

@@ -183,7 +183,7 @@ def test_color_bar_gives_way_to_small_maps(qtbot: QtBot) -> None:
 
 def test_small_views_stand_apart_so_that_positions_fit(make_window: MakeWindow) -> None:
     window = make_window()
-    window.resize(1440, 900)
+    window.resize(1440, 760)
     window.panels.wavefronts.menu.change(views=6)
     window.show_measurement(replace(make_measurement(dim_frame(), views()), wavefront=bowl()))
     window.update_text()
