@@ -27,7 +27,7 @@ _ABOUT = {
     TEMPERATURE: "Temperature of the camera's sensor",
 }
 _WIDEST = "\N{MINUS SIGN}00.00"  # number on an axis
-_NAME = "Z00 astigmatism"  # its width is that of all names
+_NAME = "000.0 % of full scale"  # its width is that of all names and values
 _LEAST_LINES = 2  # height of a chart
 _TICK_LINES = 1.1  # height between two numbers of an axis
 _DRIFT = "mean \N{MINUS SIGN}0.0000  \N{GREEK SMALL LETTER SIGMA} 0.0000"  # the width of the statistics

@@ -96,11 +96,11 @@ class CalibrationGuide(QDialog):
         self.yes = Button("", "Return", lambda _: self._answers[True]())
         self.no = Button("", "Esc", lambda _: self._answers[False]())
         answers = row((self.question, 1), self.yes, self.no)
-        column((Scrolled(steps), 1), answers, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
+        self.steps = Scrolled(steps)
+        column((self.steps, 1), answers, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
 
     def begin(self, frames: int) -> None:
         """Take all steps, averaging `frames` frames into dark and reference; while they run, only show them."""
-        self.resize(within_screen(self, self.sizeHint()))
         self.show()
         self.activateWindow()
         if self._is_running:
@@ -108,6 +108,8 @@ class CalibrationGuide(QDialog):
         self._frames, self._left, self._is_running = frames, list(STEPS), True
         for step in STEPS:
             self._mark(step, "waiting", "")
+        self.steps.updateGeometry()  # with lamps, and the fonts of the style sheet
+        self.resize(within_screen(self, self.sizeHint()))
         status = self._controller.status
         if status is not None and status.bench.has_manual_stage and not status.is_sample_in:  # as noted
             self._ask("Make sure that the sample is out of the beam", "It is out", self._next)

@@ -17,6 +17,7 @@ from PyQt6.QtWidgets import (
     QScrollArea,
     QSizePolicy,
     QStyle,
+    QStyledItemDelegate,
     QStyleOptionComboBox,
     QVBoxLayout,
     QWidget,
@@ -196,6 +197,9 @@ class Choice(QComboBox):
     ) -> None:
         """Offer texts, some with data; `changed` is called when another is current. For the `key` see `Toggle`."""
         super().__init__()
+        self.setItemDelegate(QStyledItemDelegate(self))  # Qt's own paints all items like a wanted value
+        if (listed := self.view()) is not None:
+            listed.setFont(self.font())
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setObjectName(key)
         self.setToolTip(tool_tip)
@@ -283,6 +287,12 @@ class Scrolled(QScrollArea):
         self.setWidgetResizable(True)
         self.setFrameShape(QFrame.Shape.NoFrame)
         unfocused(self)
+
+    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
+        """Tell the layout that the contents need another size."""
+        if event is not None and event.type() == QEvent.Type.LayoutRequest:
+            self.updateGeometry()
+        return super().eventFilter(watched, event)
 
     def sizeHint(self) -> QSize:  # noqa: N802 - Qt's name
         """Return the size of the contents, which Qt would limit, and room for the scroll bar."""

@@ -58,7 +58,7 @@ class Plot(QWidget):
         super().__init__()
         self.curves: list[pg.PlotCurveItem] = []
         self._is_clear = False
-        self.title = ElidedLabel("title", title)
+        self.title = ElidedLabel("title", title, lines=2)
         self.graphics = Canvas()
         self.graphics.setMinimumSize(120, 4 * self.fontMetrics().height())
         unfocused(self.graphics)

@@ -95,6 +95,9 @@ def test_every_dialog_fits_on_the_screen(make_window: MakeWindow, qtbot: QtBot, 
     guide.begin(20)
     settle()
     check_fits(guide)
+    for bar in (guide.steps.verticalScrollBar(), guide.steps.horizontalScrollBar()):
+        assert bar is not None
+        assert not bar.isVisible()
     guide.close()
     form = window.benches.settings
     assert form is not None
