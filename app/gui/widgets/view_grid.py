@@ -34,7 +34,7 @@ LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the num
 _CAPTION = 100  # px: small views stand apart, if there is room, so that their captions fit
 MARGIN = 3  # px around all views, for the selection frame
 _BETWEEN = 4  # px between the captions of neighbours
-_SMALLEST_CAPTIONED = 40  # px: narrower views have the numbers in their tool tips only
+_CAPTIONED = ((2, 50), (1, 40))  # lines and least px: of narrower views only the tool tips have the numbers
 _STALE_OPACITY = 0.5
 STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
 
@@ -61,7 +61,7 @@ class Places:
     size: QSize  # of each
     step: QSize  # from one to the next
     bar_space: int  # width of the colour bar and its numbers; 0 if the views need it: tool tips have the values
-    has_captions: bool
+    caption_lines: int
     tiles: QRegion  # of all views
 
     def tile(self, view_row: int, view_column: int) -> QRect:
@@ -69,11 +69,14 @@ class Places:
         return QRect(self.first + QPoint(view_column * self.step.width(), view_row * self.step.height()), self.size)
 
 
-def arrange_views(room: QSize, shape: tuple[int, ...], *, bar_space: int, below: int, gap: int) -> Places:
-    """Arrange maps (view_row, view_column, row, column) in a room, with so many pixels below and between them."""
+def arrange_views(room: QSize, shape: tuple[int, ...], *, bar_space: int, lines: int, below: int, gap: int) -> Places:
+    """Arrange maps (view_row, view_column, row, column) in a room, with so many pixels below and between them.
+
+    The pixels below are for so many `lines` of captions.
+    """
     view_rows, view_columns, rows, columns = shape
     if not min(shape):
-        return Places(QPoint(), QSize(), QSize(), 0, has_captions=False, tiles=QRegion())
+        return Places(QPoint(), QSize(), QSize(), 0, caption_lines=0, tiles=QRegion())
     width = (room.width() - 2 * MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
     height = (room.height() - 2 * MARGIN - (view_rows - 1) * gap) / view_rows - below
     scale = max(min(width / columns, height / rows), 0)
@@ -87,7 +90,7 @@ def arrange_views(room: QSize, shape: tuple[int, ...], *, bar_space: int, below:
     tiles = QRegion()
     for row, column in np.ndindex(view_rows, view_columns):
         tiles += QRect(first + QPoint(column * step.width(), row * step.height()), size)
-    return Places(first, size, step, bar_space, has_captions=bool(below), tiles=tiles)
+    return Places(first, size, step, bar_space, caption_lines=lines, tiles=tiles)
 
 
 class ViewGrid(QWidget):
@@ -183,7 +186,7 @@ class ViewGrid(QWidget):
         self._paint_selection(painter)
         if painted.subtracted(places.tiles).isEmpty():
             return
-        if places.has_captions:
+        if places.caption_lines:
             self._paint_captions(painter)
         if places.bar_space:
             self._paint_color_bar(painter, maps)
@@ -254,9 +257,12 @@ class ViewGrid(QWidget):
             if has_bar is None:
                 has_bar = self.width() >= 2 * space + line and self.height() >= LEAST_LINES * line
             arrange = partial(arrange_views, self.size(), shape, bar_space=space if has_bar else 0)
-            captioned = arrange(below=2 * line + 4, gap=_GAP)
-            has_captions = self._is_captioned and captioned.size.width() >= _SMALLEST_CAPTIONED
-            self._places = captioned if has_captions else arrange(below=0, gap=_NARROW_GAP)
+            self._places = arrange(lines=0, below=0, gap=_NARROW_GAP)
+            for lines, least in _CAPTIONED if self._is_captioned else ():
+                captioned = arrange(lines=lines, below=lines * line + 4, gap=_GAP)
+                if captioned.size.width() >= least:
+                    self._places = captioned
+                    break
         return self._places
 
     @property
@@ -300,7 +306,7 @@ class ViewGrid(QWidget):
 
     def _paint_captions(self, painter: QPainter) -> None:
         line, width = self.fontMetrics().height(), self._caption_width
-        for index, colour in enumerate((theme.TEXT, theme.DIM)):
+        for index, colour in enumerate((theme.TEXT, theme.DIM)[: self.places.caption_lines]):
             wording = self._wording(index)
             if wording is None:
                 continue

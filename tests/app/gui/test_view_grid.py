@@ -197,6 +197,15 @@ def test_small_views_stand_apart_so_that_positions_fit(make_window: MakeWindow) 
     assert right < grid._bar(grid.maps).left()
 
 
+@pytest.mark.parametrize(("height", "lines"), [(400, 2), (230, 1), (160, 0)])
+def test_captions_give_way_line_by_line(qtbot: QtBot, height: int, lines: int) -> None:
+    grid = ViewGrid((10, 10))
+    qtbot.addWidget(grid)
+    grid.resize(420, height)
+    show(grid, np.zeros((3, 3, 15, 15)), 1.0)
+    assert grid.places.caption_lines == lines
+
+
 def test_colour_bar_stays_while_its_numbers_change(qtbot: QtBot) -> None:
     grid = ViewGrid()
     qtbot.addWidget(grid)
