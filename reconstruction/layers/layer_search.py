@@ -152,7 +152,7 @@ def find_layers(
         return found
 
     any_wavefront = equations.any_wavefront()
-    tried = {(t,): sketch_at(t) for t in _GRID}
+    tried: dict[tuple[float, ...], FitQuality] = {(t,): sketch_at(t) for t in _GRID}
     one = best_of(tried)
     two = None
     is_enough = one.quality.log_evidence >= any_wavefront.log_evidence or explains(one.quality, any_wavefront)
