@@ -1,5 +1,6 @@
 """Settings of a bench as a form: fields made from their descriptions, with labels and units for people."""
 
+import copy
 import dataclasses
 import inspect
 import math
@@ -88,6 +89,8 @@ class FormField:
             return text == "true"
         if self.kind in {"text", "choice"}:
             return text
+        if not text and self.kind == "toml":
+            return []  # a list of nothing
         if self.kind == "toml":
             try:
                 return tomllib.loads(f"value = {text}")["value"]
@@ -116,6 +119,7 @@ class SettingsForm:
     def __init__(self, tree: Mapping[str, Any], *, is_new: bool = False) -> None:
         """Edit a copy of a parsed bench file; a new bench takes the mandatory data of its lenslets as examples."""
         self._tree: dict[str, Any] = tomllib.loads(tomli_w.dumps(tree))
+        self._shown = copy.deepcopy(self._tree)  # as the fields were made: their texts may have fewer digits
         self._is_new = is_new
         self._typed: set[str] = set()  # paths
 
@@ -129,6 +133,7 @@ class SettingsForm:
 
         A new bench has none of the simulation, and the fields that must be typed are empty.
         """
+        self._shown = copy.deepcopy(self._tree)
         return tuple(
             self._emptied(section)
             for setting in settings_of(Bench)
@@ -159,14 +164,17 @@ class SettingsForm:
             if value != field.text:
                 self._tree[sections[0]] = {"driver": value}
             return
-        tree = self._tree
+        tree, shown = self._tree, self._shown
         for section in sections:
-            tree = tree.setdefault(section, {})
+            tree, shown = tree.setdefault(section, {}), shown.get(section, {})
+        if text.strip() != field.text:
+            self._typed.add(field.path)
+        elif value is not None:
+            value = shown.get(key)  # with all its digits; None if it was the default
         if value is None:
             tree.pop(key, None)  # the last one leaves an empty section
-        elif text.strip() != field.text:  # else the digits that the text does not show stay
+        else:
             tree[key] = value
-            self._typed.add(field.path)
 
     def use_device(self, device: DiscoveredDevice) -> None:
         """Replace the settings of the camera or the light by those of a connected device."""
@@ -274,7 +282,7 @@ def _text(kind: Kind, value: Any, factor: float) -> str:
                 + ", ".join(f"{key} = {tomli_w.dumps({'v': one})[4:].strip()}" for key, one in plain.items())
                 + " }"
             )
-        return str(list(plain))
+        return str(list(plain)) if len(plain) else ""
     return str(value)
 
 

@@ -1,6 +1,7 @@
 """Widgets outside the window: a picture until its libraries are loaded, and the dialog after an early end."""
 
 import sys
+import time
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor, QPainter, QPixmap
@@ -9,6 +10,8 @@ from PyQt6.QtWidgets import QApplication, QMessageBox, QSplashScreen
 from app.gui.widgets import theme
 
 _WIDTH, _HEIGHT, _ICON = 320, 150, 72  # px
+_EXPOSED_S = 1.0  # time that a slow X server has to show a window
+_SETTLED_S = 0.1  # then a window manager may still add a frame and expose it again
 
 
 class Splash(QSplashScreen):
@@ -16,18 +19,34 @@ class Splash(QSplashScreen):
 
     def __init__(self) -> None:
         self._application = QApplication.instance() or QApplication(sys.argv[:1])  # kept alive with the picture
-        picture = QPixmap(_WIDTH, _HEIGHT)
+        ratio = self._application.devicePixelRatio() if isinstance(self._application, QApplication) else 1.0
+        picture = QPixmap(round(_WIDTH * ratio), round(_HEIGHT * ratio))
+        picture.setDevicePixelRatio(ratio)
         picture.fill(theme.SURFACE)
         painter = QPainter(picture)
-        icon = theme.icon().pixmap(_ICON, _ICON)
-        painter.drawPixmap((_WIDTH - icon.width()) // 2, 22, icon)
+        theme.icon().paint(painter, (_WIDTH - _ICON) // 2, 22, _ICON, _ICON)
         painter.end()
         super().__init__(picture)
         at_bottom = Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignHCenter
         self.showMessage("svwfs is starting ...\n", at_bottom, QColor(theme.TEXT))
         if QApplication.platformName() != "offscreen":  # it could not be seen
             self.show()
-            self._application.processEvents()
+            self._paint()
+
+    def _paint(self) -> None:
+        """Handle events until the picture is on the screen: while the libraries load, nothing else does."""
+        until_s = time.monotonic() + _EXPOSED_S
+        while (window := self.windowHandle()) is None or not window.isExposed():
+            if time.monotonic() > until_s:
+                return
+            self._handle_events()
+        until_s = time.monotonic() + _SETTLED_S
+        while time.monotonic() < until_s:
+            self._handle_events()
+
+    def _handle_events(self) -> None:
+        QApplication.processEvents()
+        time.sleep(0.005)
 
 
 def show_ending(sentence: str, details: str) -> None:

@@ -168,12 +168,17 @@ def project_surface(values: Floats, limit: float, *, azimuth_rad: float, elevati
     face, mean = face[known], mean[known]
     normal = np.cross(face[:, 2] - face[:, 0], face[:, 3] - face[:, 1])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    cosine, sine = math.cos(azimuth_rad), math.sin(azimuth_rad)
-    turned_x = cosine * face[..., 0] - sine * face[..., 1]
-    turned_y = sine * face[..., 0] + cosine * face[..., 1]
-    raised, flat = math.cos(elevation_rad), math.sin(elevation_rad)
-    corners = np.stack([turned_x, flat * turned_y - raised * face[..., 2]], axis=-1)
-    nearness = raised * turned_y.mean(axis=1) + flat * face[..., 2].mean(axis=1)
+    corners = project_points(face, azimuth_rad=azimuth_rad, elevation_rad=elevation_rad)
+    turned_y = math.sin(azimuth_rad) * face[..., 0] + math.cos(azimuth_rad) * face[..., 1]
+    nearness = math.cos(elevation_rad) * turned_y.mean(axis=1) + math.sin(elevation_rad) * face[..., 2].mean(axis=1)
     order = np.argsort(nearness, kind="stable")
     light = np.clip(normal @ np.array(_LIGHT), 0, 1)
     return Surface(corners[order], mean[order], (_AMBIENT + (1 - _AMBIENT) * light)[order])
+
+
+def project_points(points: Floats, *, azimuth_rad: float, elevation_rad: float) -> Floats:
+    """Project points (..., xyz), as `project_surface` does: x to the right, y down, (..., xy)."""
+    x, y, z = np.moveaxis(points, -1, 0)
+    turned_x = math.cos(azimuth_rad) * x - math.sin(azimuth_rad) * y
+    turned_y = math.sin(azimuth_rad) * x + math.cos(azimuth_rad) * y
+    return np.stack([turned_x, math.sin(elevation_rad) * turned_y - math.cos(elevation_rad) * z], axis=-1)

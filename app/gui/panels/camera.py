@@ -68,6 +68,7 @@ class CameraPanel(Panel):
         self._sensor: Sensor | None = None
         self.full_scale = 0  # highest count; 0 is unknown
         self._levels, self._reach = ContrastLevels(), AdaptiveScale(MAGNIFICATIONS)  # longest arrow over its room
+        self._magnification = 1.0  # of the arrows
         self._pointer: QPointF | None = None
         self._inspected: Lenslet | None = None
         self._clicked_at: Lenslet | None = None  # perhaps for the first of two times
@@ -101,8 +102,8 @@ class CameraPanel(Panel):
         self._arrows = Segments(self._view, theme.AMBER_ON_IMAGE, shadow=3)  # visible on black and on white
         self._inspected_box = Segments(self._view, theme.ACCENT_ON_IMAGE, width=2)
         self._clipped = ClippedPixels(self._view)
-        self._view.sigRangeChanged.connect(self._place_legend)
-        self._view.sigResized.connect(self._place_legend)
+        self._view.sigRangeChanged.connect(self._keep_in_sight)
+        self._view.sigResized.connect(self._keep_in_sight)
         self._graphics.scene().sigMouseMoved.connect(self._point_at)
         self._graphics.scene().sigMouseClicked.connect(self._click)
         inspect = timer(
@@ -110,8 +111,6 @@ class CameraPanel(Panel):
         )
         self._click_timer = inspect  # a click may be the first of two
         add_copy_menu(self._graphics, self._displacements, self._fill_menu)
-        self.legend = label("", "on-image", self._graphics)
-        self.legend.hide()
         self.caption = ElidedLabel("dim")
         self.header = row_of(
             (label("Camera", "title"), 1), self.lattice_toggle, self.arrows_toggle, self.contrast, self.colours
@@ -214,7 +213,7 @@ class CameraPanel(Panel):
             self._view.setRange(self._area(self._frame))
 
     def show_numbers(self) -> None:
-        """Show the brightness and the pixel under the pointer."""
+        """Show the brightness, and the pixel under the pointer or how long the arrows are."""
         if self._frame is None:
             return
         parts, colour = ["+x \N{RIGHTWARDS ARROW}  +y \N{DOWNWARDS ARROW}"], theme.DIM
@@ -228,7 +227,9 @@ class CameraPanel(Panel):
                 brightness, colour = f"{brightness}: nearly saturated, shorten the exposure", theme.AMBER
             parts.append(brightness)
         colour_text(self.caption, colour)
-        self.caption.setText("    ".join([*parts, self._pointed_at()]))
+        has_arrows = self._arrows.isVisible() and colour is theme.DIM  # a warning needs the room
+        length = f"arrows \N{MULTIPLICATION SIGN} {self._magnification:g}" if has_arrows else ""
+        self.caption.setText("    ".join([*parts, self._pointed_at() or length]))
 
     def _click(self, event: object) -> None:
         """Inspect a lenslet at a click of the left button, unless another click follows."""
@@ -277,7 +278,6 @@ class CameraPanel(Panel):
         for item in (self._lines, self._boxes):
             item.setVisible(has_lattice)
         self._arrows.setVisible(has_arrows)
-        self.legend.setVisible(has_arrows)
         self._inspected_box.setVisible(lattice is not None and self._inspected is not None)
         if lattice is None or sensor is None:
             return
@@ -290,16 +290,14 @@ class CameraPanel(Panel):
             self._inspected_box.draw(cell_border(lattice, lenslets, self._inspected))
         if has_arrows and displacement is not None:
             room_px, mean_px = _ARROW_REACH * lattice.pitch_px, displacement.mean
-            magnification = 1 / self._reach.follow(arrow_length_px(mean_px) / room_px)
-            self._arrows.draw(arrows(lattice, mean_px, magnification))
-            self.legend.setText(f"displacement \N{MULTIPLICATION SIGN} {magnification:g}")
-            self.legend.adjustSize()
+            self._magnification = 1 / self._reach.follow(arrow_length_px(mean_px) / room_px)
+            self._arrows.draw(arrows(lattice, mean_px, self._magnification))
 
     def _area(self, frame: Frame) -> QRectF:
         rows, columns = frame.pixels.shape
         return QRectF(-0.5, -0.5, columns, rows)  # pixel centres are at integers
 
-    def _keep_in_sight(self) -> None:
+    def _keep_in_sight(self, *_: object) -> None:
         """Keep the frame at the middle of the view, and at no less than half its size."""
         if self._frame is None:
             return
@@ -312,12 +310,6 @@ class CameraPanel(Panel):
         y = min(max(middle.y(), area.top()), area.bottom()) - middle.y()
         if x or y:
             self._view.translateBy(x=x, y=y)
-
-    def _place_legend(self, *_: object) -> None:
-        """Keep the image in sight, and the legend in its corner, or in that of the view if the image is larger."""
-        self._keep_in_sight()
-        corner = self._view.mapViewToScene(QPointF(-0.5, -0.5))
-        self.legend.move(max(round(corner.x()), 0) + 4, max(round(corner.y()), 0) + 4)
 
     def _point_at(self, position: QPointF | None = None) -> None:
         """Show the pixel at a position, or none."""

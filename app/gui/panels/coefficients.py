@@ -1,5 +1,7 @@
 """The coefficients panel: bars with error bars, a table to copy, and the field map of the pinned coefficient."""
 
+import math
+
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
@@ -57,7 +59,7 @@ class CoefficientsPanel(Panel):
         self._stack = QStackedWidget()
         self._stack.addWidget(self.plot)
         self._stack.addWidget(self.table)
-        self.map = ViewGrid((80, 50), empty="click a bar\nto map it over the field")
+        self.map = ViewGrid((80, 50), empty="click a bar\nto map it over the field", is_captioned=False)
         header = row((self.plot.title, 1), self.of, self.basis, self.table_toggle)
         column(header, (row((self._stack, 3), (self.map, 2), spacing=12), 1), parent=self)
         theme.follow(self.plot, self._colour)
@@ -114,8 +116,8 @@ class CoefficientsPanel(Panel):
         limit = self._scale.follow(1.1 * float(np.max(np.abs(np.nan_to_num(ends)), initial=1e-6)))
         self.plot.set_ranges((0, len(values)), (-limit, limit))
         self.plot.axes["left"].setTicks([[(-limit, signed(-limit)), (0, "0"), (limit, signed(limit))]])
-        label_px = 1.5 * self.fontMetrics().horizontalAdvance("Z00")
-        step = max(round(label_px * len(values) / max(self.plot.graphics.width(), 1)), 1)
+        label_px = 1.3 * self.fontMetrics().horizontalAdvance("Z000")
+        step = math.ceil(label_px * len(values) / max(self.plot.graphics.width(), 1))
         self.plot.axes["bottom"].setTicks([[(at, names[at].split(" ")[0]) for at in index[::step]]])
         pinned = self._described(found, self._mapped) if self._mapped is not None and found else ""
         self.plot.title.setText(pinned or f"Coefficients ({self.shown.unit})")

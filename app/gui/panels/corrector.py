@@ -41,9 +41,15 @@ class CorrectorPanel(Panel):
         )
         self._limit = self.plot.add_curve(theme.DIM, 1, Qt.PenStyle.DashLine)
         self._curve, self._mark = self.plot.add_curve(theme.ACCENT), self.plot.add_curve(theme.AMBER)
-        self.sentence = ElidedLabel()
+        self.sentence = ElidedLabel(lines=2)
         header = row(self.corrector, self.origin, (ElidedLabel(), 1))
         column(header, (self.plot, 1), self.sentence, parent=self)
+        self.forget_bench()
+
+    def forget_bench(self) -> None:
+        """Say that the residuals are being computed: there are none yet."""
+        self.sentence.setText("Computing \N{HORIZONTAL ELLIPSIS}")
+        self.plot.clear()
 
     def request(self) -> Request | None:
         """Return the residuals to compute."""

@@ -27,9 +27,10 @@ _ABOUT = {
     TEMPERATURE: "Temperature of the camera's sensor",
 }
 _WIDEST = "\N{MINUS SIGN}00.00"  # number on an axis
-_NAME = "Z00 astigmatism at 00"  # its width is that of all names
+_NAME = "000.0 % of full scale"  # its width is that of all names and values
 _LEAST_LINES = 2  # height of a chart
-_DRIFT = "mean \N{MINUS SIGN}0.000  \N{GREEK SMALL LETTER SIGMA} 0.0000"  # the width of the statistics
+_TICK_LINES = 1.1  # height between two numbers of an axis
+_DRIFT = "mean \N{MINUS SIGN}0.0000  \N{GREEK SMALL LETTER SIGMA} 0.0000"  # the width of the statistics
 
 
 class StripChart(QWidget):
@@ -37,7 +38,7 @@ class StripChart(QWidget):
 
     def __init__(self, name: str) -> None:
         super().__init__()
-        self.name, self.value = ElidedLabel(text=name), ElidedLabel("title")
+        self.name, self.value = ElidedLabel(text=name, lines=2), ElidedLabel("title")
         self.name.setToolTip(_ABOUT.get(name, name))
         labels = QWidget()
         column(self.name, self.value, spacing=0, parent=labels).addStretch()
@@ -59,7 +60,9 @@ class StripChart(QWidget):
         margin = max(0.2 * (high - low), 1e-3 * abs(high), 1e-6)
         self.plot.set_ranges((-span_min, 0), (low - margin, high + margin))
         ticks = [(float(end), number(float(end))) for end in (low, high)] if known.any() else []
-        self.plot.axes["left"].setTicks([ticks[: 1 + (low < high)]])
+        apart_px = self.plot.graphics.height() * (high - low) / (high - low + 2 * margin)
+        has_room = apart_px > _TICK_LINES * self.fontMetrics().height()
+        self.plot.axes["left"].setTicks([ticks[: 1 + has_room]])
         is_known = bool(known.size and known[-1])
         self.value.setText(f"{number(float(values[-1]))} {unit}" if is_known else NOTHING)
 
@@ -92,7 +95,7 @@ class HistoryPanel(Panel):
         self.minutes = Choice("Time shown", minutes, key="history/minutes")
         self.samples = Choice(
             "Number of samples of mean, \N{GREEK SMALL LETTER SIGMA} and peak to peak; five a second",
-            [(f"last {samples}", samples) for samples in _SAMPLES],
+            [(f"last {samples} samples", samples) for samples in _SAMPLES],
             key="history/samples",
         )
         for choice in (self.minutes, self.samples):

@@ -30,6 +30,7 @@ from drivers.interface import Range
 from reconstruction.layers.layer_search import LayerSearch
 
 _MODES = (("find one layer", 1), ("find two layers", 2), ("layer known at", 0))
+_SEARCHING = "Searching \N{HORIZONTAL ELLIPSIS}"
 _INTERVALS_S = {1: 5.0, 2: 20.0, 0: 0.1}  # between two fits
 
 
@@ -55,7 +56,7 @@ class LayersPanel(Panel):
         self.mode = Choice(
             "Search for one or two layers every few seconds,\nor show the phase of one at a known distance live",
             _MODES,
-            self._show_distance,
+            self._change_mode,
         )
         self.distance = NumberField(
             tool_tip="Distance of the known layer", name="Distance of the layer", unit="mm", decimals=1
@@ -72,12 +73,20 @@ class LayersPanel(Panel):
         )
         self._limit = self.plot.add_curve(theme.DIM, 1, Qt.PenStyle.DashLine)
         self._curve, self._marks = self.plot.add_curve(theme.ACCENT), self.plot.add_curve(theme.AMBER)
-        self.map = ViewGrid((80, 50), empty="")  # until the first search has ended
+        self.map = ViewGrid((80, 50))
         self.map.setToolTip("Phase of each layer, without piston")
-        self.sentence = ElidedLabel()
+        self.sentence = ElidedLabel(lines=2)
         header = row(self.mode, self.distance, self.origin, (ElidedLabel(), 1))
         column(header, (row((self.plot, 3), (self.map, 2), spacing=12), 1), self.sentence, parent=self)
         self._show_distance()
+        self.forget_bench()
+
+    def forget_bench(self) -> None:
+        """Say that the search is under way: there are no layers yet."""
+        self.sentence.setText(_SEARCHING)
+        self.map.empty = _SEARCHING
+        self.map.show_maps(None)
+        self.plot.clear()
 
     def request(self) -> Request | None:
         """Return the search, or the fit, to make."""
@@ -152,6 +161,10 @@ class LayersPanel(Panel):
             at = (distance_in_words(at_m, sigma_m, found.origin), f"{at_m * 1e3:.1f} mm")
             captions[0, index] = (at, wide)
         self.map.set_captions(captions)
+
+    def _change_mode(self) -> None:
+        self.sentence.setText(_SEARCHING)
+        self._show_distance()
 
     def _enter(self, typed_m: float) -> None:
         if self._bench is not None:

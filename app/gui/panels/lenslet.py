@@ -2,17 +2,52 @@
 
 import numpy as np
 from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QResizeEvent
+from PyQt6.QtWidgets import QWidget
 
 from app.gui.panels.panel import Panel, Request, Shown
 from app.gui.widgets.basics import Button, ElidedLabel, column, label, row
 from app.gui.widgets.presentation import number, percent, with_error
 from app.gui.widgets.scales import AdaptiveScale, ColourScale, diverging
-from app.gui.widgets.view_grid import Maps, ViewGrid
+from app.gui.widgets.view_grid import LEAST_LINES, Maps, ViewGrid
 from app.results.view_analysis import LensletInspection, inspect_lenslet
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 
 _LIGHT = (0.0, 0.5, 1.0)  # numbered fractions of the colour bar
+_WIDEST = "\N{MINUS SIGN}50000"  # number beside a colour bar
+_GAP = 10  # px between two images
+
+
+class _Images(QWidget):
+    """Four images of one size below their names; the first three share a colour bar, and the residual has its own."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        names = ("Reference", "Frame", "Warped back", "Residual")
+        self.tiles = {name: ViewGrid((0, 0), "", self, widest=_WIDEST, is_captioned=False) for name in names}
+        self._names = [label(name, "dim", self) for name in names]
+        self.tiles["Reference"].setToolTip("Spot image without the sample")
+        self.tiles["Warped back"].setToolTip("The frame, warped back onto the reference")
+        self.tiles["Residual"].is_hatched = False  # around the image of the field
+        for tile in self.tiles.values():
+            tile.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.setMinimumHeight(self.fontMetrics().height() + 36)
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Place the images beside each other, as large as all can be."""
+        super().resizeEvent(event)
+        line, bars = self.fontMetrics().height(), (False, False, True, True)
+        space = next(iter(self.tiles.values())).bar_space
+        side = min((self.width() - 2 * space - 3 * _GAP) // 4, self.height() - line)
+        if side < LEAST_LINES * line:  # too low for the numbers
+            bars, side = (False,) * 4, min((self.width() - 3 * _GAP) // 4, self.height() - line)
+        left = 0
+        for name, tile, has_bar in zip(self._names, self.tiles.values(), bars, strict=True):
+            tile.has_bar = has_bar
+            name.setGeometry(left, 0, max(side, name.sizeHint().width()), line)
+            tile.setGeometry(left, line, side + has_bar * space, side)
+            left += max(tile.width(), name.sizeHint().width()) + _GAP
 
 
 class LensletPanel(Panel):
@@ -28,20 +63,15 @@ class LensletPanel(Panel):
         self._badge = ""  # as shown
         self.name = ElidedLabel("title")
         self.numbers, self.quality = ElidedLabel(), ElidedLabel()
-        names = ("Reference", "Frame", "Frame, warped back", "Residual")
-        self.tiles = {name: ViewGrid((60, 36), empty="") for name in names}
-        self.tiles["Reference"].setToolTip("Spot image without the sample")
-        columns = []
-        for name, tile in self.tiles.items():
-            tile.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-            columns.append((column(label(name, "dim"), (tile, 1), spacing=2), 1))
+        images = _Images()
+        self.tiles = images.tiles
         self.exclude = Button(
             "Exclude",
             "Leave this lenslet out of the wavefront, or use it again; noted in the bench and in recordings",
             self._exclude,
         )
         header = row((self.name, 1), self.exclude)
-        column(header, (row(*columns, spacing=10), 1), column(self.numbers, self.quality, spacing=0), parent=self)
+        column(header, column(self.numbers, self.quality, spacing=0), (images, 1), parent=self)
         self.select(None)
 
     def inspect(self, row: int, column: int) -> None:

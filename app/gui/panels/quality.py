@@ -30,7 +30,7 @@ class QualityPanel(Panel):
         super().__init__(shown)
         self.mtf = MtfPlot()
         self.structure = StructurePlot()
-        self.sentence = ElidedLabel()
+        self.sentence = ElidedLabel(lines=2)
         column((row((self.mtf, 1), (self.structure, 1), spacing=16), 1), self.sentence, parent=self)
 
     def request(self) -> Request | None:
@@ -98,8 +98,8 @@ class StructurePlot(Plot):
     """RMS difference of two wavefronts over their separation in the field."""
 
     def __init__(self) -> None:
-        keys = (("with tilt", theme.ACCENT), ("tilt removed", theme.GREEN))
-        super().__init__("Wavefront change (rad)", "separation in the field (mm)", keys)
+        keys = (("with tilt", theme.ACCENT), ("without", theme.GREEN))
+        super().__init__("Change (rad)", "separation in the field (mm)", keys)
         self.setToolTip(
             "RMS difference between the wavefronts at two field positions over their separation.\n"
             "The band holds all pairs. The isoplanatic patch ends where the difference reaches 1 rad.\n"

@@ -16,10 +16,10 @@ from app.errors import InputError, RunError
 from app.files import check_outputs
 from app.gui.panels.panel import Entries, Panel, Request, Shown
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, colour_text, column, label, row_of
+from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, colour_text, column, row_of
 from app.gui.widgets.copies import ask_file, write_picture
 from app.gui.widgets.enlarged_view import EnlargedView
-from app.gui.widgets.fields import NumberField
+from app.gui.widgets.fields import BUTTONS_WIDTH, NumberField
 from app.gui.widgets.presentation import PRESENTATIONS, Presentation, number, place
 from app.gui.widgets.scales import AdaptiveScale
 from app.gui.widgets.view_grid import Maps, ViewGrid
@@ -68,12 +68,12 @@ class WavefrontPanel(Panel):
         for index, quantity in enumerate(Quantity):
             tip = f"{PRESENTATIONS[quantity].about} ({index + 1})"
             self.choice.setItemData(index, tip, Qt.ItemDataRole.ToolTipRole)
-        self._summary = ElidedLabel("dim")
-        self._summary.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        self.freeze_scale = Toggle("Freeze scale", "Freeze the colour scale (H)")
+        self._summary = ElidedLabel()
+        self.freeze_scale = Toggle("Freeze", "Freeze the colour scale (H)")
         self.freeze_scale.toggled.connect(self._show_limit)
         self.limit = NumberField(name="Limit of the colours", decimals=3, tool_tip="Limit of the frozen colour scale")
         self.limit.entered.connect(self._fix_limit)
+        self.limit.setFixedWidth(self.limit.fontMetrics().horizontalAdvance("0000.000 waves") + BUTTONS_WIDTH)
         self.limit.hide()
         self.menu = DisplayMenu(self)
         self.menu.changed.connect(self._apply_options)
@@ -85,10 +85,10 @@ class WavefrontPanel(Panel):
         self.grid = ViewGrid()
         self.grid.selected.connect(shown.choose_view)
         self.grid.opened.connect(self.enlarge)
-        self.stale = ElidedLabel()  # always there, so that the maps stay where they are
+        self.stale = ElidedLabel(lines=2)  # always there, so that the maps stay where they are
         colour_text(self.stale, theme.AMBER)
         scale = (self.display_button, self.freeze_scale, self.limit)
-        self.header = row_of(self.choice, label("over the field", "title"), (self._summary, 1), *scale)
+        self.header = row_of(self.choice, (self._summary, 1), *scale)
         column(self.header, self.stale, (self.grid, 1), parent=self)
 
     def menu_entries(self) -> Mapping[str, Entries]:
@@ -187,7 +187,7 @@ class WavefrontPanel(Panel):
             )
         reach = f"half width {self._reach_mrad.value:g} mrad" if quantity is Quantity.PSF else ""
         summary = self._below_noise() or presentation.summary(maps, self.shown.unit)
-        self._summary.setText("; ".join(filter(None, (self.menu.options.in_words, reach, summary))))
+        self._summary.setText("; ".join(filter(None, (summary, self.menu.options.in_words, reach))))
         if self._enlarged is not None:
             self._enlarged.refresh()
 
@@ -249,6 +249,7 @@ class WavefrontPanel(Panel):
     def _show_limit(self) -> None:
         """Show the limit of a frozen colour scale, to be changed."""
         self.limit.setVisible(self.freeze_scale.isChecked())
+        self.limit.use_unit(str(self.shown.unit) if PRESENTATIONS[self.quantity].has_unit else "")
         self.limit.show_value(self._scale.value, _LIMITS)
 
     def _store(self) -> None:
@@ -294,7 +295,8 @@ class WavefrontPanel(Panel):
             x_mm = (sensor.lenslet_columns - 1) / 2 * sensor.lenslet_pitch_m * 1e3
             y_mm = (sensor.lenslet_rows - 1) / 2 * sensor.row_spacing_m * 1e3
             text = partial(_describe_lenslet, presentation, unit)
-            self._show_maps(Maps(values, scale, text, reach=(x_mm, y_mm), reach_unit="mm"))
+            measured = np.where(self.shown.wavefront.displacement.valid, values, np.nan)  # the others are hatched
+            self._show_maps(Maps(measured, scale, text, reach=(x_mm, y_mm), reach_unit="mm"))
 
     def _follow(self, scale: AdaptiveScale, needed: float) -> None:
         if not (self.freeze_scale.isChecked() and scale.is_set):

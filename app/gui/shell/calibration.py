@@ -13,7 +13,7 @@ from app.gui.shell.controller import Controller
 from app.gui.shell.settings_control import SettingsControl
 from app.gui.shell.wording import exposure_found, lattice_found
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, column, label, row
+from app.gui.widgets.basics import Button, Scrolled, column, label, row, within_screen
 from app.measurement.auto_exposure import AutoExposure
 from app.measurement.averages import BackgroundCheck
 from app.measurement.routines import Cancelled
@@ -74,7 +74,9 @@ class CalibrationGuide(QDialog):
         self._answers: dict[bool, Callable[[], object]] = {}  # called after "yes" and after "no"
         self.lamps = {step: label("") for step in STEPS}
         self.results = {step: label("", "dim") for step in STEPS}
-        grid = QGridLayout()
+        steps = QWidget()
+        grid = QGridLayout(steps)
+        grid.setContentsMargins(0, 0, 0, 0)
         grid.setHorizontalSpacing(10)
         grid.setVerticalSpacing(2)
         grid.setColumnMinimumWidth(1, _WIDTH)
@@ -94,7 +96,8 @@ class CalibrationGuide(QDialog):
         self.yes = Button("", "Return", lambda _: self._answers[True]())
         self.no = Button("", "Esc", lambda _: self._answers[False]())
         answers = row((self.question, 1), self.yes, self.no)
-        column(grid, answers, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
+        self.steps = Scrolled(steps)
+        column((self.steps, 1), answers, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
 
     def begin(self, frames: int) -> None:
         """Take all steps, averaging `frames` frames into dark and reference; while they run, only show them."""
@@ -105,6 +108,8 @@ class CalibrationGuide(QDialog):
         self._frames, self._left, self._is_running = frames, list(STEPS), True
         for step in STEPS:
             self._mark(step, "waiting", "")
+        self.steps.updateGeometry()  # with lamps, and the fonts of the style sheet
+        self.resize(within_screen(self, self.sizeHint()))
         status = self._controller.status
         if status is not None and status.bench.has_manual_stage and not status.is_sample_in:  # as noted
             self._ask("Make sure that the sample is out of the beam", "It is out", self._next)

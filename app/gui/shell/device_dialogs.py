@@ -3,6 +3,7 @@
 import json
 
 from PyQt6.QtCore import QSettings
+from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QDialog, QFormLayout, QListWidget, QWidget
 
 from app.acquisition.instrument import Status
@@ -21,6 +22,8 @@ _SIDES = {
     "Columns": "Number of columns",
 }
 _KEY = "presets/devices"  # of the settings
+_ABOUT = "A preset keeps exposure, gain, current and mask: type a name, and save those in force."
+_PRESETS_WIDTH = 380  # px: the title fits
 _SETTINGS = ("exposure_s", "em_gain", "current_a", "mask")
 
 
@@ -33,7 +36,7 @@ class SensorRegionDialog(QDialog):
         self._controller, self._messages = controller, controller.messages
         self._status: Status | None = None
         self._sides = [
-            NumberField(name=name, tool_tip=f"{about}. In unbinned sensor pixels; rounded to the camera's steps")
+            NumberField(name=name, unit="px", tool_tip=f"{about}. Unbinned pixels; rounded to the camera's steps")
             for name, about in _SIDES.items()
         ]
         self.top, self.left, self.rows, self.columns = self._sides
@@ -134,13 +137,18 @@ class DevicePresets(QDialog):
         self._controller, self._controls, self._settings = controller, controls, settings
         self.setWindowTitle("Presets of exposure and mask")
         self.names = QListWidget()
+        self.names.currentItemChanged.connect(self._enable)
         self.names.itemDoubleClicked.connect(lambda _: self._apply())
+        self.about = label("", "dim")
+        self.about.setWordWrap(True)
+        self.about.setMinimumWidth(_PRESETS_WIDTH)
         self.name = TextField(tool_tip="Name of the preset", hint="name")
+        self.name.textChanged.connect(self._enable)
         self.save = Button("Save", "Save exposure, gain, current and mask in force under this name", self._save)
         self.apply = Button("Apply", "Set exposure, gain, current and mask of the chosen preset", self._apply)
         self.delete = Button("Delete", "Delete the chosen preset", self._delete)
         chosen = row(self.apply, self.delete, (QWidget(), 1), Button("Close", "Close (Esc)", self.close))
-        lines = (self.names, 1), row((self.name, 1), self.save), chosen
+        lines = self.about, (self.names, 1), row((self.name, 1), self.save), chosen
         column(*lines, spacing=8, parent=self).setContentsMargins(12, 12, 12, 12)
         self._list()
 
@@ -155,12 +163,25 @@ class DevicePresets(QDialog):
         self._settings.setValue(_KEY, json.dumps(presets))
         self._list()
 
+    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Enable what can be done now."""
+        super().showEvent(event)
+        self._enable()
+
+    def _enable(self, *_: object) -> None:
+        is_open, is_chosen = self._controller.status is not None, self.names.currentItem() is not None
+        self.save.setEnabled(is_open and bool(self.name.text().strip()))
+        self.apply.setEnabled(is_open and is_chosen)
+        self.delete.setEnabled(is_chosen)
+
     def _list(self) -> None:
         self.names.clear()
+        self.about.setText(_ABOUT if self._presets() else f"There are no presets yet. {_ABOUT}")
         for name, values in self._presets().items():
             self.names.addItem(name)
             if (item := self.names.item(self.names.count() - 1)) is not None:
                 item.setToolTip("\n".join(f"{key} {value}" for key, value in values.items()))
+        self._enable()
 
     def _save(self) -> None:
         status, name = self._controller.status, self.name.text().strip()

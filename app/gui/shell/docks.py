@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from PyQt6.QtCore import QSize, Qt
+from PyQt6.QtCore import QByteArray, QSize, Qt
 from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabBar, QTabWidget, QToolButton, QWidget
 
 from app.gui.panels.panel import Panel
@@ -11,6 +11,8 @@ from app.gui.widgets.basics import Slot, column, label, row, timer
 _OPTIONS = QMainWindow.DockOption
 _MARGIN = 8  # px between the contents of a panel and its edge
 _BUTTON = 18  # px
+_LOW_LINES = 40  # 560 px with the usual font: in lower windows camera and plots take turns
+_SIDES = {Qt.DockWidgetArea.LeftDockWidgetArea, Qt.DockWidgetArea.RightDockWidgetArea}
 
 
 class Dock(QDockWidget):
@@ -83,13 +85,14 @@ class PanelDocks:
         self._closed: list[Dock] = []  # by `toggle_tabs`
         window.setDockOptions(_OPTIONS.AllowNestedDocks | _OPTIONS.AllowTabbedDocks | _OPTIONS.GroupedDragging)
         window.setTabPosition(Qt.DockWidgetArea.AllDockWidgetAreas, QTabWidget.TabPosition.North)
-        self._settle = timer(window, 0, self._show_titles, is_single=True)  # after all the signals of a change
+        self._tall: QByteArray | None = None  # the layout of the window before it became low
+        self._settle = timer(window, 0, self._arrange, is_single=True)  # after all the signals of a change
         self.settled = self._settle.timeout
         self._hint = label("All panels are closed or float: View > Restore default layout docks them", "dim")
         self._hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        middle = QWidget()
-        column((self._hint, 1), bar, spacing=0, parent=middle)
-        window.setCentralWidget(middle)
+        self._middle = QWidget()
+        column((self._hint, 1), bar, spacing=0, parent=self._middle)
+        window.setCentralWidget(self._middle)
         for dock in self.docks:
             for changed in (dock.visibilityChanged, dock.topLevelChanged, dock.dockLocationChanged):
                 changed.connect(lambda *_: self._settle.start())
@@ -104,11 +107,12 @@ class PanelDocks:
     def restore_default(self) -> None:
         """Camera above the tabs, wavefronts beside them, controls below; all are open."""
         left, right, first = self._at("left"), self._at("right"), self._tabs[0]
+        self._tall = None
         self._window.restoreState(self._default)
         first.raise_()
         self._window.resizeDocks([left, right], [1000, 1000], Qt.Orientation.Horizontal)
         self._window.resizeDocks([left, first], [1000, 600], Qt.Orientation.Vertical)
-        self._show_titles()
+        self._arrange()
 
     def _dock_all(self) -> None:
         window, left = self._window, self._at("left")
@@ -147,12 +151,44 @@ class PanelDocks:
             made.addAction(dock.toggleViewAction())
         return made
 
-    def _show_titles(self) -> None:
-        """Show the header of each panel that has no tab, and dress the tabs, which Qt makes when it needs them."""
-        self._hint.setVisible(all(dock.isHidden() or dock.isFloating() for dock in self.docks))
+    def follow_height(self) -> None:
+        """Let camera and plots take turns while the window is too low for both."""
+        self._settle.start()
+
+    def use_tall_layout(self) -> None:
+        """Restore the layout from before the window became low."""
+        if self._tall is not None:
+            front = next((dock for dock in self._tabs if dock.panel.isVisible()), None)
+            tall, self._tall = self._tall, None
+            self._window.restoreState(tall)
+            if front is not None:
+                front.raise_()
+
+    def _take_turns(self) -> None:
+        """Make the camera the first tab of the plots if the window is low, and part them when it is not any more."""
+        window, camera = self._window, self._at("left")
+        is_low = window.height() < _LOW_LINES * window.fontMetrics().height()
+        if not is_low:
+            self.use_tall_layout()
+        elif self._tall is None and not (camera.isHidden() or camera.isFloating()):
+            self._tall = window.saveState()
+            for dock in self._tabs:
+                if not dock.isFloating():
+                    window.tabifyDockWidget(camera, dock)
+            camera.raise_()
+            window.resizeDocks([camera, self._at("right")], [1000, 850], Qt.Orientation.Horizontal)
+
+    def _arrange(self) -> None:
+        """Follow the height, show the header of each panel without a tab, and dress the tabs, which Qt makes anew."""
+        self._take_turns()
+        docked = [dock for dock in self.docks if not (dock.isHidden() or dock.isFloating())]
+        self._hint.setVisible(not docked)
+        is_beside = any(self._window.dockWidgetArea(dock) in _SIDES for dock in docked)
+        needed = QSizePolicy.Policy.Preferred if is_beside or not docked else QSizePolicy.Policy.Fixed
+        self._middle.setSizePolicy(QSizePolicy.Policy.Preferred, needed)  # the docks have the rest
         for dock in self.docks:
             tabs = (other for other in self._window.tabifiedDockWidgets(dock) if not other.isHidden())
-            dock.bar.show_compact(is_compact=not dock.isFloating() and any(tabs))
+            dock.bar.show_compact(is_compact=dock.panel.header is None and not dock.isFloating() and any(tabs))
         for bar in self._window.findChildren(QTabBar, options=Qt.FindChildOption.FindDirectChildrenOnly):
             bar.setDrawBase(False)
             bar.setToolTip("Drag a tab out to move or to float its panel")

@@ -1,5 +1,6 @@
 """Help: keys and conventions, the message log, the documentation, how to cite, and versions."""
 
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from PyQt6.QtWidgets import QDialog, QFrame, QLabel, QScrollArea, QTextBrowser, 
 import app
 from app.gui.panels.panel import Entries
 from app.gui.shell.messages import MessageStrip
-from app.gui.widgets.basics import Button, column, row
+from app.gui.widgets.basics import Button, column, row, within_screen
 from app.gui.widgets.copies import copy_text
 from app.run_facts import machine_facts, versions
 
@@ -31,8 +32,8 @@ A click or the arrow keys select the view whose MTF is plotted.</p>
 <p>Arrows show the displacement of each lenslet, averaged over the field and magnified as stated.</p>
 """
 
-_HELP_WIDTH = 960  # px
-_OF_SCREEN = 0.9
+_HELP_WIDTH, _MOST_WIDTH = 960, 2000  # px
+_AROUND = 70  # px beside the help: margins and scroll bar
 _SIZE = QSize(760, 480)
 _PAGE_SIZE = QSize(960, 720)
 PAPER = (
@@ -59,10 +60,13 @@ def show_keys(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     dialog.setWindowTitle("Shortcuts and conventions")
     tables = [_key_table(title, entries) for title, entries in menus.items()]
     tables[0] += tables.pop()  # the help below the first, which has few keys
-    columns = "".join(f"<td>{table}</td>" for table in tables)
-    text = QLabel(f"<table cellspacing='0'><tr>{columns}</tr></table>{_CONVENTIONS}")
+    most = within_screen(parent, QSize(_MOST_WIDTH, 0)).width() - _AROUND
+    if _width(_side_by_side(tables), parent) > most:
+        tables[0] += tables.pop()
+    shown = _side_by_side(tables)
+    text = QLabel(f"{shown}{_CONVENTIONS}")
     text.setWordWrap(True)
-    width = max(_HELP_WIDTH, text.sizeHint().width())
+    width = max(min(_HELP_WIDTH, most), _width(shown, parent))
     text.setMinimumSize(width, text.heightForWidth(width))
     text.setContentsMargins(8, 0, 8, 0)
     area = QScrollArea()
@@ -70,8 +74,21 @@ def show_keys(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     area.setFrameShape(QFrame.Shape.NoFrame)
     close = row((QWidget(), 1), Button("Close", "Close the help (Esc)", dialog.close))
     column(area, close, parent=dialog).setContentsMargins(11, 11, 11, 11)
-    dialog.resize(_within_screen(parent, dialog.sizeHint().expandedTo(text.sizeHint() + QSize(50, 80))))
+    dialog.resize(within_screen(parent, QSize(width + _AROUND, text.minimumHeight() + 80)))
     dialog.show()
+
+
+def _side_by_side(tables: list[str]) -> str:
+    columns = "".join(f"<td>{table}</td>" for table in tables)
+    return f"<table cellspacing='0'><tr>{columns}</tr></table>"
+
+
+def _width(html: str, shown_in: QWidget) -> int:
+    """Return the width of a text without automatic line breaks, px."""
+    document = QTextDocument()
+    document.setDefaultFont(shown_in.font())
+    document.setHtml(html)
+    return math.ceil(document.idealWidth())
 
 
 def _key_table(title: str, entries: Entries) -> str:
@@ -82,11 +99,6 @@ def _key_table(title: str, entries: Entries) -> str:
         if key
     )
     return f"<h3>{title.replace('&', '')}</h3><table cellspacing='0'>{rows}</table>"
-
-
-def _within_screen(widget: QWidget, size: QSize) -> QSize:
-    screen = widget.screen()
-    return size if screen is None else size.boundedTo(screen.availableGeometry().size() * _OF_SCREEN)
 
 
 class _Page(QTextBrowser):
@@ -125,7 +137,7 @@ class TextDialog(QDialog):
         for each in (self.copy, close):
             buttons.addWidget(each)
         column((self.view, 1), buttons, spacing=8, parent=self).setContentsMargins(11, 11, 11, 11)
-        self.resize(_within_screen(self, _SIZE))
+        self.resize(within_screen(self, _SIZE))
 
     def show_text(self, text: str) -> None:
         """Show a text from its beginning."""
@@ -139,7 +151,7 @@ class TextDialog(QDialog):
 
     def show_page(self, page: QUrl) -> None:
         """Show a Markdown file and open its links in the same place."""
-        self.resize(_within_screen(self, _PAGE_SIZE))
+        self.resize(within_screen(self, _PAGE_SIZE))
         self.back.show()
         self.back.setEnabled(False)
         self.view.backwardAvailable.connect(self.back.setEnabled)

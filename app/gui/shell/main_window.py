@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from PyQt6.QtCore import QEventLoop, QSettings, QSize, QStandardPaths, Qt, QTimer, pyqtSignal
-from PyQt6.QtGui import QCloseEvent
+from PyQt6.QtGui import QCloseEvent, QResizeEvent
 from PyQt6.QtWidgets import QApplication, QFileDialog, QWidget
 
 from app.acquisition.instrument import Status
@@ -423,6 +423,7 @@ class MainWindow(BaseWindow):
             return
         self._is_closing = True
         if self._settings is not None:
+            self.docks.use_tall_layout()
             save_state(self._settings, self)
             self._settings.setValue(_FOLDER, str(self.recording_bar.recordings_folder))
         self._timer.stop()
@@ -434,6 +435,11 @@ class MainWindow(BaseWindow):
         self.recording_bar.refresh()  # end, name and note of a recording that was under way
         self._is_closing = False
         super().closeEvent(event)
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Follow the height, after the layout."""
+        super().resizeEvent(event)
+        self.docks.follow_height()
 
     def _show_closing(self) -> None:
         """Paint what the window waits for, without taking any command."""

@@ -25,7 +25,7 @@ from app.recording.folder import describe, name_problem
 from app.recording.recorder import RECENT_S, Limit, RecordingState
 from drivers.interface import Range
 
-_WIDEST = "000000 frames   00:00   disk space for 000 min"  # more is cut off; the tool tip has it
+_WIDEST = "000000 frames   00:00   disk space for 000 min"  # of more, only the tool tip has the disk space
 _STOP = "Stop recording"
 _BEHIND = 70  # waiting frames from which the number is shown
 _DISK_INTERVAL_S = 2.0  # between two queries of the free disk space
@@ -72,7 +72,8 @@ class RecordingPanel(QWidget):
         self.record.setEnabled(state is None or state.stage != "finishing")
         room = () if math.isinf(free_minutes) else (f"disk space for {_duration(free_minutes)}",)
         text = "   ".join((*_progress(state), *room))
-        self.text.setText(text)
+        is_narrow = self.text.fontMetrics().horizontalAdvance(text) > self.text.width()
+        self.text.setText("   ".join(_progress(state)) if is_narrow else text)
         self.text.setToolTip(text if state is None else f"{text}\n{state.folder}")
 
     def _leave_fields(self) -> None:

@@ -1,10 +1,12 @@
 """Form for all settings of a bench, also for a new one with connected devices."""
 
+import re
 import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from PyQt6.QtCore import QSize
 from PyQt6.QtWidgets import (
     QCheckBox,
     QDialog,
@@ -12,7 +14,6 @@ from PyQt6.QtWidgets import (
     QFormLayout,
     QLineEdit,
     QListWidget,
-    QScrollArea,
     QStackedWidget,
     QWidget,
 )
@@ -22,12 +23,27 @@ from app.bench.device_kinds import KINDS
 from app.bench.settings_form import FormField, SettingsForm, fault_path, in_words
 from app.errors import InputError, RunError
 from app.files import atomic_write
-from app.gui.widgets.basics import Button, Choice, ElidedLabel, column, label, mark_refused, row, timer
+from app.gui.widgets import theme
+from app.gui.widgets.basics import (
+    NAMES,
+    Button,
+    Choice,
+    ElidedLabel,
+    Scrolled,
+    colour_text,
+    column,
+    label,
+    mark_refused,
+    row,
+    timer,
+    within_screen,
+)
 from app.gui.widgets.fields import NumberLine, TextLine
 from drivers.device import DiscoveredDevice
 
 _POLL_MS = 100
-_SIZE = (720, 560)  # px
+_SIZE = QSize(52, 34)  # heights of a line
+_DETAIL = re.compile(r" \(.*?\)(?=:)")  # of an error, before the advice: a system's words, in its language
 _NO_DEVICE = "Other, or simulated: choose the driver below"
 
 
@@ -38,7 +54,7 @@ class SettingsDialog(QDialog):
         self, use: Callable[[Bench, Bench | None], object], opened: Callable[[str], object], parent: QWidget
     ) -> None:
         super().__init__(parent)
-        self.resize(*_SIZE)
+        self.resize(within_screen(self, _SIZE * self.fontMetrics().height()))
         self._use, self._opened = use, opened
         self._form = SettingsForm({})
         self._before: Bench | None = None  # the edited bench; None for a new one
@@ -59,8 +75,7 @@ class SettingsDialog(QDialog):
         self.failed = label("", "dim")
         self.failed.setWordWrap(True)
         connected.addRow(self.failed)
-        self.problem = ElidedLabel()
-        mark_refused(self.problem, is_refused=True)
+        self.problem = ElidedLabel(lines=2)
         self.apply = Button("Open", "", self._apply)
         self.save = Button(
             "Save \N{HORIZONTAL ELLIPSIS}", "Save these settings as a bench file, and open it", self._save
@@ -107,7 +122,7 @@ class SettingsDialog(QDialog):
             except Exception as error:  # noqa: BLE001 - every error is shown, and the other kinds are searched
                 devices, missing = (), f"{type(error).__name__}: {error}"
             self._found += devices
-            self._failed += [f"{kind.name}: not searched: {missing}"] if missing else []
+            self._failed += [f"{kind.name}, not searched: {missing}"] if missing else []
             self._failed += [f"{one.name} cannot be used yet: {one.missing}" for one in devices if one.missing]
 
     def _poll(self) -> None:
@@ -115,7 +130,8 @@ class SettingsDialog(QDialog):
             return
         self._search = None
         self._timer.stop()
-        self.failed.setText("\n".join(self._failed))
+        self.failed.setText("\n".join(_DETAIL.sub("", failed).replace("`", "") for failed in self._failed))
+        self.failed.setToolTip("\n".join(self._failed))
         for kind, choice in (("camera", self.camera), ("light", self.light)):
             names = [device.name for device in self._found if device.kind == kind]
             choice.clear()
@@ -150,13 +166,10 @@ class SettingsDialog(QDialog):
             layout.addRow(about)
             for field in section.fields:
                 editor = self._editor(field)
-                editor.setToolTip(f"<p>{field.help or field.label}</p>")
+                editor.setToolTip(f"<p>{_in_names(field.help or field.label)}</p>")
                 self.editors[field.path] = (field, editor)
                 layout.addRow(f"{field.label} ({field.unit})" if field.unit else field.label, editor)
-            area = QScrollArea()
-            area.setWidget(inner)
-            area.setWidgetResizable(True)
-            self.pages.addWidget(area)
+            self.pages.addWidget(Scrolled(inner))
             self.sections.addItem(" \N{RIGHTWARDS ARROW} ".join(part.capitalize() for part in section.path.split(".")))
             if section.path == shown:
                 self.sections.setCurrentRow(self.sections.count() - 1)
@@ -165,16 +178,19 @@ class SettingsDialog(QDialog):
     def _editor(self, field: FormField) -> QWidget:
         if field.kind == "switch":
             box = QCheckBox()
+            box.toggled.connect(lambda on: box.setText("yes" if on else "no"))
+            box.setText("no")
             box.setChecked(field.text == "true")
             box.toggled.connect(lambda on: self._enter(field, box, "true" if on else "false"))
             return box
         if field.kind == "choice":
-            choice = Choice(items=[(value or "automatic", value) for value in field.choices])
+            choice = Choice(items=[(NAMES.get(value, value) or "automatic", value) for value in field.choices])
             choice.setCurrentIndex(choice.findData(field.text))
             choice.activated.connect(lambda index: self._enter(field, choice, choice.itemData(index)))
             return choice
         line = (NumberLine if field.kind in {"number", "integer"} else TextLine)(field.text)
-        line.setPlaceholderText(f"for example {field.example}" if field.example else "automatic" * field.is_optional)
+        empty = "none" if field.kind == "toml" and not field.is_optional else "automatic" * field.is_optional
+        line.setPlaceholderText(f"for example {field.example}" if field.example else empty)
         line.textEdited.connect(lambda text: self._enter(field, line, text))
         return line
 
@@ -191,13 +207,21 @@ class SettingsDialog(QDialog):
 
     def _check(self) -> Bench | None:
         """Return the bench, or show what is wrong at its field."""
+        left = []  # to be typed in a new bench
         for field, editor in self.editors.values():
             text = editor.text() if isinstance(editor, QLineEdit) else field.text
+            if field.example and not text.strip():
+                left.append(field.label)
+                continue
             try:
                 field.parse(text)
             except InputError as error:
                 self._show_problem(str(error), editor)
                 return None
+        if left:
+            self._show_problem(f"Still to be filled in: {', '.join(left)}", None)
+            colour_text(self.problem, theme.DIM)
+            return None
         try:
             bench = self._form.bench()
         except InputError as error:
@@ -209,6 +233,7 @@ class SettingsDialog(QDialog):
 
     def _show_problem(self, sentence: str, at: QWidget | None) -> None:
         self.problem.setText(sentence)
+        colour_text(self.problem, theme.RED)
         for _, editor in self.editors.values():
             mark_refused(editor, is_refused=editor is at)
         for ending in (self.apply, self.save):
@@ -234,3 +259,8 @@ class SettingsDialog(QDialog):
             return
         self.close()
         self._opened(name)
+
+
+def _in_names(text: str) -> str:
+    """Return a text with the names of people in place of those of a bench file."""
+    return re.sub(r"\b\w*_\w*\b", lambda word: NAMES.get(word[0], word[0]), text)

@@ -2,15 +2,14 @@
 
 from collections.abc import Mapping
 
-from PyQt6.QtCore import QByteArray, QObject, QRect, QSettings, QSize
+from PyQt6.QtCore import QByteArray, QObject, QRect, QSettings
 from PyQt6.QtGui import QAction, QActionGroup
 from PyQt6.QtWidgets import QAbstractButton, QApplication, QComboBox, QDialog, QFormLayout, QMainWindow, QWidget
 
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, Choice, label
+from app.gui.widgets.basics import FRAME, Button, Choice, column, label, row, within_screen
 
 _LAYOUT = 1  # a state of another version is ignored
-_FRAME = QSize(10, 40)  # px; window managers add it only when the window is shown
 _THEME, _SIZE = "preferences/theme", "preferences/text"  # keys of the settings
 _SIZES = (80, 100, 125, 150)  # percent of the desktop's
 
@@ -50,8 +49,8 @@ def fit_to_screen(window: QMainWindow) -> None:
     if (screen := window.screen()) is None or window.isMaximized() or window.isFullScreen():
         return
     free = screen.availableGeometry()
-    window.resize(window.size().boundedTo(free.size() - _FRAME))
-    outer = QRect(window.pos(), window.size() + _FRAME)
+    window.resize(within_screen(window, window.size()))
+    outer = QRect(window.pos(), window.size() + FRAME)
     outer.moveRight(min(outer.right(), free.right()))
     outer.moveBottom(min(outer.bottom(), free.bottom()))
     window.move(max(outer.left(), free.left()), max(outer.top(), free.top()))
@@ -106,11 +105,12 @@ class PreferencesDialog(QDialog):
         for choice, key, usual in ((self.theme, _THEME, "system"), (self.size_choice, _SIZE, "100")):
             choice.setCurrentIndex(choice.findData(str(settings.value(key, usual))))
             choice.activated.connect(self._save)
-        form = QFormLayout(self)
+        form = QFormLayout()
         form.addRow("Theme", self.theme)
         form.addRow("Size of texts", self.size_choice)
         form.addRow("", label("The size changes at the next start.", "dim"))
-        form.addRow("", Button("Close", "Close (Esc)", self.close))
+        ends = row((QWidget(), 1), Button("Close", "Close (Esc)", self.close))
+        column(form, ends, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
 
     def _save(self) -> None:
         self._settings.setValue(_THEME, self.theme.currentData())

@@ -4,17 +4,20 @@ from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 from PyQt6.QtCore import QEvent, QObject, QSize, Qt, QTimer, pyqtBoundSignal
-from PyQt6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QWheelEvent
+from PyQt6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QResizeEvent, QTextLayout, QWheelEvent
 from PyQt6.QtWidgets import (
     QAbstractScrollArea,
     QBoxLayout,
     QComboBox,
+    QFrame,
     QHBoxLayout,
     QLabel,
     QLayout,
     QPushButton,
+    QScrollArea,
     QSizePolicy,
     QStyle,
+    QStyledItemDelegate,
     QStyleOptionComboBox,
     QVBoxLayout,
     QWidget,
@@ -26,6 +29,7 @@ Slot = Callable[..., object] | pyqtBoundSignal
 Item = QWidget | QLayout | tuple[QWidget | QLayout, int]  # the number is the stretch
 L = TypeVar("L", bound=QBoxLayout)
 _COMBO, _CURSOR = QStyle.ComplexControl.CC_ComboBox, 2  # px that Qt leaves beside a chosen text
+FRAME = QSize(10, 40)  # px; window managers add it only when a window is shown
 ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 NAMES = {  # human names of settings' values; the others are their word
     "gauss_newton": "Gauss-Newton",
@@ -33,11 +37,17 @@ NAMES = {  # human names of settings' values; the others are their word
     "itk_affine": "affine (ITK)",
     "legendre": "Legendre",
     "zernike": "Zernike",
+    "dcam": "Hamamatsu (DCAM)",
+    "genicam": "GigE and USB3 Vision (GenICam)",
+    "micro_manager": "Micro-Manager",
+    "thorlabs_dc4100": "Thorlabs DC4100",
+    "thorlabs_dc2200": "Thorlabs DC2200",
+    "coolled": "CoolLED",
 }
 
 
 def label(text: str, role: str = "", parent: QWidget | None = None) -> QLabel:
-    """Make a label; its role ("title", "dim", "on-image") selects the style."""
+    """Make a label; its role ("title", "dim", "badge") selects the style."""
     made = QLabel(text, parent)
     made.setProperty("role", role)
     return made
@@ -66,17 +76,18 @@ def _restyle(widget: QWidget, name: str, value: object) -> None:
 
 
 class ElidedLabel(QLabel):
-    """A line of text without minimum width; an ellipsis replaces what does not fit, and the tool tip has it all.
+    """A text without minimum width; an ellipsis replaces what does not fit, and the tool tip has it all.
 
     The text is kept from QLabel, which would request a new layout for each change.
     """
 
-    def __init__(self, role: str = "", text: str = "") -> None:
-        """Show a text; for `role` see `label`."""
+    def __init__(self, role: str = "", text: str = "", *, lines: int = 1) -> None:
+        """Show a text in as many lines as it needs, at most `lines`; for `role` see `label`."""
         super().__init__()
         self.setProperty("role", role)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.setMinimumHeight(self.fontMetrics().height())  # also when empty, so that nothing moves
+        self._most, self._taken = lines, 1
+        self._keep_room()
         self.setText(text)
 
     def setText(self, text: str | None) -> None:  # noqa: N802 - Qt's name
@@ -84,21 +95,54 @@ class ElidedLabel(QLabel):
         self._text = text or ""
         self.setToolTip(text)
         self.setAccessibleName(text)
+        self._take_lines()
         self.update()
 
     def text(self) -> str:
         """Return the whole text."""
         return self._text
 
+    @property
+    def shown(self) -> str:
+        """The text as it is painted: lines that fit the width, the last one elided."""
+        lines = self._wrapped() if self._most > 1 else [self._text]
+        first, rest = lines[: self._most - 1], "".join(lines[self._most - 1 :])
+        fitting = self.fontMetrics().elidedText(rest, Qt.TextElideMode.ElideRight, self.width())
+        return "\n".join([*first, "" if fitting == "\N{HORIZONTAL ELLIPSIS}" else fitting]).rstrip("\n")
+
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
         """Paint the text, elided to the width."""
         painter, style = QPainter(self), self.style()
-        fitting = self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width())
-        fitting = "" if fitting == "\N{HORIZONTAL ELLIPSIS}" else fitting
         if isinstance(style, QStyle):
             style.drawItemText(
-                painter, self.rect(), int(self.alignment()), self.palette(), True, fitting, self.foregroundRole()
+                painter, self.rect(), int(self.alignment()), self.palette(), True, self.shown, self.foregroundRole()
             )
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Take the lines that the text needs at this width."""
+        super().resizeEvent(event)
+        if event is not None and event.size().width() != event.oldSize().width():
+            self._taken = 1
+            self._take_lines()
+
+    def _take_lines(self) -> None:
+        """Take more lines if the text needs them; only another width gives them back, so that nothing jumps."""
+        if self._most > 1:
+            self._taken = max(self._taken, min(len(self._wrapped()), self._most))
+            self._keep_room()
+
+    def _keep_room(self) -> None:
+        self.setMinimumHeight(self._taken * self.fontMetrics().height())  # also when empty, so that nothing moves
+
+    def _wrapped(self) -> list[str]:
+        """Return the lines of the text at this width."""
+        layout, lines = QTextLayout(self._text, self.font()), []
+        layout.beginLayout()
+        while (line := layout.createLine()).isValid():
+            line.setLineWidth(self.width())
+            lines.append(self._text[line.textStart() : line.textStart() + line.textLength()])
+        layout.endLayout()
+        return lines
 
 
 class Button(QPushButton):
@@ -153,6 +197,9 @@ class Choice(QComboBox):
     ) -> None:
         """Offer texts, some with data; `changed` is called when another is current. For the `key` see `Toggle`."""
         super().__init__()
+        self.setItemDelegate(QStyledItemDelegate(self))  # Qt's own paints all items like a wanted value
+        if (listed := self.view()) is not None:
+            listed.setFont(self.font())
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setObjectName(key)
         self.setToolTip(tool_tip)
@@ -223,6 +270,38 @@ def row_of(*items: Item) -> QWidget:
 def column(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QVBoxLayout:
     """Arrange widgets and layouts from top to bottom, without margins."""
     return _filled(QVBoxLayout(parent), items, spacing)
+
+
+def within_screen(widget: QWidget, size: QSize) -> QSize:
+    """Return a size that fits, with the frame of its window, on the screen of a widget."""
+    screen = widget.screen()
+    return size if screen is None else size.boundedTo(screen.availableGeometry().size() - FRAME)
+
+
+class Scrolled(QScrollArea):
+    """Contents at their full size, which scroll where the screen is smaller."""
+
+    def __init__(self, contents: QWidget) -> None:
+        super().__init__()
+        self.setWidget(contents)
+        self.setWidgetResizable(True)
+        self.setFrameShape(QFrame.Shape.NoFrame)
+        unfocused(self)
+
+    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
+        """Tell the layout that the contents need another size."""
+        if event is not None and event.type() == QEvent.Type.LayoutRequest:
+            self.updateGeometry()
+        return super().eventFilter(watched, event)
+
+    def sizeHint(self) -> QSize:  # noqa: N802 - Qt's name
+        """Return the size of the contents, which Qt would limit, and room for the scroll bar."""
+        contents, bar = self.widget(), self.verticalScrollBar()
+        if contents is None or bar is None:
+            return super().sizeHint()
+        width = contents.sizeHint().width()
+        height = max(contents.sizeHint().height(), contents.heightForWidth(width))
+        return QSize(width + bar.sizeHint().width(), height)
 
 
 def unfocused(area: QAbstractScrollArea) -> None:

@@ -3,16 +3,16 @@
 import math
 
 import numpy as np
-from PyQt6.QtCore import QPoint, QPointF, Qt, pyqtSignal
+from PyQt6.QtCore import QPoint, QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF, QShowEvent
 from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
 
 from app.gui.widgets import theme
-from app.gui.widgets.basics import ElidedLabel, Toggle, column, row
+from app.gui.widgets.basics import ElidedLabel, Toggle, column, row, within_screen
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import number
 from app.gui.widgets.view_grid import STEPS, Maps, ViewGrid
-from app.results.pictures import contour_step, contours, project_surface
+from app.results.pictures import contour_step, contours, project_points, project_surface
 from reconstruction.arrays import Floats
 
 _CONTOUR, _CURSOR = QColor(0, 0, 0, 150), QColor(0, 0, 0)  # on the map, in every theme
@@ -121,10 +121,10 @@ class SurfaceView(QWidget):
         limit = max(abs(maps.scale.low), abs(maps.scale.high))
         surface = project_surface(values, limit, azimuth_rad=self.azimuth_rad, elevation_rad=self.elevation_rad)
         colours = maps.scale.pixels(surface.values)
-        corners = surface.corners * (min(self.width(), self.height() * 1.4) / 1.5)
-        corners += (self.width() / 2, self.height() / 2)
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        self._paint_axes(painter, maps)
+        corners = self._on_widget(surface.corners)
         is_lined = max(values.shape) <= _LINED
         for face, colour, brightness in zip(corners, colours, surface.brightness, strict=True):
             red, green, blue = ((int(colour) >> shift & 255) * brightness for shift in (16, 8, 0))
@@ -132,6 +132,47 @@ class SurfaceView(QWidget):
             painter.setBrush(shaded)
             painter.setPen(QPen(_EDGE if is_lined else shaded, 1))
             painter.drawPolygon(QPolygonF([QPointF(x, y) for x, y in face]))
+
+    def _on_widget(self, projected: Floats) -> Floats:
+        """Scale and centre projected points (..., xy), px, with room for the numbers of the axes."""
+        scale = min(self.width() / 1.5, self.height() / 1.35)
+        return np.asarray(projected * scale + (self.width() / 2, self.height() / 2))
+
+    def _paint_axes(self, painter: QPainter, maps: Maps) -> None:
+        """Paint the base, which lies at the low end of the scale, and the scale at its leftmost corner."""
+        rows, columns = self._values.shape
+        half_x, half_y = ((count - 1) / (2 * (max(rows, columns) - 1)) for count in (columns, rows))
+        limit = max(abs(maps.scale.low), abs(maps.scale.high))
+        low, high = maps.scale.low / (4 * limit), maps.scale.high / (4 * limit)
+        base = np.array(
+            [(x, y, low) for x, y in ((-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y))]
+        )
+        turn = {"azimuth_rad": self.azimuth_rad, "elevation_rad": self.elevation_rad}
+        on_base = self._on_widget(project_points(base, **turn))
+        left = int(on_base[:, 0].argmin())
+        top = self._on_widget(project_points(base[left] + (0, 0, high - low), **turn))
+        painter.setPen(QPen(theme.DIM, 1))
+        painter.drawPolygon(QPolygonF([QPointF(x, y) for x, y in on_base]))
+        painter.drawLine(QPointF(*on_base[left]), QPointF(*top))
+        ends = dict(maps.scale.ticks)
+        self._write(painter, on_base[left] - (24, 0), ends[min(ends)])
+        self._write(painter, top - (0, 10), f"{ends[max(ends)]} {maps.scale.title}")
+        outward = on_base - on_base.mean(axis=0)
+        for axis, reach, edges in (("x", maps.reach[0], ((0, 1), (2, 3))), ("y", maps.reach[1], ((1, 2), (3, 0)))):
+            near = max(edges, key=lambda edge: on_base[list(edge), 1].mean())  # the edge in front
+            text = f"{axis} \N{PLUS-MINUS SIGN}{number(reach)} {maps.reach_unit}"
+            away = outward[list(near)].mean(axis=0)
+            away /= max(float(np.linalg.norm(away)), 1e-9)
+            room = np.array([painter.fontMetrics().horizontalAdvance(text), painter.fontMetrics().height()]) / 2 + 4
+            self._write(painter, on_base[list(near)].mean(axis=0) + away * room, text)
+
+    def _write(self, painter: QPainter, at: Floats, text: str) -> None:
+        """Write a text around a point, within the widget."""
+        place = QRectF(painter.fontMetrics().boundingRect(text))
+        place.moveCenter(QPointF(*at))
+        place.moveLeft(min(max(place.left(), 0.0), self.width() - place.width()))
+        place.moveTop(min(max(place.top(), 0.0), self.height() - place.height()))
+        painter.drawText(place, Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextDontClip, text)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
         """Begin to turn."""
@@ -175,7 +216,7 @@ class EnlargedView(QDialog):
             grid_layout.setColumnStretch(index, stretch)
         layout = column(row((self.text, 1), self.contour_toggle), (grid_layout, 1), parent=self)
         layout.setContentsMargins(10, 8, 10, 8)
-        self.resize(1180, 480)
+        self.resize(within_screen(parent, QSize(1180, 480)))
         self.refresh()
 
     def refresh(self) -> None:

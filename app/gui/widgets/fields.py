@@ -10,7 +10,7 @@ from app.bench.settings_form import typed_number
 from app.gui.widgets.basics import ENTER, mark_refused
 from drivers.interface import Range
 
-_BUTTONS_WIDTH = 26  # px, with the frame
+BUTTONS_WIDTH = 26  # px, with the frame
 _LETTERS = 4  # of a word that may be shortened
 _COMMANDS = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.AltModifier | Qt.KeyboardModifier.MetaModifier
 
@@ -70,7 +70,7 @@ class NumberField(Field, QDoubleSpinBox):
         if decimals:
             self.setStepType(QAbstractSpinBox.StepType.AdaptiveDecimalStepType)
         usual = max((f"{0:.{decimals}f}".rjust(decimals + 5, "0") + self.suffix(), lowest), key=len)
-        self.setMinimumWidth(self.fontMetrics().horizontalAdvance(usual) + _BUTTONS_WIDTH)  # independent of the range
+        self.setMinimumWidth(self.fontMetrics().horizontalAdvance(usual) + BUTTONS_WIDTH)  # independent of the range
         self.valueChanged.connect(self._enter)
         if (line := self.lineEdit()) is not None:
             line.textChanged.connect(self._mark)
@@ -85,6 +85,11 @@ class NumberField(Field, QDoubleSpinBox):
             self.setRange(allowed.minimum / self._factor, allowed.maximum / self._factor)
             self.setValue(value / self._factor)
         self._mark()
+
+    def use_unit(self, unit: str) -> None:
+        """Show and take values in another unit, as they are."""
+        self._unit, self._factor = unit, 1.0
+        self.setSuffix(f" {unit}" if unit else "")
 
     def edit(self) -> None:
         """Take the focus and select the value, so that typing replaces it."""

@@ -1,10 +1,12 @@
 """A titled plot in the colours of the window."""
 
+import math
+
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QWidget
+from PyQt6.QtGui import QColor, QFontMetrics
+from PyQt6.QtWidgets import QApplication, QWidget
 
 from app.gui.widgets import theme
 from app.gui.widgets.basics import ElidedLabel, colour_text, column, label, row, unfocused
@@ -20,7 +22,22 @@ class Canvas(pg.GraphicsView):  # type: ignore[misc] # pyqtgraph declares no typ
 
 
 class _Axis(pg.AxisItem):  # type: ignore[misc] # pyqtgraph declares no types
-    """An axis whose numbers have the minus sign of all other numbers."""
+    """An axis whose numbers never touch, and have the minus sign of all other numbers."""
+
+    def tickValues(  # noqa: N802 - pyqtgraph's name
+        self, low: float, high: float, size: float
+    ) -> list[tuple[float, list[float]]]:
+        """Return spacing and values of each level; every other number or fewer if all have no room."""
+        levels: list[tuple[float, list[float]]] = super().tickValues(low, high, size)
+        if not levels or not len(levels[0][1]):
+            return levels
+        spacing, values = levels[0]
+        font = QFontMetrics(QApplication.font())
+        is_upright = self.orientation == "left"
+        widest = max(map(font.horizontalAdvance, self.tickStrings(list(values), self.scale, spacing)))
+        needed_px = len(values) * (font.height() if is_upright else widest + font.horizontalAdvance("00"))
+        step = math.ceil(needed_px / max(size, 1.0))
+        return levels if step == 1 else [(step * spacing, list(values[::step]))]
 
     def tickStrings(  # noqa: N802 - pyqtgraph's name
         self, values: list[float], scale: float, spacing: float
@@ -40,7 +57,8 @@ class Plot(QWidget):
         """
         super().__init__()
         self.curves: list[pg.PlotCurveItem] = []
-        self.title = ElidedLabel("title", title)
+        self._is_clear = False
+        self.title = ElidedLabel("title", title, lines=2)
         self.graphics = Canvas()
         self.graphics.setMinimumSize(120, 4 * self.fontMetrics().height())
         unfocused(self.graphics)
@@ -91,6 +109,18 @@ class Plot(QWidget):
             axis.setTextPen(theme.DIM)
             axis.setLabel(axis.labelText, color=theme.DIM.name())
 
+    def clear(self) -> None:
+        """Show neither curves nor numbers until the ranges are set again."""
+        for curve in self.curves:
+            curve.setData([], [])
+        for axis in self.axes.values():
+            axis.setTicks([[]])
+        self._is_clear = True
+
     def set_ranges(self, x: tuple[float, float], y: tuple[float, float]) -> None:
         """Set what both axes span."""
+        if self._is_clear:
+            self._is_clear = False
+            for axis in self.axes.values():
+                axis.setTicks(None)  # those of the ranges
         self.view.setRange(xRange=x, yRange=y, padding=0)

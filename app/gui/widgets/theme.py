@@ -47,7 +47,6 @@ def _style() -> str:
 QToolTip {{ color: {TEXT.name()}; background: {RAISED.name()}; border: 1px solid {LINE.name()}; padding: 4px; }}
 QLabel[role="title"] {{ color: {TEXT.name()}; font-weight: 600; }}
 QLabel[role="dim"] {{ color: {DIM.name()}; }}
-QLabel[role="on-image"] {{ color: #dde2e8; background: rgba(20, 23, 27, 190); padding: 2px 6px; }}
 QLabel[role="badge"] {{ color: {BACKGROUND.name()}; background: {AMBER.name()}; font-weight: 600; padding: 2px 6px; }}
 {"".join(f'QLabel[tone="{name}"] {{ color: {colour.name()}; }}' for name, colour in _TONES.items())}
 QFrame[role="rule"] {{ background: {LINE.name()}; }}
@@ -56,6 +55,11 @@ QFrame[role="bubble"] {{ background: {RAISED.name()}; border: 1px solid {ACCENT.
 QFrame[role="outline"] {{ border: 2px solid {ACCENT.name()}; }}
 QFrame[role="bubble"] QLabel {{ border: none; }}
 *[wanted="true"] {{ color: {AMBER.name()}; font-style: italic; }}
+*[wanted="true"] QAbstractItemView {{ color: {TEXT.name()}; font-style: normal; }}
+QListWidget::item {{ padding: 3px 6px; }}
+QCheckBox::indicator {{ width: 14px; height: 14px; border: 1px solid {DIM.name()}; border-radius: 3px; }}
+QCheckBox::indicator:checked {{ background: {ACCENT.name()}; border-color: {ACCENT.name()}; }}
+QCheckBox::indicator:focus {{ border-color: {ACCENT.name()}; }}
 QPushButton {{ padding: 3px 8px; }}
 QPushButton:checked {{ background: {CHECKED.name()}; border: 1px solid #2f6f9f; border-radius: 3px; }}
 QPushButton[role="step"] {{ padding: 3px 4px; }}

@@ -8,7 +8,18 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPoint, QRect, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap, QRegion
+from PyQt6.QtGui import (
+    QColor,
+    QHelpEvent,
+    QImage,
+    QKeyEvent,
+    QMouseEvent,
+    QPainter,
+    QPaintEvent,
+    QPen,
+    QPixmap,
+    QRegion,
+)
 from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui.widgets import theme
@@ -19,11 +30,11 @@ from reconstruction.arrays import Floats
 
 _GAP, _NARROW_GAP = 10, 3  # px between views with captions, and without
 _BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, space left of it, space before its numbers
-_LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
+LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
 _CAPTION = 100  # px: small views stand apart, if there is room, so that their captions fit
-_MARGIN = 3  # px around all views, for the selection frame
+MARGIN = 3  # px around all views, for the selection frame
 _BETWEEN = 4  # px between the captions of neighbours
-_SMALLEST_CAPTIONED = 40  # px: narrower views have the numbers in their tool tips only
+_CAPTIONED = ((2, 50), (1, 40))  # lines and least px: of narrower views only the tool tips have the numbers
 _STALE_OPACITY = 0.5
 STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
 
@@ -50,7 +61,7 @@ class Places:
     size: QSize  # of each
     step: QSize  # from one to the next
     bar_space: int  # width of the colour bar and its numbers; 0 if the views need it: tool tips have the values
-    has_captions: bool
+    caption_lines: int
     tiles: QRegion  # of all views
 
     def tile(self, view_row: int, view_column: int) -> QRect:
@@ -58,25 +69,28 @@ class Places:
         return QRect(self.first + QPoint(view_column * self.step.width(), view_row * self.step.height()), self.size)
 
 
-def arrange_views(room: QSize, shape: tuple[int, ...], *, bar_space: int, below: int, gap: int) -> Places:
-    """Arrange maps (view_row, view_column, row, column) in a room, with so many pixels below and between them."""
+def arrange_views(room: QSize, shape: tuple[int, ...], *, bar_space: int, lines: int, below: int, gap: int) -> Places:
+    """Arrange maps (view_row, view_column, row, column) in a room, with so many pixels below and between them.
+
+    The pixels below are for so many `lines` of captions.
+    """
     view_rows, view_columns, rows, columns = shape
     if not min(shape):
-        return Places(QPoint(), QSize(), QSize(), 0, has_captions=False, tiles=QRegion())
-    width = (room.width() - 2 * _MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
-    height = (room.height() - 2 * _MARGIN - (view_rows - 1) * gap) / view_rows - below
+        return Places(QPoint(), QSize(), QSize(), 0, caption_lines=0, tiles=QRegion())
+    width = (room.width() - 2 * MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
+    height = (room.height() - 2 * MARGIN - (view_rows - 1) * gap) / view_rows - below
     scale = max(min(width / columns, height / rows), 0)
     size = QSize(int(scale * columns), int(scale * rows))
-    free = room.width() - 2 * _MARGIN - bar_space - view_columns * size.width() - (view_columns - 1) * gap
+    free = room.width() - 2 * MARGIN - bar_space - view_columns * size.width() - (view_columns - 1) * gap
     wider = min(max(_CAPTION - size.width() - gap, 0), max(free, 0) // max(view_columns - 1, 1)) if below else 0
     step = QSize(size.width() + gap + wider, size.height() + below + gap)
     used = QSize(view_columns * step.width() - gap - wider + bar_space, view_rows * step.height() - gap)
     left, top = (room.width() - used.width()) // 2, (room.height() - used.height()) // 2
-    first = QPoint(max(left, _MARGIN), max(top, _MARGIN))
+    first = QPoint(max(left, MARGIN), max(top, MARGIN))
     tiles = QRegion()
     for row, column in np.ndindex(view_rows, view_columns):
         tiles += QRect(first + QPoint(column * step.width(), row * step.height()), size)
-    return Places(first, size, step, bar_space, has_captions=bool(below), tiles=tiles)
+    return Places(first, size, step, bar_space, caption_lines=lines, tiles=tiles)
 
 
 class ViewGrid(QWidget):
@@ -85,14 +99,29 @@ class ViewGrid(QWidget):
     selected = pyqtSignal(int, int)  # view row and column
     opened = pyqtSignal()  # the selected view, by a double click
 
-    def __init__(self, least: tuple[int, int] = (260, 190), empty: str = "no wavefront") -> None:
-        """Take at least this width and height, px; show the text `empty` without maps."""
-        super().__init__()
+    def __init__(
+        self,
+        least: tuple[int, int] = (260, 160),
+        empty: str = "no wavefront",
+        parent: QWidget | None = None,
+        *,
+        widest: str = "",
+        is_captioned: bool = True,
+    ) -> None:
+        """Take at least this width and height, px; show the text `empty` without maps.
+
+        The numbers beside the colour bar have room for the `widest` one, so that several grids are alike. Without
+        captions, the maps take their room.
+        """
+        super().__init__(parent)
+        self._is_captioned = is_captioned
+        self.has_bar: bool | None = None  # None: if there is room
+        self.is_hatched = True  # whether unknown pixels are hatched, or only grey
         self.maps: Maps | None = None
         self.empty = empty
         self._pixels: Pixels = np.zeros((0, 0, 0, 0), np.uint32)
         self._shown_scale: ColourScale | None = None
-        self._number_width = 0  # px
+        self._least_number = self._number_width = self.fontMetrics().horizontalAdvance(widest)  # px
         self._laid_out_for: tuple[int, ...] = ()
         self._bar_key: tuple[str, QSize] | None = None  # colours and size of the pixmap
         self._bar_pixmap = QPixmap()
@@ -110,10 +139,13 @@ class ViewGrid(QWidget):
         before, self._shown_scale = self._shown_scale, scale
         if maps is not None and scale is not None:
             self._pixels = scale.pixels(maps.values)
+            if self.is_stale:
+                self._pixels = _faded(self._pixels, self.palette().window().color())
             if scale == before and not self._is_moved:
                 self.update(self.places.tiles)  # captions and colour bar are as before, and cost as much as the maps
                 return
-            before_px = self._number_width if before is not None and before.title == scale.title else 0
+            is_same = before is not None and before.title == scale.title
+            before_px = self._number_width if is_same else self._least_number
             widths = [self.fontMetrics().horizontalAdvance(text) for _, text in maps.scale.ticks]
             self._number_width = max(before_px, max(widths) + 1)  # shrinks only with another unit: the maps stay
         self.update()
@@ -154,7 +186,7 @@ class ViewGrid(QWidget):
         self._paint_selection(painter)
         if painted.subtracted(places.tiles).isEmpty():
             return
-        if places.has_captions:
+        if places.caption_lines:
             self._paint_captions(painter)
         if places.bar_space:
             self._paint_color_bar(painter, maps)
@@ -221,13 +253,22 @@ class ViewGrid(QWidget):
         if self._is_moved:
             self._laid_out_for = self._layout_key
             shape, line = self._shape, self.fontMetrics().height()
-            space = _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
-            has_bar = self.width() >= 2 * space + line and self.height() >= _LEAST_LINES * line
+            space, has_bar = self.bar_space, self.has_bar
+            if has_bar is None:
+                has_bar = self.width() >= 2 * space + line and self.height() >= LEAST_LINES * line
             arrange = partial(arrange_views, self.size(), shape, bar_space=space if has_bar else 0)
-            captioned = arrange(below=2 * line + 4, gap=_GAP)
-            has_captions = captioned.size.width() >= _SMALLEST_CAPTIONED
-            self._places = captioned if has_captions else arrange(below=0, gap=_NARROW_GAP)
+            self._places = arrange(lines=0, below=0, gap=_NARROW_GAP)
+            for lines, least in _CAPTIONED if self._is_captioned else ():
+                captioned = arrange(lines=lines, below=lines * line + 4, gap=_GAP)
+                if captioned.size.width() >= least:
+                    self._places = captioned
+                    break
         return self._places
+
+    @property
+    def bar_space(self) -> int:
+        """Width of a colour bar with its numbers, px."""
+        return _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
 
     @property
     def _shape(self) -> tuple[int, ...]:
@@ -235,7 +276,8 @@ class ViewGrid(QWidget):
 
     @property
     def _layout_key(self) -> tuple[int, ...]:
-        return (self.width(), self.height(), self.fontMetrics().height(), self._number_width, *self._shape)
+        line = self.fontMetrics().height()
+        return (self.width(), self.height(), line, self._number_width, self.has_bar is not False, *self._shape)
 
     @property
     def _is_moved(self) -> bool:
@@ -251,21 +293,20 @@ class ViewGrid(QWidget):
         if not is_known:
             for row, column in np.argwhere(~self._pixels.all(axis=(2, 3))):
                 painter.fillRect(places.tile(row, column), theme.RAISED)
-                painter.fillRect(places.tile(row, column), hatching)
+                if self.is_hatched:
+                    painter.fillRect(places.tile(row, column), hatching)
         ratio = self.devicePixelRatioF()
         width, height = math.ceil(places.size.width() * ratio), math.ceil(places.size.height() * ratio)
         shown = enlarged(self._pixels, height, width, is_smooth=maps.is_smooth and is_known)
         image = _image(shown.reshape(-1, width))  # one below the other; it refers to their memory
-        painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
         for index, view in enumerate(np.ndindex(shown.shape[:2])):
             painter.setClipRect(places.tile(*view))
             painter.drawImage(QRectF(places.tile(*view)), image, QRectF(0, index * height, width, height))
         painter.setClipping(False)
-        painter.setOpacity(1.0)
 
     def _paint_captions(self, painter: QPainter) -> None:
         line, width = self.fontMetrics().height(), self._caption_width
-        for index, colour in enumerate((theme.TEXT, theme.DIM)):
+        for index, colour in enumerate((theme.TEXT, theme.DIM)[: self.places.caption_lines]):
             wording = self._wording(index)
             if wording is None:
                 continue
@@ -330,6 +371,12 @@ class ViewGrid(QWidget):
         if len(ticks) > most:
             ticks = ticks[:: max((len(ticks) - 1) // 2, 1)]
         return ticks[:: len(ticks) - 1] if len(ticks) > most else ticks
+
+
+def _faded(pixels: Pixels, background: QColor) -> Pixels:
+    """Return colours halfway to the background; transparent ones, which are hatched, stay so."""
+    halves = [colours >> 1 & np.uint32(0x7F7F7F) for colours in (pixels, np.uint32(background.rgb()))]
+    return np.where(pixels, np.uint32(0xFF000000) | (halves[0] + halves[1]), np.uint32(0))
 
 
 def _image(pixels: Pixels) -> QImage:

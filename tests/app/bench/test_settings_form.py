@@ -35,6 +35,17 @@ def test_unchanged_form_gives_the_same_bench(preset: str) -> None:
     assert form.bench() == bench
 
 
+@pytest.mark.parametrize(
+    ("path", "text"), [("sensor.wavelength_m", "500"), ("registration.excluded", "[[2, 3]]"), ("streams.port", "5000")]
+)
+def test_text_that_is_typed_back_restores_its_value(form: SettingsForm, path: str, text: str) -> None:
+    before, field = form.bench(), fields(form)[path]
+    form.set(field, text)
+    assert form.bench() != before
+    form.set(field, field.text)
+    assert form.bench() == before
+
+
 def test_fields_have_units_help_and_limits(form: SettingsForm) -> None:
     made = fields(form)
     pitch = made["sensor.lenslet_pitch_m"]

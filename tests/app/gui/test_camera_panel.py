@@ -92,7 +92,7 @@ def test_arrows_point_along_the_displacement(make_window: MakeWindow) -> None:
     moved[4, 6], outcome[4, 6] = (1.2, 0.3), Outcome.CONVERGED
     window.show_measurement(make_measurement(dim_frame(), views(), outcome=outcome, displacement_px=moved))
     x, y = panel._arrows.ends.T
-    magnification = float(panel.legend.text().rpartition(" ")[2])
+    magnification = float(panel.caption.text().rpartition(" ")[2])
     assert magnification == 20
     np.testing.assert_allclose([x[0], y[0]], [215.0, 150.5])  # the lattice's middle
     np.testing.assert_allclose([x[1] - x[0], y[1] - y[0]], [1.2 * magnification, 0.3 * magnification])

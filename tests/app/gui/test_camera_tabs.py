@@ -117,9 +117,9 @@ def test_click_on_a_lenslet_opens_its_inspector(window: MainWindow, qtbot: QtBot
         "displacement x +1.300 \N{PLUS-MINUS SIGN} 0.020, y \N{MINUS SIGN}0.800 \N{PLUS-MINUS SIGN} 0.030 px"
     )
     maps = {name: tile.maps for name, tile in panel.tiles.items()}
-    for name in ("Reference", "Frame", "Frame, warped back", "Residual"):
+    for name in ("Reference", "Frame", "Warped back", "Residual"):
         assert maps[name] is not None, name
-    reference, back = maps["Reference"], maps["Frame, warped back"]
+    reference, back = maps["Reference"], maps["Warped back"]
     assert reference is not None
     assert back is not None
     middle = reference.values.shape[2] // 2
@@ -127,6 +127,22 @@ def test_click_on_a_lenslet_opens_its_inspector(window: MainWindow, qtbot: QtBot
     outline = window.panels.camera._inspected_box.ends.T
     centre = LATTICE.lenslet_centers_px(*LENSLETS)[4, 7]
     np.testing.assert_allclose([outline[0].mean(), outline[1].mean()], centre)
+
+
+@pytest.mark.parametrize("height", [60, 130, 300])
+def test_images_of_a_lenslet_are_alike(window: MainWindow, qtbot: QtBot, height: int) -> None:
+    panel = window.panels.lenslet
+    window.show_measurement(shown(inspected()))
+    click_lenslet(window.panels.camera, 4, 7)
+    qtbot.waitUntil(lambda: panel.tiles["Residual"].maps is not None)
+    images = panel.tiles["Reference"].parentWidget()
+    assert images is not None
+    images.resize(700, height)
+    tiles = list(panel.tiles.values())
+    assert len({tile.places.size.width() for tile in tiles}) == 1
+    assert tiles[0].places.size.width() >= min(tile.height() for tile in tiles) - 8  # the image fills its place
+    bars = [bool(tile.places.bar_space) for tile in tiles]
+    assert bars == [False, False, height > 100, height > 100]
 
 
 def test_lost_lenslet_is_inspected_with_its_reason(window: MainWindow, qtbot: QtBot) -> None:

@@ -16,6 +16,7 @@ from support.window_tools import MakeWindow, press, wait_for_wavefront
 
 from app.acquisition.kept_averages import Validity
 from app.bench.config import AUTOMATIC
+from app.bench.device_kinds import DRIVERS
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.gui.widgets.basics import NAMES
@@ -283,4 +284,4 @@ def test_refused_value_is_shown_and_loop_continues(live: tuple[MainWindow, FakeC
 def test_no_method_is_shown_as_a_word_of_code() -> None:
     for word in (*get_args(Method), *get_args(PupilBasis)):
         assert "_" not in NAMES.get(word, word)
-    assert NAMES.keys() <= {*get_args(Method), *get_args(PupilBasis)}
+    assert NAMES.keys() <= {*get_args(Method), *get_args(PupilBasis), *DRIVERS["camera"], *DRIVERS["light"]}

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog, QMenu
 from pytestqt.qtbot import QtBot
-from support.gui_bench import BENCH, SENSOR
+from support.gui_bench import BENCH, SENSOR, make_measurement
 from support.wavefronts import bowl, modal
-from support.window_tools import MakeWindow, click, part, picture, press
+from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, picture, press, views
 
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.enlarged_view import EnlargedView
@@ -22,6 +23,7 @@ from app.results.dataset import result_dataset
 from app.results.result_file import write_results
 from app.results.view_analysis import Quantity
 from reconstruction.arrays import Floats
+from reconstruction.displacement import Outcome
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.wavefront import Wavefront
 
@@ -63,7 +65,7 @@ def test_menu_changes_what_is_shown(window: MainWindow, qtbot: QtBot) -> None:
     assert np.ptp(whole[1, 1, 4]) > np.ptp(whole[1, 1, 4, :7]) + 1
     choose(qtbot, menu, "Remove defocus")
     np.testing.assert_allclose(shown(window), 0, atol=1e-9)
-    assert panel._summary.text().startswith("no tilt, no defocus; mean RMS")
+    assert panel._summary.text().endswith("; no tilt, no defocus")
     choose(qtbot, menu, "Remove defocus")
     choose(qtbot, menu, "Remove tilt")
     choose(qtbot, menu, "Unit", "nm")
@@ -81,7 +83,7 @@ def test_stored_wavefront_is_subtracted_until_it_is_cleared(window: MainWindow, 
     assert not menu.clear_stored.isEnabled()
     choose(qtbot, menu, "Subtract the present wavefront")
     np.testing.assert_allclose(shown(window), 0, atol=1e-9)
-    assert panel._summary.text().startswith("minus that of ")
+    assert "; minus that of " in panel._summary.text()
     panel.show_wavefront(bowl(4000.0))
     expected = 1000.0 * SENSOR.pupil_x_m
     np.testing.assert_allclose(shown(window)[1, 1, 4], expected, atol=1e-9)
@@ -210,3 +212,31 @@ def test_rms_below_its_noise_is_no_number(make_window: MakeWindow) -> None:
         below = f"mean RMS below noise ({number(noise_rad)} rad)"
         assert (panel._summary.text() == below) == is_below
         assert panel._summary.text().startswith("mean RMS")
+
+
+def test_limit_of_the_colours_has_the_unit(window: MainWindow, qtbot: QtBot) -> None:
+    panel = window.panels.wavefronts
+    panel.freeze_scale.click()
+    assert panel.limit.text().endswith(" rad")
+    choose(qtbot, panel.menu, "Unit", "nm")
+    assert panel.limit.text().endswith(" nm")
+    panel.limit.setFocus()
+    panel.limit.selectAll()
+    QTest.keyClicks(panel.limit, "250 nm\r")  # type: ignore[call-arg, arg-type] # PyQt's stub lacks staticmethod
+    assert panel.grid.maps is not None
+    assert panel.grid.maps.scale.high == 250
+    panel.choose(Quantity.PSF)
+    assert "nm" not in panel.limit.text()
+
+
+def test_lenslet_that_was_not_measured_is_hatched(window: MainWindow) -> None:
+    outcome = np.zeros(LENSLETS, np.int8)
+    outcome[2, 3] = Outcome.EXCLUDED
+    known = views()
+    window.show_measurement(make_measurement(dim_frame(), known, outcome=outcome))
+    window.update_text()
+    maps = window.panels.wavefronts.grid.maps
+    assert np.isfinite(known).all()  # as the modes continue it
+    assert maps is not None
+    assert np.argwhere(np.isnan(maps.values[1, 1])).tolist() == [[2, 3]]
+    assert maps.describe(2, 3, float(maps.values[1, 1, 2, 3])) == "Lenslet row 2, column 3: lost, no value"

@@ -177,7 +177,7 @@ def test_displacements_alike_over_the_field_show_no_layer(make_window: MakeWindo
     open_tab(qtbot, window, "Layers")
     panel = window.panels.layers
     before = panel.map.empty  # the search has not ended
-    qtbot.waitUntil(lambda: bool(panel.sentence.text()))
+    qtbot.waitUntil(lambda: not panel.sentence.text().startswith("Searching"))
     assert panel.sentence.text() == "No layer: the distance of a layer needs displacements that change over the field"
     assert (before, panel.map.empty) == ("", "no layer")
 
@@ -203,13 +203,13 @@ def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: py
     qtbot.waitUntil(begun.is_set)
     window.close()
     assert not any(one.is_alive() for one in thread._executor._threads)
-    assert not panel.sentence.text()
+    assert panel.sentence.text() == "Searching \N{HORIZONTAL ELLIPSIS}"
 
 
 def test_corrector_leaves_least_in_the_layer(window: MainWindow, qtbot: QtBot) -> None:
     open_tab(qtbot, window, "Corrector")
     panel = window.panels.corrector
-    qtbot.waitUntil(lambda: bool(panel.sentence.text()))
+    qtbot.waitUntil(lambda: panel.sentence.text().startswith("One corrector"))
     distance_mm, residual_rad = panel._curve.getData()
     assert abs(distance_mm[np.argmin(residual_rad)] - DISTANCE_M * 1e3) < 20
     # At the pupil the deviation from the mean wavefront of the field remains, apart from the modes' own error.

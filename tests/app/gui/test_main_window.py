@@ -105,7 +105,7 @@ def test_small_window_stays_readable(make_window: MakeWindow) -> None:
     QApplication.processEvents()
     panel = window.panels.camera
     assert panel.caption.geometry().top() > panel._graphics.geometry().bottom()
-    assert window.panels.wavefronts.grid.places.has_captions
+    assert window.panels.wavefronts.grid.places.caption_lines
     narrowest = window.width()
     assert 900 <= narrowest < 1024  # the controls may need more than 900, but fit on the smallest usual screen
     panel.caption.setText("a very long line " * 20)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from PyQt6.QtCore import QSettings
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QApplication, QWidget
+from PyQt6.QtWidgets import QApplication, QPushButton, QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, wait_for_wavefront
@@ -95,3 +95,29 @@ def test_preset_restores_exposure_and_mask_also_after_a_restart(
     assert not again.names.count()
     settings.setValue("presets/devices", "no JSON")
     assert not DevicePresets(window.controller, window.controls, settings, window).names.count()
+
+
+def test_empty_presets_are_explained_and_offer_nothing(make_window: MakeWindow, settings: QSettings) -> None:
+    window = make_window(settings=settings)
+    dialog = presets_of(window)
+    assert dialog.about.text().startswith("There are no presets yet. ")
+    assert not any(button.isEnabled() for button in (dialog.save, dialog.apply, dialog.delete))
+    title = dialog.fontMetrics().horizontalAdvance(dialog.windowTitle())
+    assert dialog.width() > title + 120  # beside the buttons of a window manager
+    settings.setValue("presets/devices", '{"cells": {"exposure_s": 0.03}}')
+    again = DevicePresets(window.controller, window.controls, settings, window)
+    assert not again.about.text().startswith("There are no")
+    assert not again.delete.isEnabled()
+    again.names.setCurrentRow(0)
+    assert again.delete.isEnabled()
+    assert not again.apply.isEnabled()  # no bench is open
+
+
+def test_close_button_of_the_preferences_is_not_stretched(qtbot: QtBot, settings: QSettings) -> None:
+    parent = QWidget()
+    qtbot.addWidget(parent)
+    dialog = PreferencesDialog(settings, parent)
+    dialog.show()
+    (close,) = dialog.findChildren(QPushButton)
+    assert close.width() == close.sizeHint().width()
+    dialog.close()

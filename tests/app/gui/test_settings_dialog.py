@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit
+from PyQt6.QtWidgets import QApplication, QCheckBox, QComboBox, QFileDialog, QLineEdit
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow
@@ -156,6 +156,56 @@ def test_reason_of_a_failed_search_is_shown(benches: Benches, qtbot: QtBot, monk
     qtbot.waitUntil(lambda: dialog.camera.count() == 2)
     lines = dialog.failed.text().splitlines()
     assert len(lines) == 3
-    assert lines[0].endswith("over the DCAM-API: not searched: the DCAM-API is missing")
+    assert lines[0].endswith("over the DCAM-API, not searched: the DCAM-API is missing")
     assert lines[1] == f"{CAMERA.name} cannot be used yet: install Aravis"
-    assert lines[2].endswith("on serial ports: not searched: OSError: no such bus")
+    assert lines[2].endswith("on serial ports, not searched: OSError: no such bus")
+
+
+def test_settings_have_the_names_of_people(benches: Benches) -> None:
+    benches.edit()
+    for path, (_, editor) in dialog_of(benches).editors.items():
+        if isinstance(editor, QComboBox):
+            texts = [editor.itemText(index) for index in range(editor.count())]
+            assert not any("_" in text for text in texts), path
+        assert "gauss_newton" not in editor.toolTip()
+        if isinstance(editor, QCheckBox):
+            assert editor.text() == ("yes" if editor.isChecked() else "no")
+    method = dialog_of(benches).editors["registration.method"][1]
+    assert isinstance(method, QComboBox)
+    assert method.currentText() == "Gauss-Newton"
+
+
+def test_empty_list_is_none(benches: Benches) -> None:
+    benches.edit()
+    dialog = dialog_of(benches)
+    line = write(dialog, "registration.excluded", "")
+    assert (line.text(), line.placeholderText()) == ("", "none")
+    for text, excluded in (("[[2, 3]]", ((2, 3),)), ("", ())):
+        line.setText(text)
+        line.textEdited.emit(text)
+        assert not dialog.problem.text()
+        bench = dialog._check()
+        assert bench is not None
+        assert bench.registration.excluded == excluded
+
+
+def test_new_bench_is_not_red_before_anything_is_typed(benches: Benches, qtbot: QtBot) -> None:
+    benches.make()
+    dialog = dialog_of(benches)
+    assert dialog.problem.text().startswith("Still to be filled in: Lenslet rows, Lenslet columns, ")
+    assert dialog.problem.property("tone") == "dim"
+    assert not any("color" in editor.styleSheet() for _, editor in dialog.editors.values())
+    rows = write(dialog, "sensor.lenslet_rows", "many")
+    assert dialog.problem.property("tone") == "red"
+    assert "color" in rows.styleSheet()
+    qtbot.waitUntil(lambda: dialog._search is None)
+
+
+def test_reason_of_a_failed_search_is_plain(benches: Benches, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
+    why = "the API cannot be loaded (lib.so: Datei (x) fehlt): install it, then `svwfs devices`"
+    monkeypatch.setattr(DeviceKind, "discover", lambda kind: ((), why if kind.driver == "dcam" else ""))
+    benches.make()
+    dialog = dialog_of(benches)
+    qtbot.waitUntil(lambda: dialog._search is None)
+    assert dialog.failed.text().endswith("not searched: the API cannot be loaded: install it, then svwfs devices")
+    assert dialog.failed.toolTip().endswith(why)

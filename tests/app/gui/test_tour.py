@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 
 import pytest
 from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtGui import QWindow
 from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 from support.window_tools import MakeWindow, press
@@ -91,6 +93,26 @@ def test_splash_gives_way_to_the_window(qtbot: QtBot) -> None:
     splash.show()
     splash.finish(window)
     assert not splash.isVisible()
+
+
+@pytest.mark.parametrize("is_slow", [False, True])
+def test_splash_waits_until_the_x_server_shows_it(
+    qtbot: QtBot, monkeypatch: pytest.MonkeyPatch, *, is_slow: bool
+) -> None:
+    asked: list[None] = []
+
+    def is_exposed(_: QWindow) -> bool:
+        asked.append(None)
+        return not is_slow and len(asked) > 3
+
+    monkeypatch.setattr(QWindow, "isExposed", is_exposed)
+    monkeypatch.setattr(QApplication, "platformName", lambda: "xcb")
+    begun_s = time.monotonic()
+    splash = Splash()
+    qtbot.addWidget(splash)
+    assert splash.isVisible()
+    assert len(asked) > 3
+    assert time.monotonic() - begun_s < 10  # also if it never does
 
 
 def test_splash_is_the_first_widget_of_a_program() -> None:

@@ -183,7 +183,7 @@ def test_color_bar_gives_way_to_small_maps(qtbot: QtBot) -> None:
 
 def test_small_views_stand_apart_so_that_positions_fit(make_window: MakeWindow) -> None:
     window = make_window()
-    window.resize(1440, 900)
+    window.resize(1440, 760)
     window.panels.wavefronts.menu.change(views=6)
     window.show_measurement(replace(make_measurement(dim_frame(), views()), wavefront=bowl()))
     window.update_text()
@@ -195,6 +195,15 @@ def test_small_views_stand_apart_so_that_positions_fit(make_window: MakeWindow) 
     right = grid.tile(0, 5).center().x() + grid._caption_width // 2
     assert grid.maps is not None
     assert right < grid._bar(grid.maps).left()
+
+
+@pytest.mark.parametrize(("height", "lines"), [(400, 2), (230, 1), (160, 0)])
+def test_captions_give_way_line_by_line(qtbot: QtBot, height: int, lines: int) -> None:
+    grid = ViewGrid((10, 10))
+    qtbot.addWidget(grid)
+    grid.resize(420, height)
+    show(grid, np.zeros((3, 3, 15, 15)), 1.0)
+    assert grid.places.caption_lines == lines
 
 
 def test_colour_bar_stays_while_its_numbers_change(qtbot: QtBot) -> None:

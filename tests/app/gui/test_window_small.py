@@ -79,7 +79,7 @@ def assert_nothing_overlaps(window: MainWindow) -> None:
     panels: list[QWidget] = [window.panels.camera, window.panels.quality, window.panels.wavefronts, window.messages]
     panels.append(window.controls)
     panels += [window.status_line, window.recording_panel]
-    texts = [text for text in window.findChildren(QLabel) if text.isVisible() and text.property("role") != "on-image"]
+    texts = [text for text in window.findChildren(QLabel) if text.isVisible()]
     rest: list[QWidget] = [*texts, window.panels.camera._graphics, window.panels.wavefronts.grid]
     for group in (panels, rest):
         for one, other in combinations(group, 2):
