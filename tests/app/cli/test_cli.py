@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import re
 import shlex
 import signal
@@ -448,6 +449,25 @@ def test_reading_bench_and_help_load_no_devices_numba_or_qt(tmp_path: Path, prog
     command = [sys.executable, "-c", f"import sys; {program}; {loaded}", *paths]
     finished = subprocess.run(command, check=False, capture_output=True, text=True)  # noqa: S603 - our own program
     assert finished.stderr == "[]\n"
+
+
+def test_command_without_recordings_is_refused_before_anything_is_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not even what the work needs; `batch` would start its workers next."""
+    monkeypatch.chdir(tmp_path)
+    loaded = "[name for name in ('numba', 'scipy', 'xarray', 'distributed') if name in sys.modules]"
+    for words in ("batch nowhere neither --out r.zarr", "replay nowhere", "report nowhere --out r.pdf"):
+        program = f"import atexit, sys; atexit.register(lambda: print({loaded})); from app.cli import main; main()"
+        command = [sys.executable, "-c", program, *words.split()]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - our own program
+        assert (done.returncode, done.stdout) == (2, "[]\n"), done.stderr
+        assert done.stderr.startswith("svwfs: nowhere: no such folder")
+
+
+def test_programs_that_commands_start_import_nothing_from_the_working_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert run(monkeypatch, "--version") == 0
+    assert os.environ["PYTHONSAFEPATH"] == "1"
 
 
 @pytest.mark.slow
