@@ -249,6 +249,8 @@ def _value(kind: Any, value: Any, path: str) -> Any:
         return {key: _value(parts[1], each, f"{path}.{key}") for key, each in value.items()}
     if kind in _EXACT and type(value) is not kind:
         raise SettingError(path, f"must be {_EXACT[kind]}")
+    if kind is str and "\0" in value:  # no name of a file or a device has one
+        raise SettingError(path, "must not contain a null character")
     return value
 
 
