@@ -27,7 +27,9 @@ def main() -> None:
             _exit(RunError(f"there is not enough memory: {error or 'use fewer lenslets, views or pixels'}"), 1)
         except RunError as error:
             _exit(error, 1)
-        except OSError as error:  # of a file it would be a RunError
+        except OSError as error:
+            if isinstance(error.filename, str):  # its name cannot be used
+                _exit(InputError(f"{error.filename}: cannot be used: {error.strerror or error}"), 2)
             _exit(RunError(f"the output cannot be printed: {error.strerror or error}"), 1)
 
 

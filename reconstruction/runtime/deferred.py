@@ -39,7 +39,11 @@ class Remembered(Generic[*A, R]):
         """`most` results are kept."""
         weak = WeakMethod(method)
         self._method, self._most = weak, most
-        self._cached = lru_cache(maxsize=most)(lambda *args: _alive(weak)(*args))
+
+        def called(*args: *A) -> R:
+            return _alive(weak)(*args)
+
+        self._cached = lru_cache(maxsize=most)(called)
 
     def __call__(self, *args: *A) -> R:
         """The method's result."""
@@ -50,6 +54,7 @@ class Remembered(Generic[*A, R]):
 
 
 def _alive(method: WeakMethod[M]) -> M:
+    """Return the method of an object that exists."""
     found = method()
     if found is None:
         raise RuntimeError("the object of a remembered method is gone")

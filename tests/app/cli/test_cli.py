@@ -504,6 +504,24 @@ def test_output_that_cannot_be_printed_is_one_line() -> None:
     assert (done.returncode, done.stderr) == (1, "svwfs: the output cannot be printed: No space left on device\n")
 
 
+@pytest.mark.parametrize("command", ["replay {}", "layers {} --out o.nc", "study calibration --frames {} --out o"])
+def test_too_long_a_name_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    assert run(monkeypatch, *command.format("x" * 300).split()) == 2
+    assert re.fullmatch(r"svwfs: x{300}\S*: cannot be used: File name too long\n", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("path", ["screen.file", "screen.transmission_file", "source.file"])
+def test_null_character_in_a_bench_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, path: str
+) -> None:
+    bad = f'simulation.{path}="a\\u0000b"'
+    assert run(monkeypatch, "simulate", "--bench", "small_demo", "--out", tmp_path / "o", "--set", bad) == 2
+    error = f"svwfs: small_demo: simulation.{path} must be text in quotes without null characters\n"
+    assert capsys.readouterr().err == error
+
+
 def test_ctrl_c_while_the_commands_are_imported_is_one_line() -> None:
     program = "import os, signal, sys; from app.cli import main; sys.argv = ['svwfs', 'selftest']\n"
     program += "class Interrupting:\n    def find_spec(self, name, *_):\n"

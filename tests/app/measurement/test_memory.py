@@ -29,6 +29,7 @@ def test_reconstructor_is_freed_at_once() -> None:
     reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
     refined = svwfs.refine(reconstruct, images.frames[0], 1)
     estimator = reconstruct._estimator
+    assert estimator is not None
     parts = (reconstruct, estimator, estimator.reconstructor, estimator.refinement)
     left = [weakref.ref(part) for part in parts]
     del reconstruct, estimator, parts
