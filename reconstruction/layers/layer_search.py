@@ -2,7 +2,8 @@
 
 The log evidence of the displacements is a smooth function of the distances. It is searched on a coarse grid, then
 refined; its curvature at the maximum gives the error bars, to which systematic errors of the displacements are added.
-A layer before the lenslets has a negative ratio of field to pupil position; a relay can put one behind them.
+A layer before the lenslets has a negative ratio of field to pupil position; a relay can put one behind them. Noise can
+favour a place behind them by far, so layers are sought there only if none before them explain the displacements.
 """
 
 import math
@@ -139,19 +140,28 @@ def find_layers(
         check()
         return equations.fit(*map(_ratio, t))
 
-    tried = [sketch_at(t) for t in _GRID]
-    best = _GRID[int(np.argmax([quality.log_evidence for quality in tried]))]
-    one = _refined(equations, sketch_at, fit_at, np.array([best]))
+    def best_of(sketches: dict[tuple[float, ...], FitQuality]) -> LayerFit:
+        starts = {
+            max(some, key=lambda t: sketches[t].log_evidence)
+            for some in ([t for t in sketches if max(t) <= 0], sketches)
+        }
+        for start in sorted(starts):  # those before the lenslets first
+            found = _refined(equations, sketch_at, fit_at, np.array(start))
+            if explains(found.quality, any_wavefront):
+                break
+        return found
+
     any_wavefront = equations.any_wavefront()
+    tried: dict[tuple[float, ...], FitQuality] = {(t,): sketch_at(t) for t in _GRID}
+    one = best_of(tried)
     two = None
     is_enough = one.quality.log_evidence >= any_wavefront.log_evidence or explains(one.quality, any_wavefront)
     if not at and (count == 2 or (count is None and not is_enough)):
-        start = max(combinations(_GRID_OF_TWO, 2), key=lambda pair: sketch_at(*pair).log_evidence)
-        two = _refined(equations, sketch_at, fit_at, np.array(start))
+        two = best_of({pair: sketch_at(*pair) for pair in combinations(_GRID_OF_TWO, 2)})
     return LayerSearch(
         ratios=np.array([_ratio(t) for t in _GRID]),
-        misfits=np.array([quality.misfit for quality in tried]),
-        chi_squares=np.array([quality.chi_square for quality in tried]),
+        misfits=np.array([quality.misfit for quality in tried.values()]),
+        chi_squares=np.array([quality.chi_square for quality in tried.values()]),
         one=one,
         two=two,
         given=equations.fit(*sorted(at)) if at else None,

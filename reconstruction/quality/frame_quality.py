@@ -30,18 +30,19 @@ from reconstruction.settings import RegistrationSettings, Warp
 
 
 class _Limits(NamedTuple):
-    """Shares of the deformation above which a misfit is no effect of the warp."""
+    """What is above is no effect of the warp, or cannot be told from noise."""
 
     pixels: float  # residual over the reference's contrast, per px of deformation within a subimage
     slopes: float  # misfit of the slopes over the displacement
+    reference_noise: float  # variance of the reference over the square of its gradient, per px
 
 
 _LIMITS: dict[Warp, _Limits] = {
-    "translation": _Limits(0.0, 0.1),
-    "affine": _Limits(0.25, 0.06),
-    "quadratic": _Limits(0.055, 0.03),
-    "cubic": _Limits(0.04, 0.03),
-    "quartic": _Limits(0.03, 0.03),
+    "translation": _Limits(0.0, 0.1, 0.06),
+    "affine": _Limits(0.25, 0.06, 0.06),
+    "quadratic": _Limits(0.055, 0.03, 0.06),
+    "cubic": _Limits(0.04, 0.03, 0.06),
+    "quartic": _Limits(0.03, 0.03, 0.015),
 }
 _OPENING = 0.35  # RMS gradient over contrast, 1/px: squares and circles have less, points more
 _POINTS = 0.25  # by which the first limit rises with what is beyond: no warp describes how points blur
@@ -91,7 +92,11 @@ class FrameJudge:
         why = "the noise of the images is unknown" if has_limit else "it has no limit for this registration"
         self._tiles = list(_tiles(reference.lenslets))
         unjudged = {f"misfit is not judged: {why}": self._knows_misfit, _FEW_LENSLETS: self._tiles}
-        self._unjudged = "; ".join(sentence for sentence, is_judged in unjudged.items() if not is_judged)
+        sentences = [sentence for sentence, is_judged in unjudged.items() if not is_judged]
+        if (enough := _enough_frames(reference, self._limits.reference_noise)) > reference.reference_frames:
+            self._tiles = []
+            sentences.append(f"slopes are not judged: the reference is noisy: average at least {enough} frames")
+        self._unjudged = "; ".join(sentences)
         self._lit = reference.lit.reshape(reference.lenslets)
         self._half_width_px, self._neglects = reference.half_width_px, field.neglect_propagation
         # The light of lenslets holds no period shorter than the blur: a finer grid sees all of it.
@@ -255,6 +260,15 @@ def _sharpness(reference: ReferenceSubimages) -> float:
     lit = reference.lit
     square = np.mean(np.sum(reference.gradient[lit] ** 2, axis=-1)) / np.mean(reference.contrast[lit] ** 2)
     return math.sqrt(float(square))
+
+
+def _enough_frames(reference: ReferenceSubimages, most_noise: float) -> int:
+    """Number of averaged frames from which on the noise of the reference does not distort the displacements."""
+    if reference.noise is None:
+        return 0
+    variance = reference.noise.variance(np.maximum(reference.light[reference.lit], 0.0))
+    square = np.mean(np.sum(reference.gradient[reference.lit] ** 2, axis=-1))
+    return math.ceil(float(np.mean(variance) / square) / most_noise)
 
 
 def _rms(vectors: Floats) -> float:

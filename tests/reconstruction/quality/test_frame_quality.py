@@ -124,6 +124,27 @@ def test_slopes_of_few_lenslets_are_not_judged(rows: int, columns: int) -> None:
     assert "slopes are not judged: the lattice has too few lenslets" in found.unjudged
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("warp", "enough"), [("quadratic", 2), ("quartic", 7)])
+def test_slopes_against_a_noisy_reference_are_not_judged(warp: Warp, enough: int) -> None:
+    """Noise of the reference distorts the displacements, far more than its variance tells: that is no torn frame."""
+    peak_e, light = 250.0, np.asarray(BENCH.reference / BENCH.reference.max(), np.float32)
+    for averaged in (1, enough):
+        reference = np.mean([exposed(light, peak_e, 100 + index) for index in range(averaged)], axis=0)
+        dark = np.zeros_like(reference)
+        reconstructor = BENCH.reconstructor(
+            warp, pupil_modes=None, reference=reference, dark=dark, noise=NOISE, reference_frames=averaged
+        )
+        judge = FrameJudge(
+            reconstructor.subimages, reconstructor.registration, sensor=BENCH.sensor, field=FIELD, dark=dark
+        )
+        for seed, strength in enumerate((0.5, 2.0, 4.0)):
+            frame = exposed(aberrated(strength), peak_e, seed)
+            found = judge(frame, reconstructor.register(frame))
+            assert Fault.SLOPES not in found.faults, (averaged, strength, found.sentence)
+            assert (f"average at least {enough} frames" in found.unjudged) == (averaged == 1)
+
+
 @pytest.mark.parametrize("peak_e", [1e3, 1e4])
 @pytest.mark.parametrize("name", FAULTY)
 def test_impossible_frame_is_found(name: str, peak_e: float) -> None:
