@@ -17,6 +17,7 @@ _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL  # the last refuses a symbolic link
 _PARTIAL = ".partial"  # in the name of a file that is being written
 _NAME = re.compile(r"\.[0-9a-f]{16}" + re.escape(_PARTIAL) + r"(\.\w+)?")
 _STALE_S = 86400.0  # nobody is still writing a file that has not changed for so long
+MEASURED = ("results.nc", "dark.tif", "reference.tif")  # what `svwfs measure` writes beside the parts of its recording
 RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "start.npy", "biases", "calibrations")
 
 
@@ -85,6 +86,8 @@ def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | Non
                 raise InputError(f"{path}: is used by this command already; give the output another name")
             if _is_recorded(path):
                 raise InputError(f"{path}: is part of a recording; give the output another name")
+            if path.name in MEASURED and path.exists() and path.with_name("frames.jsonl").is_file():
+                raise InputError(f"{path}: was written when this was measured; give the output another name")
             if os.path.lexists(path) and not overwrite:
                 raise InputError(f"{path}: exists already; --overwrite replaces it")
             if not path.name or (path.exists() and not path.is_file()):

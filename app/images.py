@@ -2,6 +2,10 @@
 
 import logging
 import math
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -61,8 +65,10 @@ def _read(path: Path) -> NDArray[Any]:
     if start.startswith(_TEXT):
         raise ValueError("it holds its numbers as text; save it as a binary PGM (P5)")
     if start.startswith(np.lib.format.MAGIC_PREFIX):
-        # Fails if the file is shorter than its header says.
-        return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a size that overflows, which raises below
+            # Fails if the file is shorter than its header says.
+            return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
     if start == _FITS:
         return _read_fits(path)
     if start.startswith(_PICTURES):
@@ -102,10 +108,28 @@ def _read_picture(path: Path) -> NDArray[Any]:
     import cv2  # noqa: PLC0415 - most commands read none
 
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # a damaged file raises below
-    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+    with _silenced():
+        image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise ValueError("it is damaged or too large")
     return np.asarray(image)
+
+
+@contextmanager
+def _silenced() -> Iterator[None]:
+    """Keep what the C library of PNG says of a damaged file, which raises anyway, off the terminal."""
+    try:
+        kept = os.dup(2)
+    except OSError:  # a window on Windows has no terminal
+        yield
+        return
+    try:
+        with Path(os.devnull).open("wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 def _read_fits(path: Path) -> NDArray[Any]:

@@ -1,5 +1,6 @@
 """From a camera frame to the wavefront: everything independent of the frame is prepared once."""
 
+import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -63,6 +64,34 @@ _NOISE_MODES = 45  # for the predicted noise of a warp; a smooth wavefront needs
 # Systematic error, rad: mean over the ensembles of docs/estimator.md with the square, in the paper's world (4.2 rad).
 _SYSTEMATIC_RAD: dict[Warp, float] = {"affine": 0.24, "quadratic": 0.036, "cubic": 0.009, "quartic": 0.007}
 _CHOSEN_WARPS = list(_SYSTEMATIC_RAD)
+
+
+def _called(what: str, kind: type | None, function: Any, *arguments: Any, **more: Any) -> Any:
+    """Call an own method, which is to return a `kind` of object, or with None a callable.
+
+    `ReconstructionError` if it is no callable, takes other arguments, or returns something else.
+    """
+    as_told = "as in docs/own_methods.md"
+    if not callable(function):
+        raise ReconstructionError(f"{what} must be a callable, {as_told}, not {function!r:.60}")
+    try:
+        inspect.signature(function).bind(*arguments, **more)
+    except ValueError:  # one of another language
+        pass
+    except TypeError as error:
+        raise ReconstructionError(f"{what} must take other arguments, {as_told}: {error}") from error
+    made = function(*arguments, **more)
+    if not (callable(made) if kind is None else isinstance(made, kind)):
+        needed = "a callable that registers frames" if kind is None else f"a {kind.__name__}"
+        raise ReconstructionError(f"{what} must return {needed}, {as_told}, not {made!r:.60}")
+    return made
+
+
+def _require_shape(what: str, found: tuple[int, ...], sensor: Sensor) -> None:
+    """Raise `ReconstructionError` unless something has a value for each lenslet."""
+    lenslets = sensor.lenslet_rows, sensor.lenslet_columns
+    if found != lenslets:
+        raise ReconstructionError(f"{what} must be of {lenslets} lenslets (rows, columns), not {found}")
 
 
 class _Registration(NamedTuple):
@@ -290,7 +319,10 @@ class Reconstructor:
 
     def _method(self, reference: ReferenceSubimages, settings: RegistrationSettings) -> RegistrationMethod:
         own = self._own.registration
-        return own(reference, self.field) if own is not None else prepare_registration(reference, settings, self.field)
+        if own is None:
+            return prepare_registration(reference, settings, self.field)
+        method: RegistrationMethod = _called("an own registration", None, own, reference, self.field)
+        return method
 
     def _choose(self, light: Image, registration: RegistrationSettings) -> _Registration:
         """Prepare the registration for the reference's light; choose the warp if none is set."""
@@ -299,7 +331,13 @@ class Reconstructor:
         def prepare(warp: Warp) -> _Registration:
             settings = replace(registration, warp=warp)
             method = self._method(self.subimages, settings)
-            return _Registration(settings, method, method(light, saturated=np.zeros(light.shape, np.bool_)))
+            unsaturated = np.zeros(light.shape, np.bool_)
+            if self._own.registration is None:
+                return _Registration(settings, method, method(light, saturated=unsaturated))
+            what = "a prepared own registration"
+            found = _called(what, Displacement, method, light, saturated=unsaturated, start=None)
+            _require_shape(f"coefficients of {what}", np.shape(found.coefficients)[:2], self.sensor)
+            return _Registration(settings, method, found)
 
         if registration.warp is not None or registration.method != "gauss_newton":
             return prepare(registration.warp or "quadratic")
@@ -356,7 +394,11 @@ class Reconstructor:
         if count is not None and 0 < lenslets < count:  # known before minutes of preparation
             raise TooManyModes(int(lenslets), count)
         own = self._own.basis if basis == self.reconstruction.basis else None
-        modes = own(self.sensor, count) if own is not None else pupil_modes(self.sensor, basis, count)
+        if own is None:
+            modes = pupil_modes(self.sensor, basis, count)
+        else:
+            modes = _called("an own basis", PupilModes, own, self.sensor, count)
+            _require_shape("values of an own basis", np.shape(modes.values)[1:], self.sensor)
         has_prior = count is None or self.hidden > 0  # else nothing determines what the mask hides
         # Conserved flux shows all displacements, so that their systematic errors are not spread as noise would be.
         is_unknown = self.noise is None and self.field.neglect_propagation

@@ -72,6 +72,30 @@ def test_own_registration_is_used_for_frame_and_refinement(images: SimulatedFram
     np.testing.assert_array_equal(of_own, of_usual)
 
 
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"registration": "correlation"}, "an own registration must be a callable, .*, not 'correlation'"),
+    ({"registration": lambda: None}, "an own registration must take other arguments, .*: too many positional"),
+    ({"registration": lambda *_: None}, "an own registration must return a callable that registers frames, .* None"),
+    ({"registration": lambda *_: abs}, "a prepared own registration must take other arguments"),
+    (
+        {"registration": lambda *_: lambda *_, **_more: 3},
+        "a prepared own registration must return a Displacement, .* 3",
+    ),
+    ({"basis": 3}, "an own basis must be a callable, as in docs/own_methods.md, not 3"),
+    ({"basis": lambda sensor: sensor}, "an own basis must take other arguments"),
+    ({"basis": lambda *_: np.ones((4, 7, 7))}, "an own basis must return a PupilModes, .* array"),
+    ({"basis": lambda _, count: monomials(sensor_of(9, 9), count)}, r"values of an own basis must be of \(7, 7\)"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "sentence"), WRONG)
+def test_wrong_objects_as_own_methods_are_one_sentence(
+    images: SimulatedFrames, wrong: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(ReconstructionError, match=sentence):
+        svwfs.reconstructor(FIXED, images.reference, dark=images.dark, **wrong)(images.frames[0])
+
+
 def test_results_name_own_methods_and_are_refused_by_those_who_lack_them(
     images: SimulatedFrames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -195,7 +195,7 @@ class LiveBench:
         return float(self._set("em_gain", float(em_gain)))
 
     def set_light_current(self, current_a: float) -> float:
-        """Change the current of the light, A; return the one in force. The reference is stale until taken again."""
+        """Change the current of the light, A; return the one in force. The reference may have another brightness."""
         return float(self._set("current_a", float(current_a)))
 
     def set_light(self, on: bool) -> None:

@@ -23,6 +23,7 @@ from app.recording.folder import lock
 from app.recording.reader import Recording
 from app.recording.reprocess import BLOCK_FRAMES, Reprocessing
 from app.results.dataset import results_in_pieces
+from app.results.replay import changed_bench
 from app.run_facts import software_facts
 
 
@@ -58,14 +59,36 @@ class _DoneBlock:
     facts: dict[str, Any]  # bench in force, software and computer
 
 
-def check_store(folders: Sequence[Path], out: Path, job: Job) -> None:
-    """Raise `InputError` if `out` cannot be the store of this job; no worker is needed to tell."""
+def check_batch(folders: Sequence[Path], out: Path, job: Job) -> tuple[list[Source], dict[Path, str], dict[Path, Path]]:
+    """Check what a batch reads, without workers; return what `find_sources` does.
+
+    `InputError` if no recording can be used, `out` cannot be the store of this job, or its settings fit no recording.
+    """
     for folder in folders:
         if out.resolve().is_relative_to(folder.resolve()):
             raise InputError(f"{out}: lies in the recording {folder}: give the results another place")
     _check_free(out)
     if is_store(out):
         ResultStore(out).check(job)
+    sources, failed, copies = find_sources(folders, job.frames)
+    if not sources:
+        raise InputError("; ".join(dict.fromkeys(failed.values())))
+    _check_settings(sources, job.settings)
+    return sources, failed, copies
+
+
+def _check_settings(sources: Sequence[Source], settings: tuple[str, ...]) -> None:
+    """Raise `InputError` if the settings are possible in the bench of no recording."""
+    problem: InputError | None = None
+    for source in sources if settings else ():
+        try:
+            changed_bench(Recording(source.folder).bench, settings)
+        except InputError as error:
+            problem = problem or error
+        else:
+            return
+    if problem is not None:
+        raise problem
 
 
 def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, progress: Progress) -> Batch:
@@ -75,11 +98,8 @@ def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, 
     recording can be used, or the store is of another job; `RunError` if nothing can be written, or the workers are
     lost; `Interrupted` on Ctrl-C. What was finished stays, and the text says how much that is.
     """
-    check_store(folders, out, job)
-    sources, failed, copies = find_sources(folders, job.frames)
+    sources, failed, copies = check_batch(folders, out, job)
     batch = Batch(len(sources) + len(failed), failed=failed, copies=copies)
-    if not sources:
-        raise InputError("; ".join(dict.fromkeys(failed.values())))
     with _only_writer(out):
         store = _opened(out, job, sources, evaluate, progress)
         numbered, changed = store.register(sources)
@@ -186,6 +206,8 @@ def _check_free(folder: Path) -> None:
             raise InputError(f"{folder}: is a file; the results need a folder")
         if folder.is_dir() and not store_attributes(folder) and any(folder.iterdir()):
             raise InputError(f"{folder}: exists already and holds no results of svwfs batch")
+        if folder.suffix.lower() not in {"", ".zarr"} and not is_store(folder):
+            raise InputError(f"{folder}: the results are a Zarr store, which is a folder: end its name with .zarr")
         check_writable(folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be used: {in_words(error)}") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
@@ -24,7 +25,6 @@ _ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
 _CONFIGURATION = {
     f"{_ENVIRONMENT}.MALLOC_TRIM_THRESHOLD_": None,  # Dask's maps every array of a frame anew: half the speed
     f"{_ENVIRONMENT}.MALLOC_ARENA_MAX": 1,  # an arena for each thread takes a hundred megabytes more
-    f"{_ENVIRONMENT}.PYTHONSAFEPATH": 1,  # no module is imported from the working folder
     # Dask drops a worker that restarts too slowly.
     "distributed.deploy.lost-worker-timeout": "365 days",
 }
@@ -34,13 +34,10 @@ _NO_PAGES: dict[str, list[str]] = {f"distributed.{each}.http.routes": [] for eac
 class Workers:
     """Evaluates tasks on the workers of a scheduler; see `app.progress.Evaluate`."""
 
-    def __init__(self, client: Client) -> None:
+    def __init__(self, client: Client, *, dashboard: bool = False) -> None:
+        """Without `dashboard`, its address is not told."""
         self._client = client
-
-    @property
-    def dashboard(self) -> str:
-        """Address of Dask's dashboard in a browser; "" if there is none."""
-        return str(self._client.dashboard_link or "")
+        self.dashboard = str(client.dashboard_link or "") if dashboard else ""  # address in a browser; "": none
 
     def __call__(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R | Exception]]:
         """Yield each item with its result or error, as they finish.
@@ -99,6 +96,7 @@ def workers(count: int | None, scheduler: str | None, *, dashboard: bool = False
     """
     if count is not None and scheduler is not None:
         raise InputError("--workers starts processes here, --scheduler uses those of a cluster: give one of them")
+    os.environ["PYTHONSAFEPATH"] = "1"  # for workers and Python's own helper processes, as in `app.cli.main`
     try:
         import dask
         from distributed import Client, LocalCluster, Security
@@ -127,7 +125,7 @@ def workers(count: int | None, scheduler: str | None, *, dashboard: bool = False
         except (OSError, TimeoutError, ValueError) as error:
             raise RunError(f"{scheduler}: no scheduler can be reached there: {in_words(error)}") from error
         stack.callback(_close, client)
-        yield Workers(client)
+        yield Workers(client, dashboard=dashboard)
 
 
 def _close(opened: Client | LocalCluster) -> None:

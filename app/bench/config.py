@@ -247,8 +247,9 @@ def _value(kind: Any, value: Any, path: str) -> Any:
         if not isinstance(value, dict):
             raise SettingError(path, "must be a section")
         return {key: _value(parts[1], each, f"{path}.{key}") for key, each in value.items()}
-    if kind in _EXACT and type(value) is not kind:
-        raise SettingError(path, f"must be {_EXACT[kind]}")
+    if kind in _EXACT and (type(value) is not kind or "\0" in str(value)):
+        has_null = isinstance(value, str) and "\0" in value  # no name of a file or a device has one
+        raise SettingError(path, f"must be {_EXACT[kind]}{' without null characters' * has_null}")
     return value
 
 

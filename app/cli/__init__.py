@@ -1,5 +1,6 @@
 """The command line `svwfs`: arguments in, exit status out."""
 
+import os
 import sys
 from typing import NoReturn
 
@@ -9,6 +10,7 @@ from app.errors import InputError, Interrupted, RunError, ended_by
 
 def main() -> None:
     """Run the command line; exit with 2 for unusable input, 1 for a failure, 130 for Ctrl-C."""
+    os.environ["PYTHONSAFEPATH"] = "1"  # no child process imports modules from the working folder
     with ended_by(_interrupt):  # typer would exit silently on a KeyboardInterrupt
         for stream in (sys.stdout, sys.stderr):
             if hasattr(stream, "reconfigure"):  # names of files need not be text
@@ -25,7 +27,9 @@ def main() -> None:
             _exit(RunError(f"there is not enough memory: {error or 'use fewer lenslets, views or pixels'}"), 1)
         except RunError as error:
             _exit(error, 1)
-        except OSError as error:  # of a file it would be a RunError
+        except OSError as error:
+            if isinstance(error.filename, str):  # its name cannot be used
+                _exit(InputError(f"{error.filename}: cannot be used: {error.strerror or error}"), 2)
             _exit(RunError(f"the output cannot be printed: {error.strerror or error}"), 1)
 
 

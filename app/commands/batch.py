@@ -44,7 +44,8 @@ def batch(
 
     Example: svwfs batch run1 --refine 3 --scheduler tcp://node1:8786 --out refined.zarr
     """
-    from app.batch.run import check_store, run_batch
+    options.check_recordings(*recordings)
+    from app.batch.run import check_batch, run_batch
     from app.batch.store import Job
     from app.batch.workers import workers as start
     from app.bench.config import load_bench, write_bench
@@ -52,7 +53,7 @@ def batch(
     settings = tuple(setting or ())
     other = "" if bench is None else write_bench(load_bench(bench, settings))
     job = Job(bench=other, settings=() if other else settings, rounds=refine, frames=frames or "")
-    check_store(recordings, out, job)
+    check_batch(recordings, out, job)
     with start(workers, scheduler, dashboard=dashboard) as evaluate, terminal.progress_bar() as progress:
         if evaluate.dashboard:
             typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
@@ -62,6 +63,8 @@ def batch(
         terminal.print_version_notice(*recordings, settings=settings)
     if done.failed:
         raise RunError(f"{len(done.failed)} of {done.recordings} recordings failed")
+    if lost := sum(map(len, done.damaged.values())):
+        raise RunError(f"{counted(lost)} damaged and left out")
 
 
 def print_batch(batch: Batch, out: Path) -> None:

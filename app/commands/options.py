@@ -11,6 +11,7 @@ import typer
 from typer.core import TyperCommand, TyperOption
 
 from app.bench.presets import PRESETS
+from app.errors import InputError
 from app.files import check_outputs, check_readable, check_suffix, require_suffix
 from app.results import analysis
 
@@ -65,6 +66,20 @@ def files_of_sources(*sources: Path) -> list[Path]:
     from app.recording.folder import parts_of
 
     return [part for source in sources for part in (parts_of(source) if source.is_dir() else [source])]
+
+
+def check_recordings(*folders: Path) -> None:
+    """Raise `InputError` if none of these folders holds a recording, before anything is loaded that takes seconds."""
+    from app.recording.folder import read_run
+
+    problems: list[str] = []
+    for folder in folders:
+        try:
+            read_run(folder)
+        except InputError as error:
+            problems.append(str(error))
+    if len(problems) == len(folders):
+        raise InputError("; ".join(dict.fromkeys(problems)))
 
 
 def check_images(*images: Path | None) -> None:

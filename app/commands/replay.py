@@ -37,6 +37,7 @@ def replay(
 
     Example: svwfs replay run1 --set reconstruction.method=zonal
     """
+    options.check_recordings(recording)
     from app.results.replay import replay as run
 
     with terminal.progress_bar() as progress:

@@ -34,6 +34,7 @@ def report(
 
     Example: svwfs report square --beside stars --set registration.method=correlation --out compared.pdf
     """
+    options.check_recordings(recording)
     from app.results.report import report_pages
 
     with terminal.progress_bar() as progress:

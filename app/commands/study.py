@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,9 +14,9 @@ from app.errors import RunError
 from app.files import check_outputs
 
 if TYPE_CHECKING:
+    from app.batch.workers import Workers
     from app.bench.config import Bench
     from app.evaluation.studies import Study, StudyResult
-    from app.progress import Evaluate
 
 
 def selftest() -> None:
@@ -83,15 +84,12 @@ def study(
     studies = chosen_studies(names or [], frames)
     loaded = options.load(bench, setting)
     inputs = [*options.files_of_bench(bench, loaded), *(Path(name) for name in names or [])]
-    if workers is None and scheduler is None:
-        _run(studies, loaded, seeds, out, inputs=inputs, overwrite=overwrite)
-        return
-    from app.batch.workers import workers as start
+    start = None
+    if workers is not None or scheduler is not None:
+        from app.batch.workers import workers as starting
 
-    with start(workers, scheduler, dashboard=dashboard) as evaluate:
-        if evaluate.dashboard:
-            typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
-        _run(studies, loaded, seeds, out, inputs=inputs, overwrite=overwrite, evaluate=evaluate)
+        start = starting(workers, scheduler, dashboard=dashboard)
+    _run(studies, loaded, seeds, out, inputs=inputs, overwrite=overwrite, workers=start)
 
 
 def _run(
@@ -102,13 +100,15 @@ def _run(
     *,
     inputs: Iterable[Path] = (),
     overwrite: bool,
-    evaluate: Evaluate | None = None,
+    workers: AbstractContextManager[Workers] | None = None,
 ) -> None:
-    """Run studies under a progress bar and print their results."""
+    """Run studies under a progress bar and print their results; `workers` start after the files are checked."""
     from app.evaluation.studies import files_of, run_studies
 
     check_outputs(files_of(studies, out), inputs=[*inputs, *bench.files], overwrite=overwrite)
-    with terminal.progress_bar() as progress:
+    with workers or nullcontext() as evaluate, terminal.progress_bar() as progress:
+        if evaluate is not None and evaluate.dashboard:
+            typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
         results = run_studies(bench, studies, seeds, out, progress, evaluate)
     print_results(results)
 

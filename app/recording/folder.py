@@ -27,11 +27,14 @@ BEFORE = -1  # in place of a frame index: the frame before the recording
 
 def read_run(folder: Path) -> dict[str, Any]:
     """Read `run.json`; `InputError` if the folder holds no recording."""
-    if not folder.is_dir():
-        raise InputError(f"{folder}: not a folder" if folder.exists() else f"{folder}: no such folder")
     path = folder / RUN
-    if not path.exists():
-        raise InputError(f"{folder}: holds no recording: there is no {RUN} in it")
+    try:
+        if not folder.is_dir():
+            raise InputError(f"{folder}: not a folder" if folder.exists() else f"{folder}: no such folder")
+        if not path.exists():
+            raise InputError(f"{folder}: holds no recording: there is no {RUN} in it")
+    except OSError as error:
+        raise _unusable(folder, error) from error
     check_readable(path)
     try:
         run = json.loads(path.read_text("utf-8"))

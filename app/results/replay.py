@@ -186,7 +186,7 @@ def replay(
     check_outputs([out], inputs=[*parts_of(folder), *bench_read], overwrite=overwrite)
     recording = Recording(folder)
     if other is None and settings:
-        check_outputs([out], inputs=_changed(recording.bench, settings).files, overwrite=overwrite)
+        check_outputs([out], inputs=changed_bench(recording.bench, settings).files, overwrite=overwrite)
     check_suffix(out, ".nc")
     chosen = recording.select(frames)
     change = change_of(other, settings)
@@ -230,7 +230,7 @@ def change_of(bench: Bench | None, settings: tuple[str, ...]) -> Change | None:
         return None
 
     def change(calibration: Calibration) -> Calibration:
-        other = bench or _changed(calibration.bench, settings)
+        other = bench or changed_bench(calibration.bench, settings)
         try:
             return Calibration.of(other, calibration.dark, calibration.reference, calibration.full_scale)
         except ReconstructionError as error:
@@ -239,7 +239,8 @@ def change_of(bench: Bench | None, settings: tuple[str, ...]) -> Change | None:
     return change
 
 
-def _changed(recorded: Bench, settings: tuple[str, ...]) -> Bench:
+def changed_bench(recorded: Bench, settings: tuple[str, ...]) -> Bench:
+    """Return a recorded bench with other settings; `InputError` if they are impossible."""
     return parse_bench(write_bench(recorded), "the recorded bench", settings)
 
 

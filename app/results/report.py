@@ -23,7 +23,7 @@ from app.recording.reader import Recording
 from app.results.coefficients import coefficient_maps, draw_field, evenly_spread, strongest
 from app.results.figures import draw_maps, draw_structure, draw_transfer, place_of_view
 from app.results.replay import change_of
-from app.results.report_summary import Residual, Statistics, Summary, facts, residual_of, summarise
+from app.results.report_summary import Fact, Residual, Statistics, Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
@@ -80,6 +80,7 @@ def _spaced() -> ConstrainedLayoutEngine:
 
 _LABEL_INCHES, _LINE_INCHES = 0.85, 0.18
 _COLUMNS = 98  # characters of a line beside the labels
+_MOST_LINES = 32  # of all facts; more would leave no place for the wavefronts
 _MOST_VIEWS = 5  # along each axis; more would be too small
 _LARGEST_POINTS = 8.0
 _LETTER = 0.62  # width of a letter over its size, on average
@@ -89,8 +90,7 @@ _GREY_PERCENT = (0.5, 99.8)  # percentiles at the ends of the grey scale
 
 def draw_overview(figure: FigureBase, summary: Summary) -> None:
     """Draw the page; without any wavefront, with images instead."""
-    wrapped = [(label, textwrap.wrap(value, _COLUMNS)) for label, value in facts(summary)]
-    lines = [(label * (at == 0), text) for label, texts in wrapped for at, text in enumerate(texts)]
+    lines = _lines(facts(summary))
     head = TITLE_INCHES + _LINE_INCHES * (len(lines) + 1)
     top, below = parts(figure, [head, PAGE_INCHES[1] - head])
     write_title(top, head, summary.name, _headline(summary))
@@ -103,6 +103,15 @@ def draw_overview(figure: FigureBase, summary: Summary) -> None:
         _draw_images(below, summary)
     else:
         draw_views(below, stats.mean, stats.wavefront.field, f"mean wavefront of {summary.sampled_frames}")
+
+
+def _lines(said: list[Fact]) -> list[tuple[str, str]]:
+    """Wrap facts, at most a page's share of them: a damaged recording may have a text of any length."""
+    for most in (12, 6, 3, 1):  # lines of each
+        wrapped = [(name, textwrap.wrap(text, _COLUMNS, max_lines=most, placeholder=" ...")) for name, text in said]
+        if sum(len(texts) for _, texts in wrapped) <= _MOST_LINES:
+            break
+    return [(label * (at == 0), text) for label, texts in wrapped for at, text in enumerate(texts)]
 
 
 def draw_views(

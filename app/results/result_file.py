@@ -26,6 +26,7 @@ FRAME = "frame"  # dimension of several frames
 LENSLET = ("lenslet_row", "lenslet_column")
 PIECE = 32  # frames in memory at once
 _CHECKSUMS = "crc32"  # group with an attribute for each variable, which xarray does not copy to changed files
+_BENCH = "bench attribute"  # its checksum's name, which no variable has
 _LARGEST_PX = 1e6  # of a displacement
 
 
@@ -76,6 +77,10 @@ def _check_sums(path: Path | str) -> None:
     with h5py.File(path, "r") as file:
         file.attrs.get("_nc3_strict")  # if that fails, h5netcdf fails with a traceback from its destructor, too
         for name, written in file[_CHECKSUMS].attrs.items() if _CHECKSUMS in file else ():
+            if name == _BENCH:
+                if _checksum(np.array(file.attrs["bench"], object)) != written:
+                    raise InputError(f"{path}: is damaged: its bench is not what was written")
+                continue
             variable, found = file[name], 0
             for first in range(0, variable.shape[0], PIECE) if variable.ndim else (None,):
                 found = _checksum(variable[... if first is None else slice(first, first + PIECE)], found)
@@ -121,6 +126,8 @@ def _add_sums(path: Path, piece: xr.Dataset, sums: dict[Hashable, int]) -> None:
     """Update the checksums of the variables, as they are stored, by those of a piece."""
     with HdfFile(path) as writable, h5netcdf.File(writable, "r+") as file:
         group = file.groups[_CHECKSUMS] if sums else file.create_group(_CHECKSUMS)
+        if not sums:
+            group.attrs[_BENCH] = np.uint32(_checksum(np.array(file.attrs["bench"], object)))
         for name, variable in piece.variables.items():
             if name not in sums or FRAME in variable.dims:
                 stored = file.variables[name]

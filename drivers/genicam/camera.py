@@ -205,7 +205,7 @@ class GenicamCamera(Camera):
         host_time_s = time.perf_counter()
         return Frame(
             pixels=pixels,
-            index=self._count.advance(self._aravis.call("arv_buffer_get_frame_id", buffer)),
+            index=self._count.advance(self._aravis.call("arv_buffer_get_frame_id", buffer), sent_s),
             camera_time_s=self._aravis.call("arv_buffer_get_timestamp", buffer) / 1e9 or host_time_s,  # 0: has no clock
             host_time_s=host_time_s,
             exposure_s=self._exposures.of_frame(sent_s),

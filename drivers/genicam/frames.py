@@ -21,17 +21,23 @@ class FrameCount:
 
     index: int = -1  # of the last frame
     _last_id: int = 0
+    _last_s: float = math.nan
+    _shortest_s: float = 0.0  # between two frames; 0: not known
 
-    def advance(self, frame_id: int) -> int:
-        """Return the index of the frame with this number; the first has index 0."""
+    def advance(self, frame_id: int, sent_s: float = math.nan) -> int:
+        """Return the index of the frame with this number, sent then; the first has index 0."""
+        elapsed_s, step = sent_s - self._last_s, frame_id - self._last_id
         if self.index < 0:
-            self.index = 0
-        elif frame_id > self._last_id:
-            self.index += frame_id - self._last_id
-        else:  # only short numbers wrap around; others repeat or begin again
-            step = (frame_id - self._last_id) % (_LAST_SHORT_ID + (frame_id == 0))
-            self.index += step if self._last_id <= _LAST_SHORT_ID and 0 < step < _NEAR_WRAP else 1
-        self._last_id = frame_id
+            step = 1
+        elif step <= 0:  # only short numbers wrap around; others repeat or begin again
+            step %= _LAST_SHORT_ID + (frame_id == 0)
+            is_wrap = self._last_id <= _LAST_SHORT_ID and 0 < step < _NEAR_WRAP
+            # there was no time for the frames that would be lost: the camera has begun again near the last number
+            if not is_wrap or elapsed_s < step * self._shortest_s / 2:
+                step = 1
+        if elapsed_s > 0:
+            self._shortest_s = min(self._shortest_s or math.inf, elapsed_s / step)
+        self.index, self._last_id, self._last_s = self.index + step, frame_id, sent_s
         return self.index
 
 

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 from functools import cached_property, lru_cache
-from typing import Generic, TypeVar, TypeVarTuple
+from typing import Any, Generic, TypeVar, TypeVarTuple
+from weakref import WeakMethod
 
 A = TypeVarTuple("A")
+M = TypeVar("M", bound=Callable[..., Any])
 R = TypeVar("R")
 
 
@@ -27,16 +29,33 @@ class Deferred(Generic[R]):
 
 
 class Remembered(Generic[*A, R]):
-    """A method that remembers its last results; they are not pickled."""
+    """A method that remembers its last results; they are not pickled.
+
+    Its object is referred to weakly. It holds these results, tens of megabytes, and would else refer to itself: Python
+    seldom looks for such objects, so that a process that prepares many reconstructions grew by gigabytes.
+    """
 
     def __init__(self, method: Callable[[*A], R], most: int) -> None:
         """`most` results are kept."""
-        self._method, self._most = method, most
-        self._cached = lru_cache(maxsize=most)(method)
+        weak = WeakMethod(method)
+        self._method, self._most = weak, most
+
+        def called(*args: *A) -> R:
+            return _alive(weak)(*args)
+
+        self._cached = lru_cache(maxsize=most)(called)
 
     def __call__(self, *args: *A) -> R:
         """The method's result."""
         return self._cached(*args)
 
     def __reduce__(self) -> tuple[type, tuple[Callable[[*A], R], int]]:
-        return Remembered, (self._method, self._most)
+        return Remembered, (_alive(self._method), self._most)
+
+
+def _alive(method: WeakMethod[M]) -> M:
+    """Return the method of an object that exists."""
+    found = method()
+    if found is None:
+        raise RuntimeError("the object of a remembered method is gone")
+    return found

@@ -64,6 +64,10 @@ def test_parts_of_any_recording_are_never_replaced(tmp_path: Path) -> None:
                 check_outputs([folder / part], overwrite=True)
         check_outputs([free / part], overwrite=True)
     check_outputs([run / "results.nc"], overwrite=True)
+    for name in ("results.nc", "dark.tif"):
+        (run / name).touch()
+        with pytest.raises(InputError, match="was written when this was measured; give the output another name"):
+            check_outputs([run / name], overwrite=True)
 
 
 def test_name_of_another_format_is_refused() -> None:

@@ -234,6 +234,21 @@ def test_damaged_images_are_refused_without_other_lines(
     assert capfd.readouterr() == ("", "")
 
 
+def test_damage_inside_an_image_is_one_sentence(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The libraries that read it print lines of their own, past Python's standard error."""
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (90, 90), np.uint8)).save(tmp_path / "whole.png")
+    flipped = bytearray((tmp_path / "whole.png").read_bytes())
+    flipped[4000] ^= 255
+    (tmp_path / "flipped.png").write_bytes(flipped)
+    text = f"{{'descr': '<u2', 'fortran_order': False, 'shape': ({2**40}, {2**40}), }}".encode()
+    (tmp_path / "large.npy").write_bytes(b"\x93NUMPY\1\0" + bytes([118, 0]) + text.ljust(117) + b"\n" + bytes(100))
+    capfd.readouterr()
+    for name in ("flipped.png", "large.npy"):
+        with pytest.raises(InputError, match=rf"{name}: cannot be read as"):
+            read_image(tmp_path / name)
+    assert capfd.readouterr() == ("", "")
+
+
 def test_counts_of_any_type_are_limited(tmp_path: Path) -> None:
     np.save(tmp_path / "least.npy", np.full((3, 4), np.iinfo(np.int64).min))
     with pytest.raises(InputError, match="holds values beyond"):

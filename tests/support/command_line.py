@@ -17,6 +17,7 @@ _commands = cache(typer.main.get_command)  # a process makes them once; so do al
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
     """Run the command with these arguments and return its exit status."""
     monkeypatch.setattr(typer.main, "get_command", _commands)
+    monkeypatch.setenv("PYTHONSAFEPATH", "")  # the command sets it, which the tests undo
     monkeypatch.setattr(sys, "argv", ["svwfs", *map(str, arguments)])
     with pytest.raises(SystemExit) as leaving:
         main()

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 from support.batches import QUICK, Counting, assert_equals_replay, batch, files_of, small_blocks
+from support.command_line import run
 from support.recordings import edit_line, record, replace_pixels
 
 import svwfs
@@ -226,6 +228,18 @@ def test_damaged_frame_costs_itself_alone(
     with xr.open_zarr(out) as stored:
         assert stored["state"].sel(recording="mine").to_numpy().tolist() == [1] * 6 + [3] + [1] * 2
         assert np.flatnonzero(stored["rms"].sel(recording="mine").isnull().any(("view_row", "view_column"))) == [6]
+
+
+@pytest.mark.slow
+def test_exit_status_tells_of_damaged_frames(
+    mine: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _flip_bit(mine)
+    monkeypatch.setattr("app.batch.workers.workers", lambda *_, **_options: nullcontext(Counting()))
+    assert run(monkeypatch, "batch", mine.folder, "--out", tmp_path / "r.zarr") == 1
+    said = capsys.readouterr()
+    assert "mine: 1 frame damaged and left out" in said.out
+    assert said.err.endswith("svwfs: 1 frame damaged and left out\n")
 
 
 @pytest.mark.slow

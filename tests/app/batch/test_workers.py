@@ -137,6 +137,7 @@ def test_three_killed_workers_change_nothing(
 @pytest.mark.slow
 def test_dashboard_answers_only_if_asked(two_workers: Workers) -> None:
     """Nothing else answers either, for example with what the workers do."""
+    assert not two_workers.dashboard
     (port,) = _http_ports(two_workers)
     with pytest.raises(HTTPError, match="404"):
         urlopen(f"http://127.0.0.1:{port}/info/main/workers.html", timeout=HANG_S)
@@ -173,7 +174,8 @@ async def _ask(address: str, security: Security | None) -> None:
 
 @pytest.mark.slow
 def test_workers_import_nothing_from_the_working_folder(tmp_path: Path) -> None:
-    for name in ("multiprocessing", "signal", "asyncio"):
+    """Neither do the processes that Python starts beside them, as the one that frees what they shared."""
+    for name in sys.stdlib_module_names:
         (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w').close()\n")
     program = (
         "from app.batch.workers import workers\nif __name__ == '__main__':\n with workers(1, None) as started:\n  "
@@ -330,7 +332,10 @@ def test_wrong_store_is_refused_before_workers_start(
     for out, sentence, options in (
         (recording.folder / "r.zarr", "lies in the recording", ()),
         (tmp_path / "letter.txt", "is a file; the results need a folder", ()),
+        (tmp_path / "r.nc", "the results are a Zarr store, which is a folder: end its name with .zarr", ()),
         (tmp_path / "r.zarr", "its results differ from these in rounds", ("--refine", "1")),
+        (tmp_path / "new.zarr", "registration.foo is an unknown key", ("--set", "registration.foo=1")),
+        (tmp_path / "new.zarr", f"selects no frame; {recording.folder} has {FRAMES}", ("--frames", f"{FRAMES}:")),
     ):
         assert run(monkeypatch, "batch", recording.folder, "--out", out, "--workers", "1", *options) == 2
         assert sentence in capsys.readouterr().err

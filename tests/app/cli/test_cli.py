@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import re
 import shlex
 import signal
@@ -450,6 +451,25 @@ def test_reading_bench_and_help_load_no_devices_numba_or_qt(tmp_path: Path, prog
     assert finished.stderr == "[]\n"
 
 
+def test_command_without_recordings_is_refused_before_anything_is_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not even what the work needs; `batch` would start its workers next."""
+    monkeypatch.chdir(tmp_path)
+    loaded = "[name for name in ('numba', 'scipy', 'xarray', 'distributed') if name in sys.modules]"
+    for words in ("batch nowhere neither --out r.zarr", "replay nowhere", "report nowhere --out r.pdf"):
+        program = f"import atexit, sys; atexit.register(lambda: print({loaded})); from app.cli import main; main()"
+        command = [sys.executable, "-c", program, *words.split()]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - our own program
+        assert (done.returncode, done.stdout) == (2, "[]\n"), done.stderr
+        assert done.stderr.startswith("svwfs: nowhere: no such folder")
+
+
+def test_programs_that_commands_start_import_nothing_from_the_working_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert run(monkeypatch, "--version") == 0
+    assert os.environ["PYTHONSAFEPATH"] == "1"
+
+
 @pytest.mark.slow
 def test_measuring_loads_no_qt() -> None:
     rooms = (
@@ -482,6 +502,24 @@ def test_output_that_cannot_be_printed_is_one_line() -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)  # noqa: S603
     assert (done.returncode, done.stderr) == (1, "svwfs: the output cannot be printed: No space left on device\n")
+
+
+@pytest.mark.parametrize("command", ["replay {}", "layers {} --out o.nc", "study calibration --frames {} --out o"])
+def test_too_long_a_name_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    assert run(monkeypatch, *command.format("x" * 300).split()) == 2
+    assert re.fullmatch(r"svwfs: x{300}\S*: cannot be used: File name too long\n", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("path", ["screen.file", "screen.transmission_file", "source.file"])
+def test_null_character_in_a_bench_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, path: str
+) -> None:
+    bad = f'simulation.{path}="a\\u0000b"'
+    assert run(monkeypatch, "simulate", "--bench", "small_demo", "--out", tmp_path / "o", "--set", bad) == 2
+    error = f"svwfs: small_demo: simulation.{path} must be text in quotes without null characters\n"
+    assert capsys.readouterr().err == error
 
 
 def test_ctrl_c_while_the_commands_are_imported_is_one_line() -> None:

@@ -119,6 +119,16 @@ def test_changed_variable_is_found(name: str, mine: Path) -> None:
         open_results(mine)
 
 
+def test_changed_bench_is_found(mine: Path) -> None:
+    with h5py.File(mine, "r+") as file:
+        file.attrs["bench"] = file.attrs["bench"].replace("462e-09", "463e-09").replace("4.62e-07", "4.63e-07")
+    with pytest.raises(InputError, match=r"r\.nc: is damaged: its bench is not what was written"):
+        open_results(mine)
+    with h5py.File(mine, "r+") as file:
+        del file["crc32"].attrs["bench attribute"]  # as files of earlier versions
+    open_results(mine).close()
+
+
 @pytest.mark.slow
 def test_checksums_of_many_pieces_hold(dataset: xr.Dataset, tmp_path: Path) -> None:
     pieces = [stack_frames([dataset] * count, range(count), [0.0] * count, [0.0] * count) for count in (32, 32, 9)]
@@ -128,7 +138,7 @@ def test_checksums_of_many_pieces_hold(dataset: xr.Dataset, tmp_path: Path) -> N
         assert "crc32" not in read
         read.isel(frame=[3]).to_netcdf(tmp_path / "mine.nc", engine="h5netcdf")
     with h5py.File(tmp_path / "r.nc") as file:
-        assert set(file["crc32"].attrs) == set(map(str, pieces[0].variables))
+        assert set(file["crc32"].attrs) == {*map(str, pieces[0].variables), "bench attribute"}
     with open_results(tmp_path / "mine.nc") as mine:  # changed by its owner
         assert mine.sizes["frame"] == 1
 

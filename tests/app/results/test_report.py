@@ -11,6 +11,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from support.pictures import assert_drawn
 from support.recordings import edit_line, record, replace_pixels
 
 from app.errors import InputError, RunError
+from app.recording.folder import RUN
 from app.recording.reader import Recording
 from app.results.export import export
 from app.results.replay import change_of
@@ -277,6 +279,20 @@ def test_unfinished_and_single_frame_recordings_are_reported(mine: Recording, tm
     assert_drawn(tmp_path / "r.png")
     summary, _ = reported(mine.folder, tmp_path / "s.pdf", frames="4:")
     assert dict(facts(summary))["reference"] == "none: these frames have no calibration"
+
+
+@pytest.mark.slow
+def test_texts_of_any_length_leave_the_page_whole(mine: Recording, tmp_path: Path) -> None:
+    """A damaged recording may have them; they made an error of the drawing library."""
+    edit_line(mine, 2, problem="W" * 70_000)
+    run = json.loads((mine.folder / RUN).read_text())
+    (mine.folder / RUN).write_text(json.dumps({**run, "note": "many words " * 7000}))
+    summary, _ = reported(mine.folder, tmp_path / "r.pdf")
+    page = drawn(partial(draw_overview, summary=summary))
+    shown = said(page)
+    assert "1 of them: WWW" in shown.replace("\n", " ")
+    assert "many words ..." in shown
+    assert len(shown) < 5000
 
 
 @pytest.mark.parametrize("name", ["r.html", "r", "r.txt"])

@@ -54,6 +54,17 @@ def test_repeated_and_restarted_frame_numbers_are_new_frames(ids: tuple[int, ...
     assert tuple(map(count.advance, ids)) == indices
 
 
+def test_frame_numbers_that_begin_again_near_their_end_count_no_losses() -> None:
+    count, sent_s = FrameCount(), (0.0, 0.1, 0.3, 0.4, 0.5)
+    ids = (64998, 64999, 65001, 1, 2)  # one frame is lost; across a wrap, 534 more would have been in 0.1 s
+    assert tuple(map(count.advance, ids, sent_s)) == (0, 1, 3, 4, 5)
+
+
+def test_loss_across_number_wrap_is_counted_if_there_was_time_for_it() -> None:
+    count, sent_s = FrameCount(), (0.0, 0.1, 53.6, 53.7)
+    assert tuple(map(count.advance, (64999, 65000, 1, 2), sent_s)) == (0, 1, 537, 538)
+
+
 def test_long_frame_numbers_may_begin_with_zero() -> None:
     count = FrameCount()
     assert [count.advance(frame_id) for frame_id in (0, 1, 65535, 65536, 2**40)] == [0, 1, 65535, 65536, 2**40]
