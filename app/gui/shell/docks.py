@@ -177,7 +177,7 @@ class PanelDocks:
                     window.tabifyDockWidget(camera, dock)
             camera.raise_()
             window.resizeDocks([camera, self._at("right")], [1000, 850], Qt.Orientation.Horizontal)
-            if (layout := window.layout()) is not None and not window.isMaximized():
+            if (layout := window.layout()) is not None and not (window.isMaximized() or window.isFullScreen()):
                 layout.activate()
                 window.resize(within_screen(window, window.size()))  # the layout before may have needed more
 
