@@ -6,7 +6,7 @@ from PyQt6.QtCore import QByteArray, QSize, Qt
 from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabBar, QTabWidget, QToolButton, QWidget
 
 from app.gui.panels.panel import Panel
-from app.gui.widgets.basics import Slot, column, label, row, timer
+from app.gui.widgets.basics import Slot, column, label, row, timer, within_screen
 
 _OPTIONS = QMainWindow.DockOption
 _MARGIN = 8  # px between the contents of a panel and its edge
@@ -177,6 +177,9 @@ class PanelDocks:
                     window.tabifyDockWidget(camera, dock)
             camera.raise_()
             window.resizeDocks([camera, self._at("right")], [1000, 850], Qt.Orientation.Horizontal)
+            if (layout := window.layout()) is not None and not (window.isMaximized() or window.isFullScreen()):
+                layout.activate()
+                window.resize(within_screen(window, window.size()))  # the layout before may have needed more
 
     def _arrange(self) -> None:
         """Follow the height, show the header of each panel without a tab, and dress the tabs, which Qt makes anew."""

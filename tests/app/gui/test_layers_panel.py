@@ -179,7 +179,7 @@ def test_displacements_alike_over_the_field_show_no_layer(make_window: MakeWindo
     before = panel.map.empty  # the search has not ended
     qtbot.waitUntil(lambda: not panel.sentence.text().startswith("Searching"))
     assert panel.sentence.text() == "No layer: the distance of a layer needs displacements that change over the field"
-    assert (before, panel.map.empty) == ("", "no layer")
+    assert (before, panel.map.empty) == ("Searching \N{HORIZONTAL ELLIPSIS}", "no layer")
 
 
 def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:

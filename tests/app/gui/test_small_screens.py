@@ -145,7 +145,8 @@ def test_recording_bar_and_times_fit_into_a_low_window(make_window: MakeWindow) 
     window.recording_bar.prepare()
     window.status_line.timing_row.toggle()
     settle()
-    assert window.size() == SCREEN.size()
+    assert window.width() <= SCREEN.width()
+    assert window.height() <= SCREEN.height() - 40  # for the frame
     assert window.rect().bottom() >= window.status_line.mapTo(window, window.status_line.rect().bottomLeft()).y()
 
 

@@ -283,7 +283,8 @@ def test_window_with_recording_bar_fits_a_full_hd_screen_at_scale_2(make_window:
         chart.setChecked(True)
     window.docks.show_panel(window.panels.history)
     window.recording_bar.prepare()
-    cut_texts(window)  # makes it as small as it can be
+    for _ in range(2):  # a low window has another layout
+        cut_texts(window)  # makes it as small as it can be
     assert window.width() <= 960
     assert window.height() <= 1080 / 2 - 40  # 40 px for the frame of a window manager
 
