@@ -78,7 +78,8 @@ clean: ## remove .venv and every cache
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-.venv/ready: requirements.lock pyproject.toml | .venv/bin/pip
+# svwfs.py is copied into .venv, because it is a package there.
+.venv/ready: requirements.lock pyproject.toml svwfs.py | .venv/bin/pip
 	@echo 'filling .venv, about a minute the first time'
 	@.venv/bin/pip install -qq --require-hashes --requirement requirements.lock
 	@.venv/bin/pip install -qq --no-deps --no-build-isolation --editable .
