@@ -1,5 +1,6 @@
 """Reader of recordings: finished, cut short, or still growing."""
 
+import re
 from array import array
 from collections.abc import Callable
 from contextlib import suppress
@@ -279,11 +280,10 @@ def selected(text: str | None, count: int, source: Path) -> range:
     """Parse FIRST:END for a source of `count` frames; see `Recording.select`."""
     if not count:
         raise InputError(f"{source}: holds no frame")
-    try:
-        first, end = (int(part) if part.strip() else None for part in (text or ":").split(":"))
-        frames = range(count)[first:end]
-    except ValueError as error:
-        raise InputError(f"--frames {text}: write FIRST:END, counted from 0, for example 0:100") from error
+    parts = re.fullmatch(r"(\d*):(\d*)", (":" if text is None else text).replace(" ", ""), re.ASCII)
+    if parts is None:
+        raise InputError(f"--frames {text}: write FIRST:END, counted from 0, for example 0:100")
+    frames = range(count)[int(parts[1] or 0) : int(parts[2] or count)]
     if not frames:
         raise InputError(f'--frames "{text}" selects no frame; {source} has {count}')
     return frames

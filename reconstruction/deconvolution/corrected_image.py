@@ -220,11 +220,17 @@ def corrected_image(
             f"the measured field covers {rows[1] - rows[0]} x {columns[1] - columns[0]} pixels of the image, and"
             f" {_LEAST_INSIDE_PX} are needed: check pixel_m, center_x_px and center_y_px"
         )
+    blur_px = imaging.blur_px(sensor, field)
+    if blur_px > max(image.shape):
+        raise ValueError(
+            f"a point blurs over {blur_px:.3g} pixels, more than the image has: check pixel_m, wavelength_m and"
+            " the pupil"
+        )
     light = image.astype(np.float32) - np.float32(imaging.dark_counts)
     reach, change_rad_per_m = _extent(phase_at, imaging, sensor, field)
     reach = min(reach, max(image.shape))
     part = tuple(slice(max(least - reach, 0), most + reach) for least, most in (rows, columns))
-    bins = max(1, int(imaging.blur_px(sensor, field) / _RESOLVED_PX))
+    bins = max(1, int(blur_px / _RESOLVED_PX))
     cut, own = _binned(light[part], bins), _of_part(imaging, image.shape, part, bins)
     counted, reach = own.inside(cut.shape, field), -(-reach // bins)
     known_rows, known_columns = _span(counted)

@@ -88,8 +88,8 @@ class LayerSearch:
 
     @property
     def doubt(self) -> str:
-        """Why distances and error bars may be wrong; empty if noise explains what any wavefront leaves."""
-        chi_square = self.any_wavefront.chi_square
+        """Why distances and error bars may be wrong; empty if noise explains what a wavefront leaves."""
+        chi_square = min(self.any_wavefront.chi_square, self.fit.quality.chi_square)  # layers may have more modes
         if chi_square < _DOUBTFUL:
             return ""
         return (

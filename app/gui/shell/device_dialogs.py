@@ -24,7 +24,7 @@ _SIDES = {
 _KEY = "presets/devices"  # of the settings
 _ABOUT = "A preset keeps exposure, gain, current and mask: type a name, and save those in force."
 _PRESETS_WIDTH = 380  # px: the title fits
-_SETTINGS = ("exposure_s", "em_gain", "current_a", "mask")
+_SETTINGS = {"exposure_s": int | float, "em_gain": int | float, "current_a": int | float, "mask": str}
 
 
 class SensorRegionDialog(QDialog):
@@ -153,11 +153,13 @@ class DevicePresets(QDialog):
         self._list()
 
     def _presets(self) -> dict[str, dict[str, object]]:
+        """Presets that can be applied: the file may have been edited by hand."""
         try:
             found = json.loads(str(self._settings.value(_KEY, "{}")))
-        except ValueError:  # edited by hand
+        except ValueError:
             return {}
-        return found if isinstance(found, dict) else {}
+        presets = found.items() if isinstance(found, dict) else ()
+        return {name: values for name, values in presets if isinstance(values, dict) and _can_be_set(values)}
 
     def _keep(self, presets: dict[str, dict[str, object]]) -> None:
         self._settings.setValue(_KEY, json.dumps(presets))
@@ -198,5 +200,10 @@ class DevicePresets(QDialog):
             return
         values = self._presets()[item.text()]
         for name in _SETTINGS:
-            if name in values and values[name] != getattr(status, name):  # a manual light takes no current
+            if values.get(name) not in {None, getattr(status, name)}:  # a manual light takes no current
                 self._controls.requested.emit(name, values[name])
+
+
+def _can_be_set(values: dict[str, object]) -> bool:
+    """Whether the values are of the right kinds; None stands for what a device does not have."""
+    return all(isinstance(values.get(name), kind | None) for name, kind in _SETTINGS.items())

@@ -218,13 +218,15 @@ class MainWindow(BaseWindow):
         )
         return menus
 
-    def connect_devices(self, *, is_lit: bool = True) -> None:
-        """Open the devices and start measuring, also after a failure; `is_lit`: see `start_up`."""
+    def connect_devices(self) -> None:
+        """Open the devices and start measuring, also after a failure; a light that the user switched off stays off."""
         self.shown.measurement = self.shown.status = None
         self._failure, self._activity = "", Activity("opening the devices")
         self._forget_status()
         self.status_line.restart()
-        self.controller.connect_devices(is_lit=is_lit)
+        self.controller.connect_devices(is_lit=not self.light.is_kept_off)
+        if self.light.is_kept_off:
+            self.messages.warn("the light stays off, as you left it: L switches it on, then R takes a reference")
         self.update_text()
         self._timer.start()
 
@@ -246,7 +248,7 @@ class MainWindow(BaseWindow):
                 panel.forget_bench()
             self.analyses.forget_bench()
             self.replay.use(player)
-            self.light.is_kept_off = False
+            self.light.is_kept_off = self.light.is_kept_off and player is None  # a recorded light shines on nobody
             self.connect_devices()
 
         self.recording_bar.ask_to_end(lambda: self.light.ask_off(connect))
@@ -455,11 +457,8 @@ class MainWindow(BaseWindow):
         self.light.ask_off(lambda: QTimer.singleShot(0, self.close))  # within a close event, Qt would skip `closeEvent`
 
     def _reconnect(self) -> None:
-        """Open the devices again; the light stays off if the user had switched it off."""
         if self.controller.failure:
-            self.connect_devices(is_lit=not self.light.is_kept_off)
-            if self.light.is_kept_off:
-                self.messages.warn("the light stays off, as you left it: L switches it on, then R takes a reference")
+            self.connect_devices()
 
     def _forget_status(self) -> None:
         """Show the status again, for example since icons are drawn in another theme."""

@@ -363,6 +363,21 @@ def test_reconnecting_leaves_the_light_off(make_window: MakeWindow, qtbot: QtBot
 
 
 @pytest.mark.slow
+def test_opening_a_bench_leaves_the_light_off(make_window: MakeWindow, qtbot: QtBot) -> None:
+    first, second = FakeCamera(), FakeCamera()
+    lit: list[bool] = []
+    second.light._switch = lambda *, on: lit.append(on)  # type: ignore[method-assign] # watched
+    window = make_window(first)
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    switch_off(window, qtbot)
+    window.open(lambda: Acquisition(BENCH, opener(second)))
+    qtbot.waitUntil(lambda: second.is_running and window.controller.is_settled)
+    assert True not in lit
+    assert "  The light stays off, as you left it: L switches it on" in window.messages.log
+
+
+@pytest.mark.slow
 def test_stopping_a_recording_leaves_its_name(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:

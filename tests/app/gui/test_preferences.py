@@ -93,8 +93,9 @@ def test_preset_restores_exposure_and_mask_also_after_a_restart(
     qtbot.waitUntil(lambda: camera.exposure_s == 0.02 and camera.stage.mask == "square")
     again.delete.click()
     assert not again.names.count()
-    settings.setValue("presets/devices", "no JSON")
-    assert not DevicePresets(window.controller, window.controls, settings, window).names.count()
+    for text in ("no JSON", '{"a": 1}', '{"a": {"current_a": "x"}}', "[1]"):  # edited by hand
+        settings.setValue("presets/devices", text)
+        assert not DevicePresets(window.controller, window.controls, settings, window).names.count()
 
 
 def test_empty_presets_are_explained_and_offer_nothing(make_window: MakeWindow, settings: QSettings) -> None:

@@ -131,6 +131,16 @@ def test_field_beside_the_image_is_refused() -> None:
         corrected(stars(), lambda *_: 0 * U, center_x_px=1000.0)
 
 
+def test_point_wider_than_the_image_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"blurs over 5\.\d+e\+03 pixels, .*: check pixel_m, wavelength_m"):
+        corrected(stars(), lambda *_: 0 * U, wavelength_m=1e-3)
+
+
+def test_read_noise_needs_the_gain() -> None:
+    with pytest.raises(ValueError, match="read_noise_counts needs counts_per_electron beside it"):
+        Imaging(pixel_m=PIXEL_M, read_noise_counts=2.0)
+
+
 def test_unknown_wavefront_is_refused() -> None:
     with pytest.raises(ValueError, match="wavefront is unknown in a part of the field"):
         corrected(stars(), lambda x, _y: 0 * U + (np.nan if x > 0 else 0))
