@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from app.files import atomic_write
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, lenslet_centers
-from reconstruction.lattice._cells import cell_index
+from reconstruction.lattice.cells import cell_index
 from reconstruction.lattice.search import Survey
 from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, psf_reach_rad
 from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism

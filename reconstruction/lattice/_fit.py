@@ -15,7 +15,7 @@ from scipy import fft, ndimage
 from reconstruction.arrays import Floats, Image
 from reconstruction.frame.spline import spline_coefficients
 from reconstruction.geometry import Arrangement, Lattice
-from reconstruction.lattice._cells import CellMatch, Cells, cut, match_cells, rough_background, without_background
+from reconstruction.lattice.cells import CellMatch, Cells, cut, match_cells, rough_background, without_background
 
 REACH = 0.16  # relative error of the designed pitch that is searched
 _BINNED_PITCH_PX = 12  # pitch after binning; coarser frames would lose the lattice

@@ -19,7 +19,7 @@ from app.bench.presets import PRESETS
 from app.commands.calibrate import bench_text, differences, find_lattice, summary, write_calibrated
 from app.results.figures import lattice_figure
 from reconstruction.geometry import Lattice
-from reconstruction.lattice._cells import cell_index
+from reconstruction.lattice.cells import cell_index
 
 BENCH = FRAMES / "bench.toml"
 TRUTH = Lattice(center_x_px=262.4, center_y_px=249.1, pitch_px=30.7, rotation_rad=0.03)

@@ -12,8 +12,8 @@ from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.spline import spline_coefficients
 from reconstruction.geometry import Lattice, Sensor
-from reconstruction.lattice._cells import cut
 from reconstruction.lattice._fit import least_rotation_rad
+from reconstruction.lattice.cells import cut
 from reconstruction.lattice.search import survey
 
 CENTER_PX, PITCH_PX, BLUR_PX = (257.3, 251.8), 31.4, 1.2
