@@ -63,6 +63,7 @@ class StatusLine(QWidget):
             value.setMinimumWidth(value.fontMetrics().horizontalAdvance(widest))  # so that the next does not move
             named.append(row_of(label(name, "dim"), value))
             named[-1].setToolTip(tool_tip)
+        self.devices.setMinimumWidth(max(map(self.devices.fontMetrics().horizontalAdvance, ("running", "stopped"))))
         self._counted, self._of_correction = named[0], named[-1]
         line = row(*named, (self.assumed, 1), self.simulated, self.devices, spacing=_GAP)
         column(self.timing_row, line, spacing=2, parent=self).setContentsMargins(10, 0, 10, 2)

@@ -178,6 +178,8 @@ def test_status_line_shows_nothing_old_while_a_bench_opens(live: tuple[MainWindo
     window.open(lambda: Acquisition(BENCH, opener(FakeCamera())))
     shown = [label.text() for label in (line.rate, line.delay, line.valid, line.lost, line.devices, line.assumed)]
     assert shown == ["\N{EN DASH}"] * 3 + ["0", "", ""]
+    qtbot.waitUntil(lambda: line.devices.text() == "running")
+    qtbot.waitUntil(lambda: line.devices.width() >= line.devices.sizeHint().width())
 
 
 @pytest.mark.parametrize(("age_s", "colour"), [(2.0, theme.GREEN), (120.0, theme.AMBER)])
