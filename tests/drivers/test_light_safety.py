@@ -83,6 +83,14 @@ def test_opening_switches_off_and_limits_current() -> None:
     assert max(bulb.lit_with_a) == 0.4
 
 
+def test_current_raised_at_the_device_is_limited_when_switching_on() -> None:
+    bulb = Bulb(0.3)
+    light = BulbLight(bulb, limit_a=0.4)
+    bulb.current_a = 0.9
+    light.set_on(True)
+    assert max(bulb.lit_with_a) == light.current_a == 0.4
+
+
 @pytest.mark.parametrize("current_a", [float("nan"), 2.0, 0.0])
 def test_invalid_current_is_replaced_at_opening(current_a: float) -> None:
     with BulbLight(Bulb(current_a, lowest_a=0.1)) as light:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -39,6 +40,17 @@ def test_slope_per_px_is_wavenumber_times_pixel_angle() -> None:
 def test_field_is_imaged_with_f_over_f1() -> None:
     field = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
     assert field.half_width_px(sensor_of(3, 3)) == pytest.approx(0.6e-3 * 46.7e-3 / 0.2 / 16e-6)
+
+
+@pytest.mark.parametrize("shape", ["square", "circle"])
+def test_outline_goes_around_the_field(shape: Literal["square", "circle"]) -> None:
+    """It comes near the edge in every direction: half of an octant away at most."""
+    field = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3, shape=shape)
+    outline, angle = field.outline, np.linspace(0, 2 * math.pi, 181)
+    assert field.contains(*outline.T).all()
+    reach = np.max(outline @ (np.cos(angle), np.sin(angle)), axis=0)
+    assert reach.min() > math.cos(math.pi / 8) - 1e-9
+    assert np.count_nonzero(np.all(outline == 0, axis=1)) == 1
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,9 @@
-"""Latency by the camera's clock, which drifts beside the computer's."""
+"""Latency by the camera's clock, which drifts beside the computer's; counts, gaps, and old frames skipped."""
 
 from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +11,7 @@ import pytest
 from app.acquisition.frame_path import FramePath
 from app.measurement.measurement import Measurement
 from app.timing import Timings
-from drivers.interface import Frame
+from drivers.interface import DeviceTimeout, Frame
 
 EXPOSED = np.zeros((2, 2), np.uint16)
 
@@ -37,3 +40,39 @@ def test_lost_frames_are_counted_and_noted_with_the_next() -> None:
     assert [each.lost for each in made] == [0, 0, 2, 0, 2]
     assert [each.counts.lost for each in made] == [0, 0, 2, 2, 4]
     assert [each.counts.acquired for each in made] == [1, 2, 3, 4, 5]
+
+
+def test_gap_before_a_restart_is_the_time_without_exposure() -> None:
+    """The frame that arrives 3 s after the one before was itself exposed for 0.5 s."""
+    path = FramePath((), Timings(), lambda _: False)
+    for index, arrived_s in ((0, 100.0), (1, 101.0), (0, 104.0)):
+        frame = Frame(EXPOSED, index, arrived_s, arrived_s, 0.5, 1.0)
+        path._count(frame)
+    gap = path._completed(Measurement(frame, None, ""), None).gap
+    assert gap is not None
+    assert gap.seconds == pytest.approx(2.5)
+
+
+@pytest.mark.parametrize(
+    ("age_s", "exposure_s", "taken"),
+    [(0.5, 0.01, 2), (2.5, 1.0, 2), (0.05, 0.01, 0), (0.5, 1.0, 0)],  # old: more than 0.1 s and than two exposures
+)
+def test_newest_frame_is_taken_if_the_next_is_old(
+    monkeypatch: pytest.MonkeyPatch, age_s: float, exposure_s: float, taken: int
+) -> None:
+    monkeypatch.setattr("app.acquisition.frame_path.time", SimpleNamespace(perf_counter=lambda: 200.0))
+    waiting = [Frame(EXPOSED, index, float(index), 200.0 - age_s, exposure_s, 1.0) for index in range(3)]
+    skipped = list[Measurement]()
+
+    def read(_timeout_s: float) -> Frame:
+        if not waiting:
+            raise DeviceTimeout("no frame")
+        return waiting.pop(0)
+
+    camera = SimpleNamespace(read=read, exposure_s=exposure_s)
+    instrument: Any = SimpleNamespace(
+        devices=SimpleNamespace(camera=camera), skip=lambda frame: Measurement(frame, None, "skipped")
+    )
+    path = FramePath((skipped.append,), Timings(), lambda _: False)
+    assert path._newest_frame(instrument, None).index == taken
+    assert [each.frame.index for each in skipped] == list(range(taken))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -275,11 +276,33 @@ def test_reference_of_a_mask_is_stale_at_another_exposure(live: Live) -> None:
     assert "at 20.0 ms" in live.status.warning
 
 
-def test_only_the_newest_references_are_kept() -> None:
+AVERAGE = Average(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.float32), 1, 0.02, 1.0, "em")
+IN_REGIONS = [Circumstances(0.02, "em", 1.0, 3, 1, Region(0, 0, 8, 8 + index), "square") for index in range(12)]
+
+
+def test_dark_of_a_region_is_kept_for_every_mask() -> None:
+    kept = KeptAverages("dark", is_lit=False)
+    for now in IN_REGIONS[:2]:
+        kept.keep(AVERAGE, now)
+    now = replace(IN_REGIONS[0], mask="circle")
+    kept.choose(now)
+    assert not kept.doubt(now)
+
+
+def test_reference_taken_again_is_no_longer_the_oldest() -> None:
     kept = KeptAverages("reference", is_lit=True)
-    taken = [Circumstances(0.02, "em", 1.0, 3, 1, Region(0, 0, 8, 8 + index), "square") for index in range(12)]
+    for index in (*range(8), 0, 8):  # one more than are kept
+        kept.keep(AVERAGE, IN_REGIONS[index])
+    kept.choose(IN_REGIONS[0])
+    assert not kept.doubt(IN_REGIONS[0])
+    kept.choose(IN_REGIONS[1])
+    assert kept.doubt(IN_REGIONS[1])
+
+
+def test_only_the_newest_references_are_kept() -> None:
+    kept, taken = KeptAverages("reference", is_lit=True), IN_REGIONS
     for now in taken:
-        kept.keep(Average(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.float32), 1, 0.02, 1.0, "em"), now)
+        kept.keep(AVERAGE, now)
     kept.choose(taken[3])
     assert kept.doubt(taken[3])  # forgotten: the newest stays in use
     kept.choose(taken[4])

@@ -18,8 +18,11 @@ from support.wavefronts import bowl
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
 
 from app.gui.panels.camera import CameraPanel
+from app.gui.panels.lenslet import LensletPanel
+from app.gui.panels.panel import Shown
 from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
+from app.results.view_analysis import inspect_lenslet
 from reconstruction.displacement import Outcome
 
 
@@ -127,6 +130,18 @@ def test_click_on_a_lenslet_opens_its_inspector(window: MainWindow, qtbot: QtBot
     outline = window.panels.camera._inspected_box.ends.T
     centre = LATTICE.lenslet_centers_px(*LENSLETS)[4, 7]
     np.testing.assert_allclose([outline[0].mean(), outline[1].mean()], centre)
+
+
+def test_scale_of_a_lenslet_reaches_the_brightest_of_both_images(qtbot: QtBot) -> None:
+    panel = LensletPanel(Shown())
+    qtbot.addWidget(panel)
+    found = inspect_lenslet(shown(inspected()), 4, 7)
+    assert found is not None
+    panel.show_result(replace(found, frame=3 * found.reference))
+    for name in ("Reference", "Frame"):
+        maps = panel.tiles[name].maps
+        assert maps is not None
+        assert 3 <= maps.scale.high / found.reference.max() < 6, name
 
 
 @pytest.mark.parametrize("height", [60, 130, 300])

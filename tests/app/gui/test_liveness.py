@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
 from PyQt6.QtCore import Qt
 from pytestqt.qtbot import QtBot
-from support.gui_bench import FakeCamera
-from support.window_tools import press
+from support.gui_bench import FakeCamera, make_measurement
+from support.window_tools import dim_frame, press, views
 
 from app.acquisition.worker import Activity
 from app.gui.panels.panel import Liveness
 from app.gui.shell.main_window import MainWindow
-from app.gui.shell.wording import liveness
+from app.gui.shell.wording import Situation, liveness
 from drivers.interface import Disconnected
 
 
@@ -49,6 +52,21 @@ def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:
     assert liveness(status, "", Activity(), replace(old, latency_s=150.0)) == Liveness()  # of a slow method
     assert liveness(None, "", Activity(), None) == Liveness()
     assert liveness(None, "", Activity("opening the devices"), None).is_grey  # a picture of another bench may be seen
+
+
+def test_alarm_is_about_frames_of_the_present_conditions() -> None:
+    """What was wrong with an earlier frame is over when the exposure was changed, say."""
+    names = ("bench", "mask", "is_sample_in", "exposure_s", "dark_note", "reference_note", "warning")
+    well: Any = SimpleNamespace(**dict.fromkeys(names, ""), dark="good", reference="good", is_light_on=True)
+    well.is_running = True
+    situation, before_s = Situation(), time.perf_counter()
+    situation.follow(well)
+    problem = replace(make_measurement(dim_frame(), views()), problem="too dark", wavefront=None)
+    alarms = [
+        situation.alarm(well, Activity(), replace(problem, exposure_end_s=end_s))
+        for end_s in (before_s - 1, time.perf_counter())
+    ]
+    assert alarms == ["", "too dark"]
 
 
 @pytest.mark.slow

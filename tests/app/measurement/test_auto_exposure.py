@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from app.acquisition.devices import simulated_bench
 from app.bench.config import load_bench
-from app.measurement.auto_exposure import AutoExposure, auto_expose, brightness
+from app.measurement.auto_exposure import AutoExposure, Brightness, Reach, Shot, auto_expose, brightness, next_light
 from app.measurement.routines import Cancelled, RoutineError
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Range
 from simulated_devices.camera import SimulatedCamera
@@ -213,6 +213,17 @@ def test_fill_must_be_within_tolerances(fill: float) -> None:
     with pytest.raises(BadValue, match="fill"):
         expose(devices, fill)
     assert not camera.exposed_s
+
+
+def test_shorter_exposures_are_tried_before_lower_currents() -> None:
+    """The first saturated frame leaves little of them, the second one even less."""
+    reach = Reach(lowest=1e-3, lowest_by_exposure=1.0, highest=1e3)
+    saturated = [Shot(light, Brightness(FULL_SCALE, 500.0, 6.0), is_saturated=True) for light in (5.0, 4.0)]
+    first, second = (
+        next_light(saturated[:count], 0.7 * FULL_SCALE, FULL_SCALE, reach) / reach.lowest_by_exposure
+        for count in (1, 2)
+    )
+    assert first >= 1 > second
 
 
 def test_fill_is_adjustable() -> None:

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.patience import HANG_S
+from support.patience import HANG_S, wait_until
 from support.records import FACTS, make_frame, make_record, wait, write
 
 from app.errors import InputError, RunError
@@ -68,6 +68,19 @@ def test_limit_can_change_during_a_recording(tmp_path: Path) -> None:
     assert Recording(tmp_path / "r").run["frames"]["acquired"] == 4
 
 
+def test_frames_that_are_written_wait_no_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eight frames, where three may wait for the disk."""
+    taken = [measurement(index, host_time_s=index / 10) for index in range(8)]
+    monkeypatch.setattr(recorder, "_QUEUED_BYTES", 3 * taken[0].frame.pixels.nbytes)
+    recorder_ = Recorder(Timings())
+    recorder_.start(tmp_path / "r", FACTS, limit=Limit(frames=len(taken)))
+    for each in taken:
+        recorder_.take(each)
+        wait_until(lambda: recorder_.state is not None and not recorder_.state.waiting)
+    assert wait(recorder_, {"finished", "ended early"}).problem == ""
+    assert len(Recording(tmp_path / "r")) == len(taken)
+
+
 def test_recent_frames_can_be_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recorder_ = Recorder(Timings())
     with pytest.raises(InputError, match="no frame yet"):
@@ -100,6 +113,11 @@ def test_free_space_is_given_in_minutes(tmp_path: Path, monkeypatch: pytest.Monk
         recorder_.take(measurement(index, host_time_s=index / 10))
     assert recorder_.free_minutes(tmp_path / "not" / "yet") == pytest.approx(7, rel=0.02)
     assert asked == [tmp_path]
+    recorder_.forget_recent()
+    assert recorder_.free_minutes(tmp_path) == math.inf
+    for index in range(101):
+        recorder_.take(measurement(index, host_time_s=20 + index / 10))
+    assert recorder_.free_minutes(tmp_path) == pytest.approx(7, rel=0.02)
 
 
 def test_changed_frame_size_ends_the_recording(tmp_path: Path) -> None:

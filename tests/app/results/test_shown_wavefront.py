@@ -107,6 +107,9 @@ def test_stored_wavefront_ends_where_its_field_ends() -> None:
     at = stored.at(wide)
     assert np.isnan(at[0, [0, 2]]).all()
     np.testing.assert_allclose(at[0, 1], expected(0.0), atol=1e-4)
+    round_one = replace(stored, field=replace(FIELD, shape="circle"))
+    assert np.isnan(round_one.at(FIELD)[0, 0]).all()  # x = y = -0.83 of the half width
+    np.testing.assert_allclose(round_one.at(FIELD)[1, 0], expected(0.0), atol=1e-4)
 
 
 @pytest.mark.parametrize("frames", [1, 2])

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import curve_fit
 from support.optics import SmallBench
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
 from app.bench.config import load_bench
 from reconstruction.arrays import Floats, Image
-from reconstruction.frame.noise import CameraNoise, image_transfer, photon_transfer
+from reconstruction.frame.noise import CameraNoise, TransferCurve, image_transfer, photon_transfer
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel
 from simulated_devices.detector import Detector, Exposure
 from simulated_devices.settings import SimulatedCameraSettings
@@ -96,6 +97,19 @@ def test_loss_of_compressed_counts_is_measured(response: str, least: float, most
     if response != "gamma":  # a gamma makes images that no optics transmits
         assert single is not None
         assert 0.5 * least <= single.loss <= most
+
+
+def test_loss_is_the_bend_beyond_four_standard_errors() -> None:
+    """Against the weighted fit of SciPy, which scales its errors with the scatter, too."""
+    light = np.linspace(200, 1000, 20)
+    share, scatter = light / light.max(), 1 + 0.02 * np.random.default_rng(0).normal(size=20)
+    variance = (9 + 2000 * share - 600 * share**2) * scatter
+    (slope, bend), covariance = curve_fit(
+        lambda s, a, b: a * s + b * s**2, share, variance - 9, p0=(1, 0), sigma=variance, absolute_sigma=False
+    )
+    expected = -(bend + 4 * np.sqrt(covariance[1, 1])) / slope
+    assert 0.1 < expected < 0.9 * -bend / slope  # far from both limits, and moved by the error
+    assert TransferCurve(light, variance, 9.0).loss == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -219,6 +219,9 @@ def test_noisy_modes_are_suppressed_and_lost_lenslet_is_bridged() -> None:
     beyond = smooth_solver(measured(px, covariance, corner))
     assert np.isnan(beyond.wavefront(np.ones(1))[0, 0])  # two lenslets from the next that is known
     assert beyond.sigma(np.ones(1))[2, 0] > 2 * beyond.sigma(np.ones(1))[3, 5]
+    cross = ALL.copy()
+    cross[2:5, 3] = cross[3, 2:5] = False  # its middle has known neighbours only along the diagonals
+    assert np.isfinite(smooth_solver(measured(px, covariance, cross)).wavefront(np.ones(1))).all()
 
 
 @pytest.mark.parametrize("is_smooth", [False, True])
