@@ -16,11 +16,13 @@ import numpy as np
 
 from app.bench.config import load_bench
 from app.evaluation.frames import NoiseFreeFrames
+from app.measurement.calibration import Calibration
 
 bench = load_bench("small_demo")
 frames, noise, made = NoiseFreeFrames(bench), np.random.default_rng(0), hashlib.sha256()
 reference = frames.reference("square")
-reconstructor = bench.reconstructor(reference, lattice=bench.design_lattice(*reference.shape))
+lattice = bench.design_lattice(*reference.shape)
+reconstructor = Calibration.of_images(bench, reference, lattice=lattice).reconstructor()
 photons = np.asarray(frames.frame("square").photons)
 for _ in range(40):
     frame = noise.poisson(photons * (1000 / photons.max())) + noise.normal(0, 8, photons.shape)

@@ -197,7 +197,7 @@ def test_interruption_leaves_no_file(
     def interrupted(*_: object, **__: object) -> None:
         raise Interrupted("interrupted")
 
-    monkeypatch.setattr("reconstruction.deconvolution.corrected_image.corrected_image", interrupted)
+    monkeypatch.setattr("app.results.deconvolution.corrected_image", interrupted)
     before = set(tmp_path.iterdir())
     out = tmp_path / "out.tif"
     assert run(monkeypatch, "deconvolve", image, "--with", result, *SCALE, "--out", out) == 130
