@@ -30,7 +30,7 @@ from reconstruction.settings import RegistrationSettings, Warp
 
 
 class _Limits(NamedTuple):
-    """What is above is no effect of the warp, or cannot be told from noise."""
+    """Limits above which a misfit is no effect of the warp, or noise hides it."""
 
     pixels: float  # residual over the reference's contrast, per px of deformation within a subimage
     slopes: float  # misfit of the slopes over the displacement

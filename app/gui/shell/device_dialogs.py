@@ -205,5 +205,5 @@ class DevicePresets(QDialog):
 
 
 def _can_be_set(values: dict[str, object]) -> bool:
-    """Whether the values are of the right kinds; None stands for what a device does not have."""
+    """Return True if the values are of the right kinds; None stands for what a device does not have."""
     return all(isinstance(values.get(name), kind | None) for name, kind in _SETTINGS.items())
