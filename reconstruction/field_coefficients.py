@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.polynomial import legendre as series
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import Floats, Mask
@@ -136,11 +137,26 @@ def field_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = Non
             f"no lenslet is known inside the {'' if onto_modes.inside.all() else 'circular '}pupil, which is"
             f" {2e3 * min(sensor.pupil_half_width_m):.3g} mm wide"
         )
-    flat, fitted = (modes.products.reshape(len(modes.degree), -1).T for modes in (onto_modes, fit.modes))
-    onto = np.linalg.lstsq(flat, fitted)[0][: _count(order)]  # exact: both are polynomials of the same degree
+    onto = _pupil_projection(fit.modes, onto_modes, sensor, basis)[: _count(order)]
     onto[0] = 0.0  # a wavefront has no piston
     root = np.tensordot(onto[:, 1:], fit.root_covariance, axes=1)
     return FieldCoefficients(basis, onto @ fit.rad, root @ np.swapaxes(root, 1, 2), fit.field_modes, known_share)
+
+
+def _pupil_projection(modes: PupilModes, onto: PupilModes, sensor: Sensor, basis: PupilBasis) -> Floats:
+    """Coefficients of the pupil modes in those of a basis, (mode, pupil_mode); exact, for both are polynomials."""
+    if basis != "zernike":
+        flat, fitted = (each.products.reshape(len(each.degree), -1).T for each in (onto, modes))
+        return np.asarray(np.linalg.lstsq(flat, fitted)[0])
+    # Products of Legendre polynomials grow by 10,000 in the corners around the circle, which costs these digits.
+    highest = modes.products.shape[1] - 1
+    scale_x, scale_y = min(sensor.pupil_half_width_m) / np.array(sensor.pupil_half_width_m)
+
+    def values(x: Floats, y: Floats) -> Floats:
+        along_x, along_y = (series.legvander(at, highest) for at in (x * scale_x, y * scale_y))
+        return np.asarray(np.einsum("pnm,...n,...m->p...", modes.products, along_y, along_x, optimize=True))
+
+    return zernike_projection(values, highest, _count(highest))
 
 
 def _field_projection(modes: FieldModes, order: int) -> Floats:
