@@ -37,7 +37,7 @@ OwnBasis: TypeAlias = Callable[[Sensor, int | None], PupilModes]
 
 @dataclass(frozen=True, slots=True)
 class OwnMethods:
-    """What replaces the methods of the settings; None: nothing."""
+    """Methods of the user in place of those of the settings; None for those of the settings."""
 
     registration: OwnRegistration | None = None  # prepares itself for a reference and a field
     basis: OwnBasis | None = None  # makes that many modes, piston first; all that the lattice carries if None

@@ -31,7 +31,7 @@ class RefinementState:
 
 
 class Assumptions(NamedTuple):
-    """What was assumed for one frame, and its correction."""
+    """Sample assumed for one frame, and its correction."""
 
     sample: AssumedSample | None = FREE  # None: not found yet, so that any wavefront was allowed
     refinement: RefinementState = RefinementState()

@@ -1,1 +1,1 @@
-"""What exists once: the window with its menus, docks and dialogs, and the commands that it sends."""
+"""The shell of the window, which exists once: its menus, docks and dialogs, and the commands that it sends."""

@@ -55,7 +55,7 @@ def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:
 
 
 def test_alarm_is_about_frames_of_the_present_conditions() -> None:
-    """What was wrong with an earlier frame is over when the exposure was changed, say."""
+    """An alarm about an earlier frame ends when, for example, the exposure is changed."""
     names = ("bench", "mask", "is_sample_in", "exposure_s", "dark_note", "reference_note", "warning")
     well: Any = SimpleNamespace(**dict.fromkeys(names, ""), dark="good", reference="good", is_light_on=True)
     well.is_running = True
