@@ -102,7 +102,7 @@ class Recording:
         return parse_bench(str(self.run["bench"]), f"{self.folder / RUN}: bench", is_recorded=True)
 
     def select(self, text: str | None) -> range:
-        """Parse FIRST:END, counted from 0, END excluded, each optional; None selects all frames."""
+        """Parse FIRST:END, counted from 0 or, if negative, from the end; END is excluded; None selects all."""
         return selected(text, len(self), self.folder)
 
     def line(self, index: int) -> FrameLine:
@@ -280,9 +280,11 @@ def selected(text: str | None, count: int, source: Path) -> range:
     """Parse FIRST:END for a source of `count` frames; see `Recording.select`."""
     if not count:
         raise InputError(f"{source}: holds no frame")
-    parts = re.fullmatch(r"(\d*):(\d*)", (":" if text is None else text).replace(" ", ""), re.ASCII)
+    parts = re.fullmatch(r"(-?\d+)?:(-?\d+)?", (":" if text is None else text).replace(" ", ""), re.ASCII)
     if parts is None:
-        raise InputError(f"--frames {text}: write FIRST:END, counted from 0, for example 0:100")
+        raise InputError(
+            f"--frames {text}: write FIRST:END, counted from 0, for example 0:100, or -10: for the last 10"
+        )
     frames = range(count)[int(parts[1] or 0) : int(parts[2] or count)]
     if not frames:
         raise InputError(f'--frames "{text}" selects no frame; {source} has {count}')

@@ -35,7 +35,8 @@ ANALYSES = {
 Source = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]
 Frame = Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")]
 Frames = Annotated[
-    str | None, typer.Option(metavar="FIRST:END", help="Only these frames, counted from 0; END is excluded.")
+    str | None,
+    typer.Option(metavar="FIRST:END", help="Only these frames, counted from 0; END is excluded; -10: is the last 10."),
 ]
 From = Annotated[
     Literal["lenslets", "mask"],

@@ -388,7 +388,7 @@ MISTAKES: dict[str, tuple[tuple[str, ...], str]] = {
     "no frame": (("--frames", "8:"), '--frames "8:" selects no frame; .* has 8'),
     "one number": (("--frames", "5"), "write FIRST:END"),
     "no number": (("--frames", "a:b"), "write FIRST:END"),
-    "from the end": (("--frames", "-3:2"), "write FIRST:END"),
+    "backwards": (("--frames", "-3:2"), "selects no frame"),
     "nothing": (("--frames", ""), "write FIRST:END"),
     "an unknown setting": (
         ("--set", "registration.wrap=affine"),
