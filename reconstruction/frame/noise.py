@@ -106,10 +106,8 @@ def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance:
         return None
     scatter = _median_of_chi_square(frames - 1)
     read_variance = float(np.median(dark_variance)) / scatter
-    order = np.argsort(mean, axis=None)
-    light = np.array([np.mean(part) for part in np.array_split(mean.ravel()[order], _BINS)])
-    noise = np.array([np.median(part) for part in np.array_split(variance.ravel()[order], _BINS)]) / scatter
-    return TransferCurve(light, noise, read_variance)
+    light, noise = _in_bins(mean, variance)
+    return TransferCurve(light, noise / scatter, read_variance)
 
 
 def image_transfer(light: Image, blur_px: float) -> TransferCurve | None:
@@ -138,13 +136,20 @@ def image_transfer(light: Image, blur_px: float) -> TransferCurve | None:
         return None
     noise = fft.idctn(fft.dctn(light.astype(np.float64), norm="ortho") * is_noise, norm="ortho")
     smooth = ndimage.gaussian_filter(light.astype(np.float64), 1.0)  # as the filter spreads the noise
-    order = np.argsort(smooth, axis=None)
-    parts = np.array_split(order, _BINS)
-    levels = np.array([np.mean(smooth.ravel()[part]) for part in parts])
-    variance = np.array([np.median(noise.ravel()[part] ** 2) for part in parts]) / (_MEDIAN_SQUARE * np.mean(is_noise))
+    levels, variance = _in_bins(smooth, noise**2)
+    variance /= _MEDIAN_SQUARE * np.mean(is_noise)
     if variance[-1] < (_LEAST_NOISE * levels[-1]) ** 2:
         return None
     return TransferCurve(levels, variance, float(np.min(variance)))
+
+
+def _in_bins(light: NDArray[np.floating[Any]], square: NDArray[np.floating[Any]]) -> tuple[Floats, Floats]:
+    """Mean light and median square of the pixels in each bin."""
+    parts = np.array_split(np.argsort(light, axis=None), _BINS)
+    levels, squares = (
+        np.array([of(values.ravel()[part]) for part in parts]) for of, values in ((np.mean, light), (np.median, square))
+    )
+    return levels, squares
 
 
 def _median_of_chi_square(degrees: int) -> float:
