@@ -15,6 +15,7 @@ from reconstruction.displacement import SYSTEMATIC_PX, Displacement
 from reconstruction.geometry import Sensor
 from reconstruction.modes.polynomials import legendre_slopes
 from reconstruction.modes.pupil_modes import PupilModes, aperture_rule, local_wavefronts
+from reconstruction.runtime.compilation import compiled
 from reconstruction.solve.evidence import Estimate
 
 Lenslets: TypeAlias = slice | NDArray[np.intp]
@@ -175,6 +176,7 @@ def _expected_covariance(covariance: Floats, to_parameters: Floats) -> tuple[Flo
 _STEP = np.log(4.0)  # of weights, in powers of 4, so that factorisations can be reused from frame to frame
 
 
+@compiled
 def relative_weights(variance: Floats, expected: Floats) -> Floats:
     """Weights (L,) of a frame's lenslets relative to those of the reference: 1, or less for noisier ones.
 
@@ -183,5 +185,10 @@ def relative_weights(variance: Floats, expected: Floats) -> Floats:
     """
     ratio = variance / expected
     known = np.isfinite(ratio)
-    most = np.median(ratio[known]) if known.any() else 1.0
-    return np.where(known, 4.0 ** -np.maximum(np.rint(np.log(ratio / most) / _STEP), 0.0), 0.0)
+    weights = np.zeros(ratio.size)
+    if known.any():
+        most = np.median(ratio[known])
+        for lenslet in range(ratio.size):
+            if known[lenslet]:
+                weights[lenslet] = 4.0 ** -max(np.rint(np.log(ratio[lenslet] / most) / _STEP), 0.0)
+    return weights
