@@ -118,7 +118,8 @@ class FrameJudge:
 
     def __call__(self, frame: Counts, displacement: Displacement) -> Quality:
         """Judge a frame (row, column), counts, by its displacements."""
-        reasons = dict(self._of_matches(displacement)) | dict(self._of_pixels(frame.ravel(), displacement))
+        pixels = np.asarray(frame.ravel(), np.float64 if frame.dtype == np.longdouble else None)
+        reasons = dict(self._of_matches(displacement)) | dict(self._of_pixels(pixels, displacement))
         return Quality(reasons, self._unjudged) | self.of_reference
 
     def _of_matches(self, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
