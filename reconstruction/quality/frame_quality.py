@@ -118,7 +118,7 @@ class FrameJudge:
 
     def __call__(self, frame: Counts, displacement: Displacement) -> Quality:
         """Judge a frame (row, column), counts, by its displacements."""
-        pixels = np.asarray(frame.ravel(), np.float64 if frame.dtype == np.longdouble else None)
+        pixels = np.asarray(frame.ravel(), np.float64 if frame.dtype.itemsize > 8 else None)  # a long double
         reasons = dict(self._of_matches(displacement)) | dict(self._of_pixels(pixels, displacement))
         return Quality(reasons, self._unjudged) | self.of_reference
 

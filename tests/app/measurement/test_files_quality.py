@@ -27,7 +27,7 @@ def light() -> tuple[Image, Image]:
     return reference * scale, frame * scale
 
 
-def exposed(photons: Image, seed: int) -> NDArray[np.uint16]:
+def exposed(photons: NDArray[np.floating[Any]], seed: int) -> NDArray[np.uint16]:
     generator = np.random.default_rng(seed)
     counts = generator.poisson(photons) + generator.normal(OFFSET, READ_NOISE, photons.shape)
     return np.rint(counts).astype(np.uint16)
@@ -167,12 +167,9 @@ def test_gamma_in_one_image_is_flagged(image: str, power: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("averaged", [1, 16])
 def test_uneven_pixels_and_a_dimmer_frame_are_no_gamma(averaged: int) -> None:
-    uneven = (1 + 0.01 * np.random.default_rng(7).normal(size=light()[0].shape)).astype(np.float32)
+    uneven = 1 + 0.01 * np.random.default_rng(7).normal(size=light()[0].shape)
     images = [exposed(light()[0] * uneven, seed) for seed in range(10, 10 + averaged)]
-    reference, frame = (
-        np.asarray(np.mean(images, axis=0), np.float32),
-        exposed(np.float32(0.5) * light()[1] * uneven, 2),
-    )
+    reference, frame = np.asarray(np.mean(images, axis=0), np.float32), exposed(0.5 * light()[1] * uneven, 2)
     reconstructor = BenchReconstructor(load_bench("small_demo"), reference, dark=dark(), frame=frame)
     quality = reconstructor.quality(frame, reconstructor(frame))
     assert quality.faults == Fault(0), quality.sentence
@@ -190,9 +187,8 @@ def test_stray_light_that_rises_across_the_frame_is_flagged(axis: int) -> None:
 @pytest.mark.parametrize("change", ["the same everywhere", "half the light on one side"])
 def test_even_stray_light_and_uneven_light_do_not_rise(change: str) -> None:
     frame = light()[1]
-    dimmer = np.linspace(1, 0.5, frame.shape[1], dtype=np.float32)
-    frame = frame + np.float32(0.15 * ELECTRONS) if change == "the same everywhere" else frame * dimmer
-    quality, _ = measured(exposed(frame, 2))
+    fading = frame * np.linspace(1, 0.5, frame.shape[1])
+    quality, _ = measured(exposed(frame + 0.15 * ELECTRONS if change == "the same everywhere" else fading, 2))
     assert "stray light" not in quality.sentence
     assert "not alike" not in quality.sentence
 
