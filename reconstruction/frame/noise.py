@@ -1,7 +1,6 @@
 """Camera noise: its model, and its measurement from the camera's own frames (photon transfer)."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -129,8 +128,10 @@ def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance:
         return None
     scatter = _median_of_chi_square(frames - 1)
     read_variance = float(np.median(dark_variance)) / scatter
-    light, noise = _in_bins(mean, variance, np.median)
-    return TransferCurve(light, noise / scatter, read_variance)
+    order = np.argsort(mean, axis=None)
+    light = np.array([np.mean(part) for part in np.array_split(mean.ravel()[order], _BINS)])
+    noise = np.array([np.median(part) for part in np.array_split(variance.ravel()[order], _BINS)]) / scatter
+    return TransferCurve(light, noise, read_variance)
 
 
 def image_transfer(light: Image, blur_px: float) -> TransferCurve | None:
@@ -159,8 +160,10 @@ def image_transfer(light: Image, blur_px: float) -> TransferCurve | None:
         return None
     noise = fft.idctn(fft.dctn(light.astype(np.float64), norm="ortho") * is_noise, norm="ortho")
     smooth = ndimage.gaussian_filter(light.astype(np.float64), 1.0)  # as the filter spreads the noise
-    levels, variance = _in_bins(smooth, noise, _typical_square)
-    variance /= np.mean(is_noise)
+    order = np.argsort(smooth, axis=None)
+    parts = np.array_split(order, _BINS)
+    levels = np.array([np.mean(smooth.ravel()[part]) for part in parts])
+    variance = np.array([_typical_square(noise.ravel()[part]) for part in parts]) / np.mean(is_noise)
     if variance[-1] < (_LEAST_NOISE * levels[-1]) ** 2:
         return None
     darkest = int(np.argmin(variance))
@@ -172,17 +175,6 @@ def _typical_square(deviations: Floats) -> float:
     squares = deviations**2
     median = np.median(squares) / _MEDIAN_SQUARE
     return float(np.mean(squares, where=squares <= _OUTLYING * median) / _INNER_SQUARE)
-
-
-def _in_bins(
-    light: NDArray[np.floating[Any]], values: NDArray[np.floating[Any]], typical: Callable[..., Any]
-) -> tuple[Floats, Floats]:
-    """Mean light and typical value of the pixels in each bin."""
-    parts = np.array_split(np.argsort(light, axis=None), _BINS)
-    levels, found = (
-        np.array([of(each.ravel()[part]) for part in parts]) for of, each in ((np.mean, light), (typical, values))
-    )
-    return levels, found
 
 
 def _median_of_chi_square(degrees: int) -> float:
