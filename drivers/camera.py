@@ -4,8 +4,8 @@ A driver implements the methods with a leading underscore. They are called only 
 with values within the capabilities, and in the state that they need.
 """
 
+import math
 from abc import abstractmethod
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -44,21 +44,22 @@ class Frame:
 
 
 class SettingsInForce:
-    """Exposure (s) and gain of each frame of a run in which they may change; cameras do not report them."""
+    """Exposure (s) and gain of each frame of a run in which they may change; cameras do not report them.
+
+    Frames are told apart by their index, or by the time at which they end.
+    """
 
     def __init__(self, exposure_s: float, em_gain: float) -> None:
-        self._changes = deque([(0, exposure_s, em_gain)])  # first index, exposure, gain
+        self._changes = [(-math.inf, exposure_s, em_gain)]  # first frame, exposure, gain
 
-    def change(self, first_index: int, exposure_s: float, em_gain: float) -> None:
+    def change(self, first: float, exposure_s: float, em_gain: float) -> None:
         """Record what holds from this frame on."""
-        if self._changes[-1][0] == first_index:
-            self._changes.pop()
-        self._changes.append((first_index, exposure_s, em_gain))
+        self._changes.append((first, exposure_s, em_gain))
 
-    def of_frame(self, index: int) -> tuple[float, float]:
-        """Return exposure and gain of a frame; later calls are for later frames."""
-        while len(self._changes) > 1 and self._changes[1][0] <= index:
-            self._changes.popleft()
+    def of_frame(self, frame: float) -> tuple[float, float]:
+        """Return exposure and gain of a frame, the newest that hold by then; later calls are for later frames."""
+        newest = max(place for place, (first, _, _) in enumerate(self._changes) if first <= frame)
+        del self._changes[:newest]
         return self._changes[0][1:]
 
     @property
@@ -350,16 +351,9 @@ def check_region(region: Region, sensor: Region, step_px: int) -> None:
     """Raise `BadValue` unless the region is the whole sensor, or lies on it in whole steps."""
     if region == sensor:
         return
-    numbers = (region.top, region.left, region.rows, region.columns)
-    is_on_sensor = (
-        region.top >= 0
-        and region.left >= 0
-        and region.rows > 0
-        and region.columns > 0
-        and region.top + region.rows <= sensor.rows
-        and region.left + region.columns <= sensor.columns
-    )
-    if not is_on_sensor or any(number % step_px for number in numbers):
+    sides = ((region.top, region.rows, sensor.rows), (region.left, region.columns, sensor.columns))
+    is_on_sensor = all(0 <= start < start + length <= whole for start, length, whole in sides)
+    if not is_on_sensor or any(start % step_px or length % step_px for start, length, _ in sides):
         raise BadValue(
             f"a region of {region.rows} x {region.columns} pixels at row {region.top}, column {region.left} does not"
             f" lie on the sensor of {sensor.rows} x {sensor.columns} in steps of {step_px}"

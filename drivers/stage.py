@@ -60,6 +60,9 @@ class Stage(Device):
 
     def _set_mask(self, mask: str) -> None: ...
 
+    def _close(self) -> None:
+        """Nothing to do, unless there is a motor."""
+
     @abstractmethod
     def _is_sample_in(self) -> bool: ...
 
@@ -87,6 +90,3 @@ class ManualStage(Stage):
         if sample_in != self._is_in:
             request = "put the sample into the beam" if sample_in else "take the sample out of the beam"
             raise WrongState(f"the stage is manual: {request}, then confirm (S)")
-
-    def _close(self) -> None:
-        """Nothing to do."""

@@ -15,7 +15,7 @@ from reconstruction.arrays import Floats, Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import FieldModes, SampledModes
-from reconstruction.modes.polynomials import zernike_projection
+from reconstruction.modes.polynomials import number_up_to, zernike_projection
 from reconstruction.modes.pupil_modes import BASES, PupilModes, pupil_modes
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.modal import ModalSolution
@@ -69,7 +69,8 @@ class FieldCoefficients:
     def field_order(self) -> int:
         """Highest radial order of the field's Zernike polynomials that the field modes contain."""
         parts = np.abs(_field_projection(self.field_modes, _degree(self.field_modes))).max(axis=1)
-        return _order_of(int(np.flatnonzero(parts > _NONE * parts.max())[-1]) + 1)
+        count = int(np.flatnonzero(parts > _NONE * parts.max())[-1]) + 1
+        return math.ceil((math.sqrt(8 * count + 1) - 3) / 2)  # lowest degree up to which there are as many
 
     def double_zernikes(self, field_order: int | None = None) -> tuple[Floats, Floats]:
         """Double Zernike coefficients over the circles inscribed in field and pupil, and their standard deviations.
@@ -96,8 +97,16 @@ class FieldCoefficients:
             raise ReconstructionError("double Zernikes are made of Zernike modes, not of Legendre modes")
         highest = self.field_order
         order = highest if field_order is None else field_order
+        if order > highest and self.field_modes.count == 1:
+            raise ReconstructionError(
+                f"field order {order} is unknown: the wavefront was measured at a single field position; use a warp"
+                " other than translation, or field order 0"
+            )
         if order > highest:
-            raise ReconstructionError(_beyond(order, highest, self.field_modes.count))
+            raise ReconstructionError(
+                f"field order {order} exceeds that of the {self.field_modes.count} field modes, {highest}: use a higher"
+                " warp, or less"
+            )
         onto = _field_projection(self.field_modes, order)
         rad, sigma = np.zeros((2, len(onto) + 1, len(self.rad) + 1))
         rad[1:, 1:] = onto @ self.rad.T
@@ -130,14 +139,14 @@ def field_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = Non
             f"order {order} of the pupil modes must be 1 ... {highest}, that of the {len(fit.rad)} fitted modes"
         )
     sensor = fit.sensor
-    onto_modes = pupil_modes(sensor, basis, _count(fit.modes.products.shape[1] - 1))
+    onto_modes = pupil_modes(sensor, basis, number_up_to(fit.modes.products.shape[1] - 1))
     known_share = float(np.mean(fit.known[onto_modes.inside]))
     if not known_share:
         raise ReconstructionError(
             f"no lenslet is known inside the {'' if onto_modes.inside.all() else 'circular '}pupil, which is"
             f" {2e3 * min(sensor.pupil_half_width_m):.3g} mm wide"
         )
-    onto = _pupil_projection(fit.modes, onto_modes, sensor, basis)[: _count(order)]
+    onto = _pupil_projection(fit.modes, onto_modes, sensor, basis)[: number_up_to(order)]
     onto[0] = 0.0  # a wavefront has no piston
     root = np.tensordot(onto[:, 1:], fit.root_covariance, axes=1)
     return FieldCoefficients(basis, onto @ fit.rad, root @ np.swapaxes(root, 1, 2), fit.field_modes, known_share)
@@ -156,12 +165,12 @@ def _pupil_projection(modes: PupilModes, onto: PupilModes, sensor: Sensor, basis
         along_x, along_y = (series.legvander(at, highest) for at in (x * scale_x, y * scale_y))
         return np.asarray(np.einsum("pnm,...n,...m->p...", modes.products, along_y, along_x, optimize=True))
 
-    return zernike_projection(values, highest, _count(highest))
+    return zernike_projection(values, highest, number_up_to(highest))
 
 
 def _field_projection(modes: FieldModes, order: int) -> Floats:
     """Coefficients of the field modes in Zernike modes over the field's inscribed circle, (mode, field_mode)."""
-    return zernike_projection(modes.values, _degree(modes), _count(order))
+    return zernike_projection(modes.values, _degree(modes), number_up_to(order))
 
 
 def _degree(modes: FieldModes) -> int:
@@ -169,23 +178,3 @@ def _degree(modes: FieldModes) -> int:
     if isinstance(modes, SampledModes):
         return modes.x.size + modes.y.size - 2
     return int(modes.degree.max())
-
-
-def _count(order: int) -> int:
-    """Number of modes up to a degree."""
-    return (order + 1) * (order + 2) // 2
-
-
-def _order_of(count: int) -> int:
-    """Lowest degree up to which there are at least `count` modes."""
-    return math.ceil((math.sqrt(8 * count + 1) - 3) / 2)
-
-
-def _beyond(order: int, highest: int, field_modes: int) -> str:
-    """Say why double Zernikes have no such field order."""
-    if field_modes == 1:
-        return (
-            f"field order {order} is unknown: the wavefront was measured at a single field position; use a warp other"
-            " than translation, or field order 0"
-        )
-    return f"field order {order} exceeds that of the {field_modes} field modes, {highest}: use a higher warp, or less"

@@ -114,17 +114,19 @@ class Lattice(Checked):
     rotation_rad: Annotated[float, Ge(-0.8), Le(0.8)] = 0.0
     arrangement: Annotated[Arrangement, Doc("Of the lenslets")] = "square"
 
+    @property
+    def turn(self) -> Floats:
+        """Matrix from row vectors in the lattice frame to those on the camera."""
+        cosine, sine = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
+        return np.array([[cosine, sine], [-sine, cosine]])
+
     def to_camera_px(self, position_px: Floats) -> Floats:
         """Camera positions of lattice positions (..., xy), px from the lattice's middle."""
-        cosine, sine = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
-        turn = np.array([[cosine, sine], [-sine, cosine]])
-        return np.asarray(position_px @ turn + [self.center_x_px, self.center_y_px])
+        return np.asarray(position_px @ self.turn + [self.center_x_px, self.center_y_px])
 
     def from_camera_px(self, position_px: Floats) -> Floats:
         """Lattice positions, px from the lattice's middle, of camera positions (..., xy)."""
-        cosine, sine = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
-        turn_back = np.array([[cosine, -sine], [sine, cosine]])
-        return np.asarray((position_px - [self.center_x_px, self.center_y_px]) @ turn_back)
+        return np.asarray((position_px - [self.center_x_px, self.center_y_px]) @ self.turn.T)
 
     @property
     def row_spacing(self) -> float:

@@ -112,10 +112,6 @@ class _Registration(NamedTuple):
         """Number of displacements that the mask does not show lenslet by lenslet."""
         return self.method.hidden if isinstance(self.method, GaussNewton) else 0
 
-    def mean_gradients(self, sensor: Sensor) -> MeanGradients:
-        """Parameters that the method finds for the mean gradients of a wavefront."""
-        return MeanGradients(sensor, self.method.alike if isinstance(self.method, GaussNewton) else self.parameters)
-
 
 class Reconstructor:
     """Turns frames into wavefronts. Immutable: another reference or setting needs another one.
@@ -385,7 +381,9 @@ class Reconstructor:
                 return Response(self.sensor, response)
             except ReconstructionError as error:
                 self.response_problem = f"mean gradients replace the response of the registration: {error}"
-        return self._prepared.mean_gradients(self.sensor)
+        return MeanGradients(
+            self.sensor, method.alike if isinstance(method, GaussNewton) else self._prepared.parameters
+        )
 
     def _solver(self, basis: PupilBasis, count: int | None) -> ModalSolver:
         """Solver with that many pupil modes; if None with all that the lattice carries, and the smoothness prior."""

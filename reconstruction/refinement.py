@@ -79,8 +79,10 @@ class Refinement:
 
     def bias(self, wavefront: Wavefront) -> Bias:
         """Find the bias at a wavefront: one rendered image and its registration."""
-        solution = self._smooth(wavefront)
-        modes = wavefront.displacement.modes
+        reconstructor, displacement, solution = self._reconstructor, wavefront.displacement, wavefront.solution
+        if not (wavefront.sample.ratios and isinstance(solution, ModalSolution)):
+            solution = reconstructor.smooth(displacement, weights=reconstructor.weights_of(displacement))
+        modes = displacement.modes
         if not isinstance(modes, PolynomialModes):
             raise ReconstructionError("refinement needs a registration in polynomials of the field position")
         image = self._model.image(self._field(solution, modes))
@@ -99,7 +101,7 @@ class Refinement:
             misfit_px = _misfit_px(displacement, following, common)
             if not misfit_px < _misfit_px(displacement, bias, common):
                 return
-            change_rad = distance_rad(wavefront.views, bias.views)
+            change_rad = mean_rms(wavefront.views - bias.views)
             yield Round(wavefront, bias, change_rad, misfit_px)
             if change_rad < _SETTLED_RAD:
                 return
@@ -107,13 +109,6 @@ class Refinement:
 
     def _prepared_grid(self, modes: PupilModes) -> PupilGrid:
         return PupilGrid(modes, self._reconstructor.sensor, self._model.sample_x_m, self._model.sample_y_m)
-
-    def _smooth(self, wavefront: Wavefront) -> ModalSolution:
-        """The wavefront in smooth modes."""
-        displacement = wavefront.displacement
-        if wavefront.sample.ratios and isinstance(wavefront.solution, ModalSolution):
-            return wavefront.solution
-        return self._reconstructor.smooth(displacement, weights=self._reconstructor.weights_of(displacement))
 
     def _field(self, solution: ModalSolution, modes: PolynomialModes) -> PointField:
         """Light of each object point on the pupil samples, gathered as the wavefront's change over the field tells."""
@@ -146,11 +141,6 @@ def _misfit_px(displacement: Displacement, bias: Bias, lenslets: Mask) -> float:
     """RMS difference of measured and modelled displacements over some lenslets; infinite over none."""
     misfit = (displacement.coefficients - bias.modelled)[lenslets]
     return float(np.sqrt(np.mean(misfit**2))) if misfit.size else np.inf
-
-
-def distance_rad(one: Floats, other: Floats) -> float:
-    """Mean over the views of the RMS difference of wavefronts (view_row, view_column, row, column), rad."""
-    return mean_rms(one - other)
 
 
 def mean_rms(views: Floats) -> float:

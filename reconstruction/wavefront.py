@@ -211,13 +211,12 @@ def slope_fit(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> SlopeF
     if not isinstance(solution, ModalSolution):
         fitted = _fit(views, modes)
         return SlopeFit(views, fitted, without_piston(views - fitted))
-    field, displacement = wavefront.field, wavefront.displacement
-    x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
-    field_modes = np.moveaxis(displacement.modes.values(x, y[:, None]), 0, -1)
+    displacement = wavefront.displacement
+    field_modes, is_inside = _modes_at_views(wavefront.field, displacement.modes)
     misfit = np.tensordot(field_modes, solution.misfit, axes=([-1], [2])) * sensor.slope_per_px
     known, pitch_m = displacement.valid & modes.inside, sensor.lenslet_pitch_m
     difference = zonal_wavefront(misfit, known, pitch_m=pitch_m, arrangement=sensor.arrangement)
-    difference[~field.contains(x, y[:, None])] = np.nan
+    difference[~is_inside] = np.nan
     return SlopeFit(without_piston(views + difference), views, difference)
 
 

@@ -1,4 +1,4 @@
-"""The simulated bench: light, mask, sample and optics, on which the three devices act."""
+"""The simulated bench: light, mask, sample and optics, on which the three devices act; its light and its stage."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats
+from drivers.interface import LightSource, Range, Stage
 from simulated_devices.clock import Clock
 from simulated_devices.optics.forward_model import OnFraction
 from simulated_devices.rendering import ImageCache, Renderer, RenderingAhead, Scene
@@ -117,8 +117,8 @@ class SimulatedBench:
         self.clock = clock or Clock()
         self._scene = scene
         self._cache_folder = cache_folder
-        self._renderer = Renderer(scene)
-        self._renderer.check_rays()
+        self.renderer = Renderer(scene)
+        self.renderer.check_rays()
         self._cache = ImageCache(cache_folder, scene)
         self._references: dict[str, NDArray[np.float32]] = {}
         self._films: dict[str, list[NDArray[np.float32]]] = {}
@@ -149,7 +149,7 @@ class SimulatedBench:
         if mask not in self._references:
             image = self._cache.load(mask, "reference")
             if image is None:
-                image = self._renderer.reference(mask, progress)
+                image = self.renderer.reference(mask, progress)
                 self._cache.save(mask, "reference", image)
             self._references[mask] = image
         return self._references[mask]
@@ -158,14 +158,6 @@ class SimulatedBench:
         """State of the sample at that time of the bench's clock."""
         self._load_rendered()
         return self._playbacks[self.condition.mask].state_at(time_s)
-
-    def truth_wavefront(self, state: int) -> Floats:
-        """Wavefront of every view in that state: (view_row, view_column, lenslet_row, lenslet_column), rad."""
-        return self._renderer.truth_wavefront(state)
-
-    def truth_intensity(self, state: int) -> Floats:
-        """Light of every view at the lenslet centres relative to the reference, shaped like the wavefront."""
-        return self._renderer.truth_intensity(state)
 
     @property
     def states_rendered(self) -> int:
@@ -213,7 +205,7 @@ class SimulatedBench:
         if mask not in self._films:
             first = self._cache.load(mask, 0)
             if first is None:
-                first = self._renderer.state(mask, 0, _part(progress, _REFERENCE_SHARE, 1.0))
+                first = self.renderer.state(mask, 0, _part(progress, _REFERENCE_SHARE, 1.0))
                 self._cache.save(mask, 0, first)
             self._films[mask] = [first]
             self._playbacks[mask] = Playback(
@@ -245,3 +237,54 @@ class SimulatedBench:
 def _part(progress: OnFraction | None, start: float, end: float) -> OnFraction | None:
     """Map the 0 ... 1 of one step to its part of the whole."""
     return progress and (lambda fraction: progress(start + fraction * (end - start)))
+
+
+class SimulatedLight(LightSource):
+    """An LED whose light is proportional to its current."""
+
+    def __init__(self, bench: SimulatedBench, *, limit_a: float | None = None) -> None:
+        super().__init__(limit_a=limit_a, sleep=bench.clock.sleep)
+        self._bench, self._name = bench, "Simulated LED"
+        self._begin()
+
+    def _read_range(self) -> Range:
+        return Range(0.0, self._bench.light_settings.maximum_current_a)
+
+    def _read_current(self) -> float:
+        return self._bench.condition.current_a
+
+    def _set_current(self, current_a: float) -> float:
+        self._bench.change(current_a=current_a)
+        return current_a
+
+    def _is_lit(self) -> bool:
+        return self._bench.condition.is_light_on
+
+    def _switch(self, *, on: bool) -> None:
+        self._bench.change(is_light_on=on)
+
+    def _close(self) -> None:
+        """Change nothing."""
+
+
+class SimulatedStage(Stage):
+    """Moves at once; a mask that is put in for the first time takes the time to render its first image."""
+
+    def __init__(self, bench: SimulatedBench) -> None:
+        super().__init__()
+        self._bench, self._name = bench, "Simulated stage"
+
+    def _read_masks(self) -> tuple[str, ...]:
+        return self._bench.simulation.source.masks
+
+    def _read_mask(self) -> str:
+        return self._bench.condition.mask
+
+    def _set_mask(self, mask: str) -> None:
+        self._bench.change(mask=mask)
+
+    def _is_sample_in(self) -> bool:
+        return self._bench.condition.is_sample_in
+
+    def _set_sample_in(self, *, sample_in: bool) -> None:
+        self._bench.change(is_sample_in=sample_in)

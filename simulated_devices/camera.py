@@ -71,7 +71,7 @@ class SimulatedCamera(Camera):
     def __init__(self, bench: SimulatedBench) -> None:
         super().__init__()
         settings = bench.camera_settings
-        self._bench, self._settings = bench, settings
+        self._bench, self._settings, self._name = bench, settings, "Simulated C9100-23B"
         self._detector = Detector(settings, seed=bench.simulation.seed)
         self._sensor = self._part = Region(0, 0, settings.rows, settings.columns)
         self._chosen_amplifier: Amplifier = settings.amplifier
@@ -84,11 +84,6 @@ class SimulatedCamera(Camera):
         self._states: OrderedDict[int, int | None] = OrderedDict()
         # While a frame is used, the next one is computed as if nothing changed: a real camera takes no time of ours.
         self._expected: tuple[_Shot, Future[NDArray[np.uint16]]] | None = None
-
-    @property
-    def name(self) -> str:
-        """Name of the device."""
-        return "Simulated C9100-23B"
 
     def state_of_frame(self, index: int) -> int | None:
         """State of the sample in one of the last 1000 frames since the start; None without the sample."""

@@ -7,14 +7,11 @@ before it. Large numbers of electrons follow Cornish-Fisher expansions, which tu
 with the right mean, variance and skewness (and, for Poisson, the next order). Small numbers are drawn one by one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +19,7 @@ from scipy import special
 
 from reconstruction.arrays import Image
 from simulated_devices.optics.compiled import compiled
+from simulated_devices.settings import Amplifier, SimulatedCameraSettings
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -193,10 +191,6 @@ def expose_rows(
             counts[row, column] = np.uint16(min(max(value + 0.5, 0.0), top))
 
 
-if TYPE_CHECKING:
-    from simulated_devices.settings import Amplifier, SimulatedCameraSettings
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exposure:
     """Settings of one frame."""
@@ -241,15 +235,14 @@ class Detector:
 
     def begin(self, photons: Callable[[], NDArray[np.float32]], exposure: Exposure) -> Future[NDArray[np.uint16]]:
         """Begin to compute the counts of a frame in one thread; `photons` is called there."""
-        return self._pool.submit(self._counts_in_one_thread, photons, exposure)
 
-    def _counts_in_one_thread(
-        self, photons: Callable[[], NDArray[np.float32]], exposure: Exposure
-    ) -> NDArray[np.uint16]:
-        received = photons()
-        counts = np.empty(received.shape, np.uint16)
-        self._expose(received, exposure, 0, len(received), counts)
-        return counts
+        def work() -> NDArray[np.uint16]:
+            received = photons()
+            counts = np.empty(received.shape, np.uint16)
+            self._expose(received, exposure, 0, len(received), counts)
+            return counts
+
+        return self._pool.submit(work)
 
     def _expose(
         self, photons: NDArray[np.float32], exposure: Exposure, start: int, end: int, counts: NDArray[np.uint16]

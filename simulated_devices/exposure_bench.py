@@ -150,26 +150,14 @@ class Table(Stage):
     """A stage without masks to choose from."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__("square")
         self._name, self._holds_sample = "Drawn table", True
-
-    def _read_masks(self) -> tuple[str, ...]:
-        return (self._read_mask(),)
-
-    def _read_mask(self) -> str:
-        return "square"
-
-    def _set_mask(self, mask: str) -> None:
-        """Nothing to do."""
 
     def _is_sample_in(self) -> bool:
         return self._holds_sample
 
     def _set_sample_in(self, *, sample_in: bool) -> None:
         self._holds_sample = sample_in
-
-    def _close(self) -> None:
-        """Change nothing."""
 
 
 def exposure_bench(

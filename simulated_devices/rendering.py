@@ -57,7 +57,10 @@ class Scene:
         del parameters["simulation"]["source"]["mask"]  # the initial mask changes no image
         digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
         for file in self.simulation.files:
-            digest.update(hashlib.sha256(_content(file)).digest())
+            try:
+                digest.update(hashlib.sha256(file.read_bytes()).digest())
+            except OSError as error:
+                raise ValueError(f"file = {str(file)!r} cannot be read: {error.strerror or error}") from error
         return digest.hexdigest()
 
 
@@ -163,13 +166,6 @@ class ImageCache:
             with suppress(OSError):
                 part.unlink()  # remains after an error
         return True
-
-
-def _content(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"file = {str(path)!r} cannot be read: {error.strerror or error}") from error
 
 
 def _keep_newest(cache_folder: Path) -> None:

@@ -122,7 +122,10 @@ def amplitude_of(simulation: Simulation, phase: PhaseScreen, size: ScreenSize) -
     """Square root of the transmission on the samples of a screen of that size; None if it absorbs nothing."""
     screen, shape = simulation.screen, phase.samples_rad.shape
     if screen.transmission_file:
-        transmission = read_transmission(Path(screen.transmission_file))
+        path = Path(screen.transmission_file)
+        transmission = read_screen(path, "transmission_file", "values")
+        bounds = f"transmission_file = {str(path)!r} must hold values of 0 ... 1"
+        require({bounds: transmission.min() >= 0 and transmission.max() <= 1})
         ring = size.enlarged_by + size.guard
         rows, columns = shape[0] - 2 * ring, shape[1] - 2 * ring
         wanted = f"transmission_file must have the {rows} x {columns} samples of the screen"
@@ -149,19 +152,6 @@ def _absorbing(simulation: Simulation, side: int, size: ScreenSize) -> Floats:
     logarithm *= math.sqrt(math.log1p(screen.transmission_rms**2)) / middle_of(logarithm, ring).std()
     transmission = np.exp(logarithm)
     return np.asarray(transmission / middle_of(transmission, ring).mean(), np.float64)
-
-
-def read_transmission(path: Path) -> Floats:
-    """Transmission (row, column), 0 ... 1, from a .npy or .tif file; `ValueError` of one sentence otherwise."""
-    transmission = read_screen(path, "transmission_file", "values")
-    require(
-        {
-            f"transmission_file = {str(path)!r} must hold values of 0 ... 1": (
-                transmission.min() >= 0 and transmission.max() <= 1
-            )
-        }
-    )
-    return transmission
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -239,7 +229,9 @@ def make_sample(simulation: Simulation, sensor: Sensor, field: Field) -> Sample:
         size = screen_size(simulation, sensor, field, rays)
         phase, wide = _generated_phases(simulation, sensor, field, rays, size)
     wide_amplitude = amplitude_of(simulation, wide, size)
-    amplitude = None if wide_amplitude is None else wide_amplitude.without_rim(size.guard)
+    amplitude = None
+    if wide_amplitude is not None:
+        amplitude = PhaseScreen(middle_of(wide_amplitude.samples_rad, size.guard), screen.sample_spacing_m)
     light: SampleLight
     if field.neglect_propagation:
         light = ScreenLight(phase, amplitude, rays)

@@ -15,10 +15,9 @@ from app.recording.recorded_devices import recorded_devices
 from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource
 from drivers.stage import ManualStage
 from reconstruction.annotated_settings import SettingError, check
-from simulated_devices.bench import SimulatedBench
+from simulated_devices.bench import SimulatedBench, SimulatedLight, SimulatedStage
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import Clock
-from simulated_devices.light_and_stage import SimulatedLight, SimulatedStage
 from simulated_devices.rendering import Scene
 
 _PITCH_TOLERANCE = 0.01

@@ -20,7 +20,7 @@ from app.measurement.measurement import Assumptions, RefinementStage, Refinement
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
-from reconstruction.refinement import Bias, Refinement, distance_rad, mean_rms
+from reconstruction.refinement import Bias, Refinement, mean_rms
 from reconstruction.wavefront import Wavefront
 
 _MOVED_FRACTION = 0.5  # of the RMS of the bias's wavefront; after a larger change the bias is useless
@@ -94,7 +94,7 @@ class LiveSolver:
         else:
             bias = found.bias
             wavefront = self._reconstructor.solve(displacement, bias=bias.displacement, sample=sample)
-            moved_rad = distance_rad(wavefront.views, bias.views)
+            moved_rad = mean_rms(wavefront.views - bias.views)
             stage: RefinementStage = "applied" if found.helps else "worse"
             if moved_rad > max(_MOVED_RAD, _MOVED_FRACTION * mean_rms(bias.views)):
                 stage = "moved"

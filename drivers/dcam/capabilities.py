@@ -134,22 +134,15 @@ def pixel_warnings(values: Properties, *, has_em_gain: bool) -> tuple[str, ...]:
     triggered = values.get_or(Id.TRIGGERSOURCE, 1) == ids.TRIGGER_SOURCES["external"]
     if triggered and values.get_or(Id.TRIGGERACTIVE, 1) != ids.TRIGGER_ACTIVE["edge"]:
         warnings.append("the trigger pulses determine the exposure, not the set time")
-    if has_em_gain:
-        warnings += _of_em_gain(values)
+    if has_em_gain and values.get_or(Id.DIRECTEMGAIN_MODE, ids.OFF) != ids.ON:
+        warnings.append("the EM gain is a number on the camera's own scale, not the true multiplication")
+    match values.get_or(Id.EMGAINWARNING_STATUS, 1) if has_em_gain else 1:
+        case ids.EMGAINWARNING_WARNING:
+            warnings.append("too much light for this EM gain: it ages the multiplication register")
+        case ids.EMGAINWARNING_PROTECTED:
+            warnings.append("the camera protects its EM register from too much light: its frames are black")
     cooler = values.get_or(Id.SENSORCOOLERSTATUS, 0)
     if cooler < 0 or cooler == ids.COOLERSTATUS_WARNING:
         temperature = values.get(Id.SENSORTEMPERATURE)
         warnings.append(f"the sensor's cooler reports a fault at {temperature:g} degC: dark current is high")
     return tuple(warnings)
-
-
-def _of_em_gain(values: Properties) -> list[str]:
-    warnings = []
-    if values.get_or(Id.DIRECTEMGAIN_MODE, ids.OFF) != ids.ON:
-        warnings.append("the EM gain is a number on the camera's own scale, not the true multiplication")
-    match values.get_or(Id.EMGAINWARNING_STATUS, 1):
-        case ids.EMGAINWARNING_WARNING:
-            warnings.append("too much light for this EM gain: it ages the multiplication register")
-        case ids.EMGAINWARNING_PROTECTED:
-            warnings.append("the camera protects its EM register from too much light: its frames are black")
-    return warnings

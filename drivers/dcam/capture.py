@@ -6,7 +6,6 @@ from contextlib import suppress
 from ctypes import Structure, byref, c_int32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.camera import Frame, SettingsInForce
 from drivers.dcam.library import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
@@ -167,14 +166,6 @@ class Capture:
         if self._is_fired_here:
             self._is_exposing = False
         slot = (transferred.nNewestFrameIndex - (transferred.nFrameCount - 1 - number)) % self._ring_frames
-        pixels, copied = self._copy(slot)
-        host_time_s = self._clock()
-        if self._transferred().nFrameCount - number >= self._ring_frames:  # overwritten during the copy
-            return None
-        return self._frame(number, pixels, copied, host_time_s)
-
-    def _copy(self, slot: int) -> tuple[NDArray[np.uint16], Structure]:
-        """Copy a frame out of the ring."""
         rows, columns = self._shape
         pixels = np.empty(self._shape, np.uint16)
         copied = sized(
@@ -182,9 +173,9 @@ class Capture:
         )
         self._library.call("dcambuf_copyframe", self._handle, byref(copied))
         pixels.setflags(write=False)
-        return pixels, copied
-
-    def _frame(self, number: int, pixels: NDArray[np.uint16], copied: Structure, host_time_s: float) -> Frame:
+        host_time_s = self._clock()
+        if self._transferred().nFrameCount - number >= self._ring_frames:  # overwritten during the copy
+            return None
         self._seen_alive_s = host_time_s
         self._count_lost(number, copied.framestamp)
         index = number + self._lost

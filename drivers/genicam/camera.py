@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera import Camera, CameraCapabilities, Frame, Region
+from drivers.camera import Camera, CameraCapabilities, Frame, Region, SettingsInForce
 from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, undone_if_refused
 from drivers.genicam import GenicamSettings, features, frames
@@ -52,7 +52,7 @@ class GenicamCamera(Camera):
         device = chosen(settings.device)
         self._line = GenicamConnection(self._aravis, device, settings)
         self._count = frames.FrameCount()
-        self._exposures = frames.ExposureLog.beginning_with(0.0)
+        self._in_force = SettingsInForce(0.0, 1.0)  # of frames that end at some time
         self._incomplete = 0
         self._asked_region: Region | None = None  # may be no multiple of the binning
         try:
@@ -168,7 +168,7 @@ class GenicamCamera(Camera):
         if payload < expected:
             raise Unsupported(f"{self.name} sends {payload} bytes per frame instead of {expected} or more")
         self._count = frames.FrameCount()
-        self._exposures = frames.ExposureLog.beginning_with(self._read_exposure())
+        self._in_force = SettingsInForce(self._read_exposure(), 1.0)
         self._line.start_stream(payload)
 
     def _stop(self) -> None:
@@ -203,13 +203,14 @@ class GenicamCamera(Camera):
         pixels = frames.copied_pixels(address, rows, columns, padding.value, self._format, self._byte_order)
         self._observe_saturation(pixels)
         host_time_s = time.perf_counter()
+        exposure_s, em_gain = self._in_force.of_frame(sent_s)
         return Frame(
             pixels=pixels,
             index=self._count.advance(self._aravis.call("arv_buffer_get_frame_id", buffer), sent_s),
             camera_time_s=self._aravis.call("arv_buffer_get_timestamp", buffer) / 1e9 or host_time_s,  # 0: has no clock
             host_time_s=host_time_s,
-            exposure_s=self._exposures.of_frame(sent_s),
-            em_gain=1.0,
+            exposure_s=exposure_s,
+            em_gain=em_gain,
         )
 
     def _observe_saturation(self, pixels: NDArray[np.uint16]) -> None:
@@ -228,7 +229,7 @@ class GenicamCamera(Camera):
     def _set_exposure(self, exposure_s: float) -> float:
         self._exposure.set_s(exposure_s)
         taken_s = self._read_exposure()
-        self._exposures.change(time.time(), taken_s)
+        self._in_force.change(time.time() + taken_s, taken_s, 1.0)  # the first that begins now
         return taken_s
 
     def _read_binning(self) -> int:

@@ -96,7 +96,10 @@ class GenicamConnection:
 
     def has(self, feature: str) -> bool:
         """True if the feature is implemented and available now."""
-        return bool(self.attempt(self._is_available, feature))
+        return bool(
+            self.attempt(self.call, "arv_camera_is_feature_available", feature.encode())
+            and self.attempt(self._call_node, "arv_gc_feature_node_is_implemented", feature)
+        )
 
     def attempt(self, call: Callable[..., T], *arguments: Any) -> T | None:
         """Return the result of an optional call; None if the camera refuses it."""
@@ -213,10 +216,6 @@ class GenicamConnection:
         self.is_streaming = False
         wait((self._calls.submit(self._release),), _RELEASE_S)
         self._calls.end()
-
-    def _is_available(self, feature: str) -> bool:
-        is_available = self.call("arv_camera_is_feature_available", feature.encode())
-        return bool(is_available and self._call_node("arv_gc_feature_node_is_implemented", feature))
 
     def _call_node(self, name: str, feature: str, *arguments: Any) -> Any:
         """Call an Aravis function with a feature as first argument."""

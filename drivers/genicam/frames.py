@@ -1,4 +1,4 @@
-"""Frames of a GenICam camera: pixel formats, indices and exposure times."""
+"""Frames of a GenICam camera: pixel formats and indices."""
 
 from __future__ import annotations
 
@@ -39,28 +39,6 @@ class FrameCount:
             self._shortest_s = min(self._shortest_s or math.inf, elapsed_s / step)
         self.index, self._last_id, self._last_s = self.index + step, frame_id, sent_s
         return self.index
-
-
-@dataclass(slots=True)
-class ExposureLog:
-    """Exposure times of frames, if changed while the camera runs."""
-
-    _changes: list[tuple[float, float]]  # (time of the change, exposure), both in s
-
-    @classmethod
-    def beginning_with(cls, exposure_s: float) -> ExposureLog:
-        """Begin with this exposure."""
-        return cls([(-np.inf, exposure_s)])
-
-    def change(self, now_s: float, exposure_s: float) -> None:
-        """Record the exposure of frames that begin from `now_s` on."""
-        self._changes.append((now_s, exposure_s))
-
-    def of_frame(self, sent_s: float) -> float:
-        """Return the exposure of a frame sent then: the newest that could have ended before."""
-        newest = max(i for i, (since_s, exposure_s) in enumerate(self._changes) if since_s + exposure_s <= sent_s)
-        del self._changes[:newest]
-        return self._changes[0][1]
 
 
 ByteOrder = Literal["little", "big"]

@@ -128,7 +128,10 @@ class SerialLine:
 
     def _resynchronise(self) -> None:
         """Discard all answers to earlier queries, also late ones."""
-        self._discard_input()
+        with self._faults():
+            if waiting := self._port.in_waiting:
+                self._port.read(waiting)
+        self._received.clear()
         if self._is_in_step:
             return
         fresh = [marker for marker in self._markers if marker not in self._unanswered]
@@ -187,12 +190,6 @@ class SerialLine:
             came = self._port.read(max(1, self._port.in_waiting))
         self._received += came
         return len(came)
-
-    def _discard_input(self) -> None:
-        with self._faults():
-            if waiting := self._port.in_waiting:
-                self._port.read(waiting)
-        self._received.clear()
 
     @contextmanager
     def _faults(self) -> Iterator[None]:

@@ -297,7 +297,7 @@ def _halves_alike(cells: Cells) -> float:
     for half in (x % 2 == 0, y % 2 == 0, (x + y) % 2 == 0):
         if half.any() and not half.all():
             one, other = light[half].mean(axis=0), light[~half].mean(axis=0)
-            least = min(least, _correlation(one, other))
+            least = min(least, float(np.corrcoef(one.ravel(), other.ravel())[0, 1]))
     return least
 
 
@@ -307,7 +307,3 @@ def _repeats_inside(typical: Floats) -> bool:
     order = np.abs(np.fft.fftfreq(len(typical), 1 / len(typical)))
     lines = power.sum(axis=0), power.sum(axis=1)
     return any(line[order % times == 0].sum() > _REPEATED * line.sum() for line in lines for times in (2, 3, 5))
-
-
-def _correlation(one: Floats, other: Floats) -> float:
-    return float(np.corrcoef(one.ravel(), other.ravel())[0, 1])

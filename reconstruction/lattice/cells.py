@@ -77,8 +77,7 @@ def cut(coefficients: Image, lattice: Lattice) -> Cells:
     first, last = index.min(axis=0), index.max(axis=0)
     columns, rows = last - first + 1
     beside = 0 if lattice.arrangement == "square" else samples // 2  # samples by which odd rows lie to the right
-    cosine, sine = math.cos(lattice.rotation_rad), math.sin(lattice.rotation_rad)
-    turn = np.array([[cosine, sine], [-sine, cosine]]) * [lattice.row_spacing, 1.0] * lattice.pitch_px  # cells to px
+    turn = lattice.turn * [lattice.row_spacing, 1.0] * lattice.pitch_px  # cells to px
     start = first[::-1] - 0.5 + 0.5 / samples
     sampled = ndimage.affine_transform(
         coefficients,

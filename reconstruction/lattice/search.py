@@ -14,12 +14,11 @@ from scipy import ndimage
 from reconstruction.arrays import Counts, Floats, Image, Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.pixels import find_bad_pixels, repaired
-from reconstruction.geometry import Arrangement, Lattice, Sensor, lenslet_centers
+from reconstruction.geometry import Arrangement, Lattice, Sensor, lenslet_centers, nominal_lattice
 from reconstruction.lattice._fit import (
     REACH,
     SMALLEST_PITCH_PX,
     Fit,
-    Peak,
     fit_lattice,
     is_outstanding,
     seems_to_be_other,
@@ -141,7 +140,9 @@ def _fitted(light: Image, sensor: Sensor, pitch_px: float) -> tuple[Fit | None, 
         return None, "its pitch is too small or too large"
     brightest = max(1, sensor.lenslet_rows * sensor.lenslet_columns // _DARK_AT_MOST)
     peak = strongest_peak(light, pitch_px, sensor.arrangement)
-    fit = fit_lattice(light, _start(peak, light.shape, sensor.arrangement), brightest)
+    middle = nominal_lattice(sensor, *light.shape)
+    start = replace(middle, pitch_px=max(peak.pitch_px, SMALLEST_PITCH_PX), rotation_rad=peak.rotation_rad)
+    fit = fit_lattice(light, start, brightest)
     why = why_no_lattice(fit, peak, light, brightest)
     if not why:
         return fit, why
@@ -154,16 +155,6 @@ def _blame(arrangement: Arrangement) -> str:
     """Reason why there is no lattice of an arrangement: the other one is there."""
     other = _OTHER[arrangement]
     return f'it seems to show a {other} one: set lattice.arrangement = "{other}"'
-
-
-def _start(peak: Peak, shape: tuple[int, int], arrangement: Arrangement) -> Lattice:
-    return Lattice(
-        arrangement=arrangement,
-        center_x_px=(shape[1] - 1) / 2,
-        center_y_px=(shape[0] - 1) / 2,
-        pitch_px=max(peak.pitch_px, SMALLEST_PITCH_PX),
-        rotation_rad=peak.rotation_rad,
-    )
 
 
 def _light(reference: Counts, sensor: Sensor, dark: Counts | None, full_scale: float) -> Image:

@@ -179,13 +179,10 @@ def _refined(
 ) -> LayerFit:
     """Maximise the evidence over the distances, from a start in t, and find their error bars."""
 
-    def sketched(t: Floats) -> float:
-        return -sketch_at(*t).log_evidence
-
     def cost(t: Floats) -> float:
         return -fit_at(*t).quality.log_evidence
 
-    rough = _minimum(sketched, start, _SPACING / 2, _ROUGH)
+    rough = _minimum(lambda t: -sketch_at(*t).log_evidence, start, _SPACING / 2, _ROUGH)
     best = np.clip(_minimum(cost, rough, _SPACING / 8, _TOLERANCE), -_FARTHEST + _STEP, _FARTHEST - _STEP)
     fit = fit_at(*best)
     before, after = ([fit_at(*best + side * step) for step in _STEP * np.eye(len(best))] for side in (-1, 1))

@@ -21,7 +21,7 @@ from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.field_modes import FieldModes
-from reconstruction.modes.polynomials import legendre_orders, legendre_products, legendre_projection
+from reconstruction.modes.polynomials import legendre_orders, legendre_products, legendre_projection, number_up_to
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.runtime.deferred import Remembered
 from reconstruction.solve.evidence import Components, FitQuality
@@ -43,7 +43,7 @@ def field_projection(field: Field, field_modes: FieldModes) -> tuple[Floats, Flo
 
 def layer_orders(degree: int) -> NDArray[np.intp]:
     """Orders (i, j) along x and y of a layer's polynomials up to a degree, without the constant, (k, xy)."""
-    return np.array(legendre_orders((degree + 1) * (degree + 2) // 2))[1:]
+    return np.array(legendre_orders(number_up_to(degree)))[1:]
 
 
 class LayerDesign:

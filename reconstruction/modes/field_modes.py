@@ -16,6 +16,7 @@ from reconstruction.modes.polynomials import (
     legendre,
     legendre_gradients,
     legendre_products,
+    number_up_to,
     zernike,
     zernike_gradients,
     zernike_products,
@@ -87,7 +88,7 @@ def gradient_basis(modes: PolynomialModes) -> Floats:
     """
     degree = round((math.sqrt(8 * modes.count + 1) - 3) / 2)
     x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9)))
-    potentials = legendre_gradients((degree + 2) * (degree + 3) // 2, x, y)[1:]  # without the constant
+    potentials = legendre_gradients(number_up_to(degree + 1), x, y)[1:]  # without the constant
     to_modes = np.linalg.pinv(modes.values(x, y))
     coefficients = np.concatenate([potentials[..., 0] @ to_modes, potentials[..., 1] @ to_modes], axis=1)
     return np.asarray(np.linalg.qr(coefficients.T)[0].T)

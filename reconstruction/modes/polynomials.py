@@ -8,25 +8,28 @@ real or imaginary part of (x + iy)^m and r^m Q(r^2) the radial polynomial R_n^m:
 angle and without a singular centre (R. J. Noll, J. Opt. Soc. Am. 66, 207, 1976).
 """
 
+import itertools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.polynomial import legendre as series
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from reconstruction.arrays import Floats
 
 
+def number_up_to(degree: int) -> int:
+    """Number of polynomials of two variables up to a degree."""
+    return (degree + 1) * (degree + 2) // 2
+
+
 def legendre_orders(count: int) -> tuple[tuple[int, int], ...]:
     """Orders (m, n) of the first `count` polynomials: m along x, n along y."""
-    orders: list[tuple[int, int]] = []
-    degree = 0
-    while len(orders) < count:
-        orders += [(degree - n, n) for n in range(degree + 1)]
-        degree += 1
-    return tuple(orders[:count])
+    by_degree = ((degree - n, n) for degree in itertools.count() for n in range(degree + 1))
+    return tuple(itertools.islice(by_degree, count))
 
 
 def legendre_names(count: int) -> tuple[str, ...]:
@@ -48,16 +51,16 @@ def legendre_products(count: int) -> Floats:
 def legendre(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
     """First `count` polynomials at (x, y), normalised to [-1, 1]: (count, *broadcast shape)."""
     m, n, degree = _order_arrays(count)
-    along_x, along_y = (_values(at, degree) for at in np.broadcast_arrays(x, y))
+    along_x, along_y = (_of_each(series.legvander, at, degree) for at in np.broadcast_arrays(x, y))
     return along_x[m] * along_y[n]
 
 
 def legendre_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
     """Gradients of the first `count` polynomials at (x, y), per unit of x and y: (count, *broadcast shape, xy)."""
     m, n, degree = _order_arrays(count)
-    x, y = np.broadcast_arrays(x, y)
-    along_x, along_y = _values(x, degree), _values(y, degree)
-    slope_x, slope_y = (_first_axis(legendre_slopes(at.ravel(), degree), at.shape) for at in (x, y))
+    (along_x, slope_x), (along_y, slope_y) = (
+        [_of_each(of, at, degree) for of in (series.legvander, legendre_slopes)] for at in np.broadcast_arrays(x, y)
+    )
     return np.stack([slope_x[m] * along_y[n], along_x[m] * slope_y[n]], axis=-1)
 
 
@@ -81,13 +84,9 @@ def _order_arrays(count: int) -> tuple[list[int], list[int], int]:
     return [m for m, _ in orders], [n for _, n in orders], max(m + n for m, n in orders)
 
 
-def _values(x: Floats, degree: int) -> Floats:
-    """P_0 ... P_degree at x: (degree + 1, *shape of x)."""
-    return _first_axis(series.legvander(np.asarray(x, np.float64).ravel(), degree), x.shape)
-
-
-def _first_axis(values: NDArray[np.floating], shape: tuple[int, ...]) -> Floats:
-    return np.asarray(np.moveaxis(values, -1, 0).reshape(-1, *shape), np.float64)
+def _of_each(function: Callable[..., Any], x: Floats, degree: int) -> Floats:
+    """Values of a function of P_0 ... P_degree at x: (degree + 1, *shape of x)."""
+    return np.asarray(np.moveaxis(function(x.ravel(), degree), -1, 0).reshape(-1, *x.shape), np.float64)
 
 
 _NAMES = {

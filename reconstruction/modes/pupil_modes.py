@@ -15,6 +15,7 @@ from reconstruction.modes.polynomials import (
     legendre_products,
     legendre_projection,
     legendre_slopes,
+    number_up_to,
     zernike_names,
     zernike_products,
 )
@@ -53,14 +54,8 @@ def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilMo
     if basis not in BASES:
         raise ReconstructionError(f"there is no basis {basis}: it must be {' or '.join(BASES)}")
     if count is None:
-        highest = min(sensor.lenslet_rows - 1, sensor.lenslet_columns - 1, _HIGHEST_DEGREE)
-        count = (highest + 1) * (highest + 2) // 2
+        count = number_up_to(min(sensor.lenslet_rows - 1, sensor.lenslet_columns - 1, _HIGHEST_DEGREE))
     return BASES[basis].modes(sensor, count)
-
-
-def _legendre_modes(sensor: Sensor, count: int) -> PupilModes:
-    """Legendre modes over the whole lattice."""
-    return polynomial_modes(sensor, legendre_products(count))
 
 
 def _zernike_modes(sensor: Sensor, count: int) -> PupilModes:
@@ -71,7 +66,9 @@ def _zernike_modes(sensor: Sensor, count: int) -> PupilModes:
 
 
 BASES: dict[PupilBasis, Basis] = {
-    "legendre": Basis("Legendre", _legendre_modes, legendre_names),
+    "legendre": Basis(
+        "Legendre", lambda sensor, count: polynomial_modes(sensor, legendre_products(count)), legendre_names
+    ),
     "zernike": Basis("Zernike (Noll)", _zernike_modes, zernike_names),
 }
 

@@ -12,21 +12,20 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from reconstruction.arrays import Counts, Floats, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.frame.pixels import clipped_fraction
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.field_modes import PolynomialModes
+from reconstruction.modes.polynomials import number_up_to
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.quality.stray_light import StrayLight
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
-from reconstruction.runtime.compilation import compiled
 from reconstruction.settings import RegistrationSettings, Warp
 
 
@@ -57,19 +56,12 @@ _SATURATED = 0.1  # share of lenslets with pixels at full scale
 _BLOCKED = 0.1  # share of the reference's lit lenslets that are dark
 _UNEVEN = 2.0  # factor by which the light of a lenslet, over that of most, may differ from the reference's
 _DIM = 0.01  # of the reference's light; below, what remains may be stray light
-_GAP = 0.1  # of the brightest; darker samples are between the openings
-_FEWEST_GAPS = 9  # lenslets with such samples
-_STRAY = (
-    0.006  # rise of stray light from lenslet to lenslet, over the brightest; it looks like a sample of twice that, rad
-)
-_STRAY_CERTAIN = 5.0  # standard errors of the rise
 _STRAY = 0.006  # rise of stray light from lenslet to lenslet, over the brightest; it adds 0.03 rad
 _CLIPPED = 0.01  # of the pixels
 _BACKGROUND_PERCENT = 1.0  # of the pixels, without a dark
 _STEP_PX = 2  # between the pixels that are looked at, along each axis; 1 where a point's image is narrower
 _ACROSS = np.linspace(-0.8, 0.8, 5)  # normalised field positions at which deformation is taken
 _MODES_SHARE, _MOST_DEGREE = 0.36, 16  # modes of a smooth wavefront over the number of slopes, and their degree
-_COMPILED = ("uint8", "uint16", "int32", "uint32", "float32", "float64")  # kinds of counts that Numba knows
 _TILE = 16  # lenslets a side whose slopes are judged together
 _LEAST_SIDE, _LEAST_LENSLETS = 4, 25  # fewer sample a smooth wavefront too coarsely: right frames would be flagged
 _FEW_LENSLETS = "slopes are not judged: the lattice has too few lenslets"
@@ -112,31 +104,22 @@ class FrameJudge:
         columns, window = reference.bad.shape[1], (-1, reference.width, reference.width)
         nearest = np.rint(reference.position_px[reference.lit]).astype(np.intp) @ (1, columns)
         self._sampled = nearest.reshape(window)[:, ::step, ::step].reshape(len(nearest), -1)  # (lit lenslet, sample)
-        self._is_good = ~reference.bad.ravel()[self._sampled]
-        self._good = np.count_nonzero(self._is_good)
+        is_good = ~reference.bad.ravel()[self._sampled]
         light = reference.light[reference.lit].reshape(window)[:, ::step, ::step].reshape(self._sampled.shape)
-        self._light = np.sum(light * self._is_good, axis=1)
+        self._light = np.sum(light * is_good, axis=1)
+        self._is_good = None if is_good.all() else is_good  # selecting takes as long as all else
         self._grid = np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2)
         self._grid = self._grid[field.contains(*self._grid.T)]
         self._values: Floats | None = None  # of the field modes there, (field_mode, position), at the first frame
         self._noise_slopes = _NOISE_SLOPES * (1 + 1 / reference.reference_frames)  # its noise is not in the variance
         self._dark = None if dark is None else np.asarray(dark, np.float64).ravel()[self._sampled]
         level = 0.0 if self._dark is None else self._dark
-        self._stray = StrayLight(sensor, self._lit, light, self._sampled, self._is_good, level)
-        # Compile now instead of at the first frame.
-        camera_frame = np.zeros(1, np.uint16)
-        camera_frame.setflags(write=False)
-        _sum_up(
-            camera_frame, self._sampled[:0], self._is_good[:0], np.empty((0, 0)), np.empty(0), np.empty(0, np.uint16)
-        )
+        self._stray = StrayLight(sensor, self._lit, light, self._sampled, is_good, level)
 
     def __call__(self, frame: Counts, displacement: Displacement) -> Quality:
         """Judge a frame (row, column), counts, by its displacements."""
-        reasons = dict(self._of_matches(displacement))
-        native = frame.dtype.newbyteorder("=")
-        pixels: Any = frame.ravel().astype(native if native.name in _COMPILED else np.float64, copy=False).view()
-        pixels.setflags(write=False)  # as frames are: so that one kind is compiled
-        reasons |= self._of_pixels(pixels, displacement)
+        pixels = np.asarray(frame.ravel(), np.float64 if frame.dtype.itemsize > 8 else None)  # a long double
+        reasons = dict(self._of_matches(displacement)) | dict(self._of_pixels(pixels, displacement))
         return Quality(reasons, self._unjudged) | self.of_reference
 
     def _of_matches(self, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
@@ -151,10 +134,8 @@ class FrameJudge:
         if unlike > _UNLIKE * lit:
             yield Fault.MISFIT, f"{unlike} of {count} subimages do not match the reference: {_LOOK}"
         elif misfit > math.hypot(_LEAST_MISFIT, self._limits.pixels * deformation_px):
-            yield (
-                Fault.MISFIT,
-                f"the subimages differ from the reference's by {100 * misfit:.0f} % of the contrast: {_LOOK}",
-            )
+            differ = f"differ from the reference's by {100 * misfit:.0f} % of the contrast"
+            yield Fault.MISFIT, f"the subimages {differ}: {_LOOK}"
         slopes_px = self._slope_misfit_px(displacement, displacement.mean_variance)
         limit_px = math.hypot(_LEAST_SLOPES_PX, self._limits.slopes * math.hypot(deformation_px, spread_px))
         if slopes_px > limit_px:  # their own variance takes longer to compute
@@ -163,26 +144,22 @@ class FrameJudge:
             moved = "has the camera turned since the reference, or is the frame torn?"
             yield Fault.SLOPES, f"slopes differ from those of any wavefront by {slopes_px:.2f} px: {moved}"
         if saturated > _SATURATED * lit:
-            yield (
-                Fault.CLIPPED,
-                f"{saturated} of {count} lenslets are saturated: shorten the exposure or lower the light's current",
-            )
+            advice = "shorten the exposure or lower the light's current"
+            yield Fault.CLIPPED, f"{saturated} of {count} lenslets are saturated: {advice}"
         if left > _LEFT * lit:
             yield Fault.RANGE, f"{left} of {count} subimages have left their cells: the aberration is too strong"
         if dark > _BLOCKED * lit:
-            yield (
-                Fault.ILLUMINATION,
-                f"{dark} of {count} lenslets are dark, but lit in the reference: what blocks the light?",
-            )
+            are_dark = "are dark, but lit in the reference: what blocks the light?"
+            yield Fault.ILLUMINATION, f"{dark} of {count} lenslets {are_dark}"
 
     def _of_pixels(self, frame: Counts, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
         """Faults seen in some pixels of a frame (pixel,), counts, with these displacements."""
-        level = self._dark
-        if level is None:
-            level = np.full(self._sampled.shape, np.percentile(frame[self._sampled], _BACKGROUND_PERCENT))
-        light = np.empty(len(level))
-        counts: NDArray[Any] = np.empty(self._good, frame.dtype)
-        brightest = _sum_up(frame, self._sampled, self._is_good, level, light, counts)
+        counts = frame.take(self._sampled)
+        above = counts - (np.percentile(counts, _BACKGROUND_PERCENT) if self._dark is None else self._dark)
+        brightest = above.max(initial=-np.inf)
+        if self._is_good is not None:
+            above, counts = np.where(self._is_good, above, 0.0), counts[self._is_good]
+        light = above.sum(axis=1)
         whole = max(float(light.sum()), np.finfo(np.float64).tiny)
         ratio = light * (self._light.sum() / whole) / self._light
         uneven = np.count_nonzero((ratio > _UNEVEN) | (ratio * _UNEVEN < 1))
@@ -206,10 +183,8 @@ class FrameJudge:
             read_noise = self._noise.read_noise_counts
         clipped = clipped_fraction(counts, scatter, read_noise)
         if clipped > _CLIPPED:
-            yield (
-                Fault.CLIPPED,
-                f"{100 * clipped:.0f} % of the pixels are clipped: shorten the exposure or lower the current",
-            )
+            advice = "shorten the exposure or lower the current"
+            yield Fault.CLIPPED, f"{100 * clipped:.0f} % of the pixels are clipped: {advice}"
 
     def _sizes_px(self, displacement: Displacement) -> tuple[float, float]:
         """RMS deformation of the subimages, and RMS scatter of their mean displacements, px."""
@@ -240,29 +215,6 @@ class FrameJudge:
                 square += float(misfit @ misfit) - self._noise_slopes * free * float(np.mean(variance[tile][valid]))
                 freedom += free
         return math.sqrt(max(square / freedom, 0.0)) if freedom else 0.0
-
-
-@compiled
-def _sum_up(
-    frame: Counts, sampled: NDArray[np.intp], is_good: Mask, level: Floats, light: Floats, counts: Counts
-) -> float:
-    """Sum the good samples above their level for each lenslet, (L,), and collect their counts; the most of any sample.
-
-    `sampled`, `is_good` and `level` are (lenslet, sample).
-    """
-    brightest, good = -np.inf, 0
-    for lenslet in range(sampled.shape[0]):
-        total = 0.0
-        for sample in range(sampled.shape[1]):
-            count = frame[sampled[lenslet, sample]]
-            above = float(count) - level[lenslet, sample]  # 16-bit counts would wrap
-            brightest = max(brightest, above)
-            if is_good[lenslet, sample]:
-                total += above
-                counts[good] = count
-                good += 1
-        light[lenslet] = total
-    return brightest
 
 
 _LOOK = "another mask, focus, motion, a ghost, a sample that absorbs or wrong grey values?"
@@ -314,15 +266,11 @@ def _gradients(sensor: Sensor, rows: int, columns: int, valid_bytes: bytes) -> F
     """Orthonormal basis of the mean gradients of smooth wavefronts on rows x columns lenslets, (2 * valid, n)."""
     part = replace(sensor, lenslet_rows=rows, lenslet_columns=columns)
     valid: Mask = np.frombuffer(valid_bytes, np.bool_).reshape(rows, columns)
-    degree = max(n for n in range(1, _MOST_DEGREE + 1) if n == 1 or _modes(n) <= _MODES_SHARE * 2 * valid.size)
-    gradients = pupil_modes(part, "legendre", _modes(degree)).gradients[1:, valid]  # (mode, lenslet, xy)
+    most = _MODES_SHARE * 2 * valid.size
+    degree = max(n for n in range(1, _MOST_DEGREE + 1) if n == 1 or number_up_to(n) <= most)
+    gradients = pupil_modes(part, "legendre", number_up_to(degree)).gradients[1:, valid]  # (mode, lenslet, xy)
     basis, _ = np.linalg.qr(gradients.reshape(len(gradients), -1).T)
     return np.asarray(basis)
-
-
-def _modes(degree: int) -> int:
-    """Number of polynomials of two variables up to that degree."""
-    return (degree + 1) * (degree + 2) // 2
 
 
 _BETWEEN = 0.5  # of the slope of log light over log area: 1 in real light, 0 in the paper's world

@@ -164,14 +164,6 @@ _THIRD = ((1.0, "xxx"), (3.0, "xxy"), (3.0, "xyy"), (1.0, "yyy"))  # weight and 
 _STIFFNESS = 1e-7  # of first differences, which decide where too few lenslets are known for a curvature
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ExtrapolationMatrix:
-    """Least squares of all differences for one set of known lenslets, factorised."""
-
-    factors: SuperLU  # of the unknown lenslets, (unknown, unknown)
-    coupling: sparse.csr_array  # (unknown, known)
-
-
 def extrapolate(phase: Floats) -> Floats:
     """Extrapolate wavefronts (..., lenslet_row, lenslet_column), rad, by one lenslet on every side: all finite.
 
@@ -183,25 +175,23 @@ def extrapolate(phase: Floats) -> Floats:
     for wavefront in flat:
         known = np.isfinite(wavefront)
         if known.any():
-            equations = _equations(known.tobytes(), *wavefront.shape)
-            wavefront[~known] = equations.factors.solve(-(equations.coupling @ wavefront[known]))
+            factors, coupling = _equations(known.tobytes(), *wavefront.shape)
+            wavefront[~known] = factors.solve(-(coupling @ wavefront[known]))
         else:
             wavefront[:] = 0
     return flat.reshape(padded.shape)
 
 
 @lru_cache(maxsize=16)
-def _equations(known_bytes: bytes, rows: int, columns: int) -> _ExtrapolationMatrix:
+def _equations(known_bytes: bytes, rows: int, columns: int) -> tuple[SuperLU, sparse.csr_array]:
+    """Least squares of all differences: factors (unknown, unknown) and coupling (unknown, known)."""
     known: Mask = np.frombuffer(known_bytes, np.bool_)
     energy = sum(
         (weight * _energy(directions, rows, columns) for weight, directions in _THIRD),
         start=_STIFFNESS * (_energy("x", rows, columns) + _energy("y", rows, columns)),
     )
     of_unknown = sparse.csr_array(energy)[np.flatnonzero(~known)]
-    return _ExtrapolationMatrix(
-        factors=splu(of_unknown[:, np.flatnonzero(~known)].tocsc()),
-        coupling=of_unknown[:, np.flatnonzero(known)].tocsr(),
-    )
+    return splu(of_unknown[:, np.flatnonzero(~known)].tocsc()), of_unknown[:, np.flatnonzero(known)].tocsr()
 
 
 def _energy(directions: str, rows: int, columns: int) -> sparse.csr_array:

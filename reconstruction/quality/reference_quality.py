@@ -6,7 +6,6 @@ without a second image, unless the sample lies at the lenslets, where it only sh
 """
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -202,31 +201,22 @@ def shared_deformation_px(reference: ReferenceSubimages) -> float:
 
     That of the whole lattice or of one of its halves, whichever is the most; 0 if there are no neighbours.
     """
-    deformations = _deformations_px(reference)
+    whole = _deformations_px(reference)
+    rows, columns = (-(-side // 2) for side in whole.shape[:2])
+    parts = (whole, whole[:rows], whole[-rows:], whole[:, :columns], whole[:, -columns:])
     # A third is the mean square of u or v over the field.
-    return math.sqrt(max(*map(_shared_square, _halves(deformations)), 0.0) / 3)
+    return math.sqrt(max(*map(_shared_square, parts), 0.0) / 3)
 
 
 def _shared_square(deformations: Floats) -> float:
     """Median product of neighbours, less what is chance; a median ignores lenslets at the edge of the light."""
-    products = np.concatenate(
-        [
-            np.sum(deformations[:-1] * deformations[1:], axis=-1).ravel(),
-            np.sum(deformations[:, :-1] * deformations[:, 1:], axis=-1).ravel(),
-        ]
-    )
+    neighbours = ((deformations[:-1], deformations[1:]), (deformations[:, :-1], deformations[:, 1:]))
+    products = np.concatenate([np.sum(one * other, axis=-1).ravel() for one, other in neighbours])
     known = products[np.isfinite(products)]
     if not known.size:
         return 0.0
     median = float(np.median(known))
     return median - _CHANCE * _STANDARD_ERROR * float(np.median(np.abs(known - median))) / math.sqrt(known.size)
-
-
-def _halves(deformations: Floats) -> Iterator[Floats]:
-    """The whole lattice and its halves, as the edge of a sample may cut it."""
-    rows, columns = (-(-side // 2) for side in deformations.shape[:2])
-    yield deformations
-    yield from (deformations[:rows], deformations[-rows:], deformations[:, :columns], deformations[:, -columns:])
 
 
 def _deformations_px(reference: ReferenceSubimages) -> Floats:

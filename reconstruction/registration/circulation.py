@@ -6,7 +6,6 @@ A warp that may rotate also measures the remaining components, the circulation, 
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import null_space
@@ -79,24 +78,24 @@ def measure_circulation(displacement: Displacement, half_width_px: float) -> Cir
     valid, modes = displacement.valid, displacement.modes
     if not isinstance(modes, PolynomialModes) or modes.count < 3 or not valid.any():
         return None
-    part = _parts(modes)
+    circulation, deformation, rotation = _parts(modes)
     count = 2 * modes.count
     # Coefficients and covariance with the x modes before the y modes.
     coefficients = np.swapaxes(displacement.coefficients[valid], 1, 2).reshape(-1, count)
     covariance = displacement.covariance[valid].transpose(0, 2, 1, 4, 3).reshape(-1, count, count)
-    noise = part.circulation @ covariance @ part.circulation.T
+    noise = circulation @ covariance @ circulation.T
     knows_correlation = (covariance * (1 - np.eye(count))).any()
     if not knows_correlation or np.einsum("lkk->", noise) <= _NOTHING * np.einsum("lkk->", covariance):
         return None
 
     covariance = covariance + _hidden(covariance)
-    noise = part.circulation @ covariance @ part.circulation.T
+    noise = circulation @ covariance @ circulation.T
     best = np.linalg.eigvalsh(covariance)[:, :1, None]
     ratio, directions = np.linalg.eigh(np.mean(noise / np.maximum(best, np.finfo(np.float64).tiny), axis=0))
     judged, ratio = directions.T[ratio < _OBSERVABLE**2], ratio[ratio < _OBSERVABLE**2]
-    found, noise = coefficients @ (judged @ part.circulation).T, judged @ noise @ judged.T
-    deformation = np.sum((coefficients @ part.deformation.T) ** 2, axis=1, keepdims=True)
-    systematic = _SYSTEMATIC_PX**2 + _SYSTEMATIC_SHARE**2 * ratio * deformation  # px^2, (L, direction)
+    found, noise = coefficients @ (judged @ circulation).T, judged @ noise @ judged.T
+    deformed = np.sum((coefficients @ deformation.T) ** 2, axis=1, keepdims=True)
+    systematic = _SYSTEMATIC_PX**2 + _SYSTEMATIC_SHARE**2 * ratio * deformed  # px^2, (L, direction)
     information = np.linalg.inv(noise + systematic[:, None] * np.eye(len(judged)))
 
     chi_square = 0.0
@@ -104,27 +103,19 @@ def measure_circulation(displacement: Displacement, half_width_px: float) -> Cir
         squares = np.einsum("la,lab,lb->l", found, information, found)
         chi_square = float(np.median(squares) / chi2.median(len(judged)))
     rotation_rad, sigma_rad = np.full((2, *valid.shape), np.nan)
-    rigid = judged @ part.rigid  # of a rotation by 1 px at the field's edge
-    if rigid @ rigid < _SHOWN * part.rigid @ part.rigid:
+    rigid = judged @ rotation  # of a rotation by 1 px at the field's edge
+    if rigid @ rigid < _SHOWN * rotation @ rotation:
         return Circulation(rotation_rad, sigma_rad, 0.0, np.inf, chi_square)
     estimator = information @ rigid
     estimator /= (estimator @ rigid)[:, None]
-    rotation = np.sum(estimator * found, axis=1) / half_width_px
+    turn_rad = np.sum(estimator * found, axis=1) / half_width_px
     variance = np.einsum("la,lab,lb->l", estimator, noise, estimator) / half_width_px**2
     systematic = np.sum(estimator**2 * systematic, axis=1) / half_width_px**2
     weight = 1 / (variance + systematic)
     weight /= weight.sum()
     mean_sigma = np.sqrt(weight**2 @ variance + (weight @ np.sqrt(systematic)) ** 2)
-    rotation_rad[valid], sigma_rad[valid] = rotation, np.sqrt(variance)
-    return Circulation(rotation_rad, sigma_rad, float(weight @ rotation), float(mean_sigma), chi_square)
-
-
-class _Parts(NamedTuple):
-    """Directions of displacements, with the x modes before the y modes."""
-
-    circulation: Floats  # orthonormal, no gradients of potentials, (C, 2Q)
-    deformation: Floats  # orthonormal, such gradients except the two translations, (D, 2Q)
-    rigid: Floats  # circulation of the rotation (-y, x), (C,)
+    rotation_rad[valid], sigma_rad[valid] = turn_rad, np.sqrt(variance)
+    return Circulation(rotation_rad, sigma_rad, float(weight @ turn_rad), float(mean_sigma), chi_square)
 
 
 def _hidden(covariance: Floats) -> Floats:
@@ -139,7 +130,12 @@ def _hidden(covariance: Floats) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def _parts(modes: PolynomialModes) -> _Parts:
+def _parts(modes: PolynomialModes) -> tuple[Floats, Floats, Floats]:
+    """Directions of displacements, with the x modes before the y modes.
+
+    Circulation, orthonormal, no gradients of potentials, (C, 2Q); deformation, such gradients except the two
+    translations, (D, 2Q); circulation of the rotation (-y, x), (C,).
+    """
     gradients = gradient_basis(modes)
     circulation = null_space(gradients).T
     x, y = np.random.default_rng(0).uniform(-1, 1, (2, 4 * modes.count))
@@ -147,4 +143,4 @@ def _parts(modes: PolynomialModes) -> _Parts:
     translations = np.zeros((2, 2 * modes.count))
     translations[0, 0] = translations[1, modes.count] = 1  # T_0 is constant
     deformation = null_space(np.concatenate([circulation, translations])).T
-    return _Parts(circulation, deformation, circulation @ np.concatenate([-y @ to_modes, x @ to_modes]))
+    return circulation, deformation, circulation @ np.concatenate([-y @ to_modes, x @ to_modes])

@@ -62,8 +62,7 @@ class ReferenceSubimages:
                 f" {self.cell_height_px:.1f} px, of which blur takes {self.blur_px:.1f} px: lower field.half_width_m"
             )
         self.center_px = lattice.lenslet_centers_px(*self.lenslets).reshape(-1, 2)  # (L, xy)
-        cosine, sine = np.cos(lattice.rotation_rad), np.sin(lattice.rotation_rad)
-        self.turn = np.array([[cosine, sine], [-sine, cosine]])  # row vectors: lattice frame @ turn = camera
+        self.turn = lattice.turn  # row vectors: lattice frame @ turn = camera
 
         self.steps_px = centered_steps(int(self.cell_height_px))  # of a window's columns, and of its rows
         self.width = self.steps_px.size
@@ -91,19 +90,15 @@ class ReferenceSubimages:
         steepness = np.sum(self.gradient**2, axis=2)
         spoilt = np.sum(steepness * ~self.usable, axis=1) > _SPOILT * np.sum(steepness, axis=1)
         dark = ~(self.contrast > DARK_CONTRAST * _typical(self.contrast[~self.off_camera])) | spoilt
-        self.excluded = self._at(excluded)  # (L,)
+        is_excluded = np.zeros(self.lenslets, np.bool_)
+        for lenslet in excluded:
+            is_excluded[lenslet] = True
+        self.excluded = is_excluded.ravel()
         self.lit = ~dark & ~self.off_camera & ~self.excluded
         if self.excluded.all():
             raise ReconstructionError("all lenslets are excluded by hand: use some of them again")
         if not self.lit.any() or self._smoothness() < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
-
-    def _at(self, lenslets: Iterable[tuple[int, int]]) -> Mask:
-        """True for some lenslets (row, column), (L,)."""
-        is_one = np.zeros(self.lenslets, np.bool_)
-        for row, column in lenslets:
-            is_one[row, column] = True
-        return is_one.ravel()
 
     def spline(self, light: Image, *, saturated: Mask | None = None, threads: int = 1) -> Image:
         """Spline coefficients of a frame (row, column), bad and saturated pixels repaired."""

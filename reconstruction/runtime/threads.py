@@ -23,24 +23,18 @@ class ProcessSetting:
     @contextmanager
     def wanted(self) -> Iterator[None]:
         """Keep the setting in force inside a `with` block."""
-        self._enter()
-        try:
-            yield
-        finally:
-            self._leave()
-
-    def _enter(self) -> None:
         with self._changing:
             self._wanted_by += 1
             if self._restore is None:
                 self._restore = self._begin()
-
-    def _leave(self) -> None:
-        with self._changing:
-            self._wanted_by -= 1
-            if not self._wanted_by and self._restore is not None:
-                self._restore()
-                self._restore = None
+        try:
+            yield
+        finally:
+            with self._changing:
+                self._wanted_by -= 1
+                if not self._wanted_by and self._restore is not None:
+                    self._restore()
+                    self._restore = None
 
 
 @cache

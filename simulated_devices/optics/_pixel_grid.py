@@ -21,19 +21,20 @@ class PixelGrid:
         sensor: Sensor,
         lattice: Lattice,
         *,
-        lenslet_rows: int,
-        lenslet_columns: int,
-        rows: int,
-        columns: int,
+        lenslets: tuple[int, int],
+        shape: tuple[int, int],
         aperture: Floats,
         pixel_fill_factor: float,
     ) -> None:
-        """Prepare the pixels; `aperture` (sample_row, sample_column) is the amplitude of a lenslet's light."""
-        self._shape = rows, columns
+        """Prepare the pixels of a camera of that shape, behind lenslets (rows, columns).
+
+        `aperture` (sample_row, sample_column) is the amplitude of a lenslet's light.
+        """
+        self._shape, (lenslet_rows, lenslet_columns) = shape, lenslets
         self._samples = pupil_samples = len(aperture)
         period_m = sensor.wavelength_m * sensor.lenslet_focal_length_m * pupil_samples / sensor.aperture_width_m
         angle_per_px = 2 * math.pi * sensor.pixel_pitch_m / period_m
-        row, column = np.mgrid[:rows, :columns]
+        row, column = np.indices(shape)
         position_px = np.stack([column, row], axis=-1).astype(np.float64)
         cell, local_px, inside = lattice.cells_at(position_px, lenslet_rows, lenslet_columns)
         pixel = np.flatnonzero(inside)

@@ -171,10 +171,8 @@ class ForwardModel:
         self._pixels = PixelGrid(
             sensor,
             lattice,
-            lenslet_rows=self._lenslet_rows,
-            lenslet_columns=lenslet_columns,
-            rows=rows,
-            columns=columns,
+            lenslets=(self._lenslet_rows, lenslet_columns),
+            shape=self.camera_shape,
             aperture=self._aperture,
             pixel_fill_factor=pixel_fill_factor,
         )

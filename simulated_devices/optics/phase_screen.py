@@ -57,12 +57,12 @@ class PhaseScreen:
     def basis_x(self, x_m: Floats) -> sparse.csr_array[np.float32]:
         """Values of the spline's basis at x (m): sparse (position, coefficient column), four entries a row."""
         self._check(x_m, np.zeros(1))
-        return _basis(x_m, self._knots_x)
+        return BSpline.design_matrix(x_m, self._knots_x, _CUBIC).astype(np.float32)
 
     def basis_y(self, y_m: Floats) -> sparse.csr_array[np.float32]:
         """Values of the spline's basis at y (m): sparse (position, coefficient row), four entries a row."""
         self._check(np.zeros(1), y_m)
-        return _basis(y_m, self._knots_y)
+        return BSpline.design_matrix(y_m, self._knots_y, _CUBIC).astype(np.float32)
 
     def scaled(self, factor: float) -> PhaseScreen:
         """Return the screen with every phase multiplied by `factor`."""
@@ -72,10 +72,6 @@ class PhaseScreen:
         """Return the screen with every position multiplied by `magnification`."""
         return PhaseScreen(self.samples_rad, self.sample_spacing_m * magnification)
 
-    def without_rim(self, samples: int) -> PhaseScreen:
-        """Return the screen without that many samples at each edge."""
-        return PhaseScreen(middle_of(self.samples_rad, samples), self.sample_spacing_m)
-
     def _check(self, x_m: Floats, y_m: Floats) -> None:
         for name, position_m, half_width_m in zip("xy", (x_m, y_m), self.half_width_m, strict=True):
             reach_m = float(np.abs(position_m).max(initial=0.0))
@@ -84,10 +80,6 @@ class PhaseScreen:
                     f"a ray meets the screen's plane at {name} = {reach_m * 1e3:.4g} mm, but the screen ends at "
                     f"{half_width_m * 1e3:.4g} mm; give it more samples or less drift"
                 )
-
-
-def _basis(position_m: Floats, knots_m: Floats) -> sparse.csr_array[np.float32]:
-    return BSpline.design_matrix(position_m, knots_m, _CUBIC).astype(np.float32)
 
 
 def smooth_screen(

@@ -50,8 +50,8 @@ def test_states_are_rendered_ahead_and_played(cache_folder: Path) -> None:
             seen.append(bench.current_state(bench.clock.now()))
         assert set(seen) == {0, 1, 2, 3}
         assert (abs(np.diff(seen)) == 1).all()
-        drift = bench.truth_wavefront(1) - bench.truth_wavefront(0)
-        assert 0.01 < drift.std() < bench.truth_wavefront(0).std()
+        drift = bench.renderer.truth_wavefront(1) - bench.renderer.truth_wavefront(0)
+        assert 0.01 < drift.std() < bench.renderer.truth_wavefront(0).std()
     finally:
         bench.close()
 

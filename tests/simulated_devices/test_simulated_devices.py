@@ -15,9 +15,8 @@ from support.simulated_faults import stall
 from support.simulated_scene import CAMERA, STILL, SimulatedCameraFaults, SimulatedLightFaults, open_bench
 
 from drivers.interface import BadValue, DeviceTimeout, Range, Region
-from simulated_devices.bench import PHOTONS_PER_S_M2_A, SimulatedBench
+from simulated_devices.bench import PHOTONS_PER_S_M2_A, SimulatedBench, SimulatedLight, SimulatedStage
 from simulated_devices.camera import SimulatedCamera
-from simulated_devices.light_and_stage import SimulatedLight, SimulatedStage
 from simulated_devices.settings import exposure_range_s
 
 

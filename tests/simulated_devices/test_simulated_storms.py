@@ -15,9 +15,8 @@ from support.simulated_scene import SimulatedCameraFaults, SimulatedLightFaults,
 from support.storm import storm_settings
 
 from drivers.interface import Camera, LightSource
-from simulated_devices.bench import SimulatedBench
+from simulated_devices.bench import SimulatedBench, SimulatedLight
 from simulated_devices.camera import SimulatedCamera
-from simulated_devices.light_and_stage import SimulatedLight
 
 LIMIT_A = 0.6  # below the head's 1 A
 

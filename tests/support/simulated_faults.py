@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from drivers.interface import BadValue, Camera, Device, DeviceError, DeviceTimeout, Disconnected, Frame
+from simulated_devices.bench import SimulatedLight
 from simulated_devices.camera import SimulatedCamera
-from simulated_devices.light_and_stage import SimulatedLight
 
 _OF_LIGHT = ("_read_range", "_read_current", "_is_lit", "_set_current", "_switch")
 _ANSWERS = ("_read_current", "_is_lit", "_set_current")

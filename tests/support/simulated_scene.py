@@ -7,10 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from reconstruction.geometry import Field, Lattice
-from simulated_devices.bench import SimulatedBench
+from simulated_devices.bench import SimulatedBench, SimulatedLight
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
-from simulated_devices.light_and_stage import SimulatedLight
 from simulated_devices.rendering import Scene
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation
 from support.optics import sensor_of

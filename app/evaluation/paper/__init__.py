@@ -72,7 +72,7 @@ def exposed_frames(
             reference = _photograph(camera) - dark
             simulated.change(is_sample_in=True)
             frames[mask] = FramePair(reference.astype(np.float32), (_photograph(camera) - dark).astype(np.float32))
-        return frames, simulated.truth_wavefront(0)
+        return frames, simulated.renderer.truth_wavefront(0)
 
 
 def _photograph(camera: SimulatedCamera) -> Image:

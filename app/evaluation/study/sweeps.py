@@ -20,7 +20,7 @@ from app.progress import Progress
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
 from reconstruction.layers.layered_wavefront import AssumedSample
-from reconstruction.refinement import distance_rad
+from reconstruction.refinement import mean_rms
 from reconstruction.settings import ReconstructionSettings, Warp
 from reconstruction.wavefront import Wavefront
 from simulated_devices.optics.source import source_points
@@ -171,7 +171,7 @@ def _drifting(bench: Bench) -> Bench:
     here, there = (
         sample.wavefront(bench.sensor, bench.field, (shift_m, shift_m)) for shift_m in (0.0, _STEP_M / math.sqrt(2))
     )
-    speed_m_per_s = _DRIFT_RAD_PER_S / distance_rad(here, there) * _STEP_M
+    speed_m_per_s = _DRIFT_RAD_PER_S / mean_rms(here - there) * _STEP_M
     # rounded, so that its frames are cached
     along_m_per_s = float(np.format_float_scientific(speed_m_per_s / math.sqrt(2), 3))
     drifting = with_screen(bench, drift_x_m_per_s=along_m_per_s, drift_y_m_per_s=along_m_per_s)

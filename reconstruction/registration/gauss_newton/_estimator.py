@@ -16,7 +16,7 @@ interpolation.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
@@ -69,21 +69,15 @@ class FitCovariance:
         return np.asarray(self.variance[..., 0] * of_pixels + self.variance[..., 1] * of_light)
 
 
-class FitErrors(NamedTuple):
-    """Errors of the fits of L lenslets."""
-
-    covariance: FitCovariance  # from the residual if the noise is unknown
-    chi_square: Floats  # reduced, (L,); NaN if the noise is unknown
-    unexplained: Floats  # weighted sum of squares of the residual minus its noise, counts^2, (L,)
-    known: Floats  # share of the information of a lenslet's pixels in the usable ones, (L,)
-
-
 class ErrorPropagation:
     """Propagates noise through the fits against one reference."""
 
     def __init__(self, reference: ReferenceSubimages, template: Template, pixels: Mask) -> None:
         """Prepare for a template on some pixels (N,) of the reference's windows."""
-        self._noise, self._template, self._lattice = reference.noise, template, reference.lenslets
+        noise, self._template, self._lattice = reference.noise, template, reference.lenslets
+        # Variance per count of light, counts, and of every pixel, counts^2.
+        self._knows_noise = noise is not None
+        self._shot, self._read = (0.0, 0.0) if noise is None else (noise.counts_per_light, noise.read_noise_counts**2)
         self._basis = template.grid.basis.astype(np.float64)
         self._of_reference = 1 / reference.reference_frames
         # Share of the noise of the reference that interpolation leaves: uniform, shot, (L, 2).
@@ -95,24 +89,22 @@ class ErrorPropagation:
     @property
     def expected_square(self) -> Floats:
         """Expected weighted sum of squared noise, as a polynomial of the gain: (L, 3); zero if unknown."""
-        square = np.zeros((len(self._template.contrast), 3))
-        if self._noise is not None:
-            shot = self._noise.counts_per_light * self._template.per_light.square
-            read = self._noise.read_noise_counts**2 * self._template.per_pixel.square
-            square[:, 0], square[:, 1], square[:, 2] = (shot + read) * self._of_reference, shot, read
-        return square
+        shot, read = self._shot * self._template.per_light.square, self._read * self._template.per_pixel.square
+        return np.stack([(shot + read) * self._of_reference, shot, read], axis=-1)
 
     @property
     def expected_sigma_px(self) -> Floats:
         """RMS standard error of the parameters in a frame as bright as the reference, (L,); 0 if unknown."""
-        if self._noise is None:
-            return np.zeros(len(self._template.contrast))
-        shot = self._noise.counts_per_light * self._template.per_light.trace
-        read = self._noise.read_noise_counts**2 * self._template.per_pixel.trace
+        shot, read = self._shot * self._template.per_light.trace, self._read * self._template.per_pixel.trace
         return np.asarray(np.sqrt((shot + read) / self._template.grid.basis.shape[0]))
 
-    def __call__(self, fits: Fits) -> FitErrors:
-        """Errors of the fits; arbitrary for lost ones."""
+    def __call__(self, fits: Fits) -> tuple[FitCovariance, Floats, Floats, Floats]:
+        """Errors of the fits of L lenslets; arbitrary for lost ones.
+
+        The covariance, from the residual if the noise is unknown; the reduced chi-square, (L,), NaN if it is; the
+        weighted sum of squares of the residual minus its noise, counts^2, (L,); and the share of the information of a
+        lenslet's pixels that the usable ones have, (L,).
+        """
         per_pixel, per_light, known = self._template.per_pixel, self._template.per_light, np.ones(len(fits.gain))
         partial = np.flatnonzero(fits.is_partial)
         if partial.size:
@@ -120,14 +112,12 @@ class ErrorPropagation:
             per_pixel, per_light = (
                 whole.replaced(partial, part) for whole, part in zip((per_pixel, per_light), of_partial, strict=True)
             )
-        noise = (np.nan, np.nan)
-        if self._noise is not None:
-            noise = self._noise.counts_per_light, self._noise.read_noise_counts**2
+        noise = (self._shot, self._read) if self._knows_noise else (np.nan, np.nan)
         variance, chi_square, unexplained = _propagate(
             fits, per_pixel, per_light, *noise, self._of_reference, self._reference_power
         )
         covariance = FitCovariance(variance.reshape(*self._lattice, 2), per_pixel, per_light, self._basis)
-        return FitErrors(covariance, chi_square, unexplained, known)
+        return covariance, chi_square, unexplained, known
 
 
 @compiled
@@ -243,20 +233,18 @@ class GaussNewton:
         bad = reference.bad | saturated
         fits = self._fit(coefficients, bad, start)
 
-        errors = self._errors(fits)
-        found = (fits.step_px < _CONVERGED_PX) & (errors.unexplained < self._unexplained)
-        found &= ~_stands_out(errors.unexplained, fits.square, self._unexplained, found)
-        spoilt = errors.known < _INFORMATION_LEFT
+        covariance, chi_square, unexplained, known = self._errors(fits)
+        found = (fits.step_px < _CONVERGED_PX) & (unexplained < self._unexplained)
+        found &= ~_stands_out(unexplained, fits.square, self._unexplained, found)
+        spoilt = known < _INFORMATION_LEFT
+        fitted = (fits.displacement @ self._basis).astype(np.float32).astype(np.float64)
         return classify_lenslets(
             reference,
             self.modes,
-            (fits.displacement @ self._basis)
-            .astype(np.float32)
-            .astype(np.float64)
-            .reshape(len(fits.gain), 2, self.modes.count),
-            covariance=errors.covariance,
+            fitted.reshape(len(fits.gain), 2, self.modes.count),
+            covariance=covariance,
             residual_rms=np.sqrt(fits.square / warp.grid.light.shape[1]) / warp.contrast.max(),
-            chi_square=errors.chi_square,
+            chi_square=chi_square,
             contrast=fits.contrast,
             faults={
                 Outcome.DIVERGED: ~found,
@@ -329,18 +317,15 @@ class GaussNewton:
         return np.asarray(coefficients @ self._basis.T, np.float32)
 
 
-@compiled
 def _stands_out(unexplained: Floats, square: Floats, at_most: Floats, found: Mask) -> Mask:
     """Flag lenslets (L,) with outlying residuals, e.g. partly covered ones.
 
     `unexplained` (L,) is the residual's `square` (L,) minus its noise, counts^2, `at_most` (L,) its limit; `found` (L,)
     marks the lenslets with a match.
     """
-    out = np.zeros_like(found)
-    if found.any():
-        share = unexplained * (_MISFIT**2 / at_most)
-        usual = np.median(np.maximum(share[found], 0.0))
-        for lenslet in range(found.size):
-            noise = (square[lenslet] - unexplained[lenslet]) * (_MISFIT**2 / at_most[lenslet])
-            out[lenslet] = share[lenslet] > max(_ODD**2, _OUTLYING**2 * usual) + _NOISE_SHARE * noise
-    return out
+    if not found.any():
+        return np.zeros_like(found)
+    with np.errstate(divide="ignore", invalid="ignore"):  # of lost lenslets
+        share, noise = unexplained * (_MISFIT**2 / at_most), (square - unexplained) * (_MISFIT**2 / at_most)
+        usual = float(np.median(np.maximum(share[found], 0.0)))
+        return np.asarray(share > max(_ODD**2, _OUTLYING**2 * usual) + _NOISE_SHARE * noise)

@@ -21,6 +21,7 @@ from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.spline import mean_interpolation, sample, spline_coefficients
 from reconstruction.geometry import require
 from reconstruction.modes.field_modes import PolynomialModes, gradient_basis
+from reconstruction.registration.correlation import normalised
 from reconstruction.registration.gauss_newton._alignment import Grid
 from reconstruction.registration.gauss_newton._lenslet_fits import WholePixelSearch
 from reconstruction.registration.gauss_newton._warped_sampling import MONOMIALS, window_of
@@ -330,9 +331,7 @@ def prepare_search(reference: ReferenceSubimages) -> WholePixelSearch:
     width = 2 * int(reference.half_width_px + reference.blur_px / 2) + reference.width % 2
     width = min(width, reference.width - 2 * reach)  # the patch must not exceed the window
     inner = slice((reference.width - width) // 2, (reference.width + width) // 2)
-    light = reference.light.reshape(-1, reference.width, reference.width)[:, inner, inner]
-    light = light - light.mean(axis=(1, 2), keepdims=True)
-    light /= np.maximum(light.std(axis=(1, 2), keepdims=True), np.finfo(np.float32).tiny)
+    light = normalised(reference.light.reshape(-1, reference.width, reference.width)[:, inner, inner])
     steps_px = reference.steps_px
     steps_px = steps_px[np.abs(steps_px) <= (width - 1) / 2 + reach]
     return WholePixelSearch(

@@ -26,8 +26,8 @@ from app.measurement.routines import Cancelled
 from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.verdict import Fault
+from simulated_devices.bench import SimulatedLight
 from simulated_devices.camera import SimulatedCamera
-from simulated_devices.light_and_stage import SimulatedLight
 
 
 class Running:

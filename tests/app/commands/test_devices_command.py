@@ -29,9 +29,8 @@ from drivers.genicam import GenicamSettings
 from drivers.interface import Camera, Frame, LightSource
 from drivers.micro_manager import MicroManagerSettings
 from drivers.serial_lights import DC4100Settings, thorlabs_dc4100
-from simulated_devices.bench import SimulatedBench
+from simulated_devices.bench import SimulatedBench, SimulatedLight
 from simulated_devices.camera import SimulatedCamera
-from simulated_devices.light_and_stage import SimulatedLight
 
 A_CAMERA = DiscoveredDevice(kind="camera", driver="dcam", description="C9100-23B S/N 1", settings={"device": "S/N 1"})
 A_LIGHT = DiscoveredDevice(

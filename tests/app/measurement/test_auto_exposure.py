@@ -17,10 +17,10 @@ from app.bench.config import load_bench
 from app.measurement.auto_exposure import AutoExposure, Brightness, Reach, Shot, auto_expose, brightness, next_light
 from app.measurement.routines import Cancelled, RoutineError
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Range
+from simulated_devices.bench import SimulatedLight, SimulatedStage
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
 from simulated_devices.exposure_bench import PITCH_PX, SIDE_PX, ManyFramesCamera, Scene, exposure_bench, spots, squares
-from simulated_devices.light_and_stage import SimulatedLight, SimulatedStage
 
 FULL_SCALE = 65535
 C9100 = {  # the property sheet's exposures: EM amplifier at speed 3 and 2, normal amplifier

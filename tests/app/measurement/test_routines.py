@@ -37,9 +37,9 @@ from drivers.interface import (
     Stage,
     WrongState,
 )
+from simulated_devices.bench import SimulatedLight, SimulatedStage
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
-from simulated_devices.light_and_stage import SimulatedLight, SimulatedStage
 
 PITCH_PX = 31.25
 EXPOSURE_S = 0.03

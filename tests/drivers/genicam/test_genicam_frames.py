@@ -14,11 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.patience import HANG_S, wait_until
 
+from drivers.camera import SettingsInForce
 from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
 from drivers.genicam import GenicamSettings
 from drivers.genicam.camera import discover
 from drivers.genicam.connection import PatientCalls
-from drivers.genicam.frames import ExposureLog, FrameCount
+from drivers.genicam.frames import FrameCount
 from drivers.genicam.library import Aravis, kinds_of_errors, load_aravis, load_library
 from reconstruction.annotated_settings import check
 
@@ -71,21 +72,23 @@ def test_long_frame_numbers_may_begin_with_zero() -> None:
 
 
 def test_frame_has_exposure_from_its_begin() -> None:
-    log = ExposureLog.beginning_with(0.5)
-    log.change(10.0, 2.0)
-    assert log.of_frame(11.9) == 0.5  # began at 11.4 or later with the old exposure; with the new one, before 10
-    assert log.of_frame(12.1) == 2.0
-    log.change(13.0, 0.1)
-    assert log.of_frame(13.05) == 2.0
-    assert log.of_frame(13.2) == 0.1
+    in_force = SettingsInForce(0.5, 1.0)
+    in_force.change(10.0 + 2.0, 2.0, 1.0)
+    assert (
+        in_force.of_frame(11.9)[0] == 0.5
+    )  # began at 11.4 or later with the old exposure; with the new one, before 10
+    assert in_force.of_frame(12.1)[0] == 2.0
+    in_force.change(13.0 + 0.1, 0.1, 1.0)
+    assert in_force.of_frame(13.05)[0] == 2.0
+    assert in_force.of_frame(13.2)[0] == 0.1
 
 
 def test_short_exposure_replaces_long_one() -> None:
-    log = ExposureLog.beginning_with(0.5)
-    log.change(10.0, 100.0)
-    log.change(10.1, 0.2)
-    assert log.of_frame(10.2) == 0.5
-    assert log.of_frame(10.4) == 0.2
+    in_force = SettingsInForce(0.5, 1.0)
+    in_force.change(10.0 + 100.0, 100.0, 1.0)
+    in_force.change(10.1 + 0.2, 0.2, 1.0)
+    assert in_force.of_frame(10.2)[0] == 0.5
+    assert in_force.of_frame(10.4)[0] == 0.2
 
 
 def test_hanging_call_is_given_up() -> None:
