@@ -1,7 +1,5 @@
 """`svwfs batch`: reconstruct recordings into one store, block by block; what is there already is not done again."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ An invalid file raises one sentence that names the key and what is allowed. Noth
 becomes a number, and no 1 becomes true.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import ipaddress
 import sys

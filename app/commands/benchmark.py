@@ -17,9 +17,7 @@ from app.progress import Progress, between, named
 
 if TYPE_CHECKING:
     from app.bench.config import Bench
-    from app.evaluation.benchmark.live_path.course import Course
-    from app.evaluation.benchmark.live_path.figures import LiveFigures
-    from app.evaluation.benchmark.live_path.plan import LivePlan
+    from app.evaluation.benchmark.live_path import Course, LiveFigures, LivePlan
     from app.gui.shell.main_window import MainWindow
     from app.timing import StageTimes
 
@@ -96,7 +94,7 @@ def _benchmark_live(
     bench: Bench, seconds: float, record_in: Path | None, *, with_panels: bool, json: Path | None, check: bool
 ) -> None:
     """Measure the live path, print and write the figures; with `check`, raise if a limit is missed."""
-    from app.evaluation.benchmark.live_path.plan import LivePlan
+    from app.evaluation.benchmark.live_path import LivePlan
     from app.run_facts import write_record
 
     plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in, with_panels=with_panels)
@@ -115,9 +113,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     The light is turned off and the recording removed, also on an error or Ctrl-C.
     """
     from app.commands.live import use_display
-    from app.evaluation.benchmark.live_path.course import Course
-    from app.evaluation.benchmark.live_path.figures import LiveFigures
-    from app.evaluation.benchmark.live_path.plan import recording_folder
+    from app.evaluation.benchmark.live_path import Course, LiveFigures, recording_folder
 
     is_seen = use_display()
     warm_up_s = min(_WARM_UP_S, plan.warm_up_s)

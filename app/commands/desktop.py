@@ -1,7 +1,5 @@
 """`svwfs desktop`: the entry of svwfs in the menu of a Linux desktop."""
 
-from __future__ import annotations
-
 import re
 import sys
 from importlib.resources import files

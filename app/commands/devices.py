@@ -1,7 +1,5 @@
 """`svwfs devices`: list the connected devices, or check one of them."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -1,7 +1,5 @@
 """`svwfs simulate`: simulated frames and the true wavefronts as files."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """Estimator: everything that turns the frames of one calibration into measurements."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Results as a dataset: wavefronts with coordinates and units, image quality, what was assumed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice

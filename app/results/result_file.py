@@ -1,7 +1,5 @@
 """Results as NetCDF-4 files with their origin, for xarray, MATLAB or Panoply: written atomically, checked when read."""
 
-from __future__ import annotations
-
 import io
 import os
 import warnings
