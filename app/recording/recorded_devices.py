@@ -6,7 +6,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import lru_cache
-from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -310,7 +309,7 @@ class AveragedFrames:
 def _spread(average: Average, full_scale: int) -> Floats:
     """Amplitude of each pixel's alternation that gives its variance, counts."""
     pairs, mean = average.frames // 2, average.mean.astype(np.float64)
-    scale = sqrt((average.frames - 1) / (2 * pairs)) if pairs else 0.0
+    scale = math.sqrt((average.frames - 1) / (2 * pairs)) if pairs else 0.0
     wanted = scale * np.sqrt(np.maximum(average.variance.astype(np.float64) - _ROUNDING, 0))
     room = np.floor(np.minimum(mean, full_scale - mean))
     spread: Floats = np.clip(wanted, 0, np.maximum(room, 0))
