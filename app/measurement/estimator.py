@@ -152,15 +152,12 @@ def mask_sentence(reconstructor: Reconstructor, sample: AssumedSample | None = N
 
     Also say if the bias of mean gradients is left out. Without a `sample`, of frames in general.
     """
-    return "; ".join(filter(None, [_left_out(reconstructor, sample), _bias(reconstructor)]))
-
-
-def _bias(reconstructor: Reconstructor) -> str:
     registration, reconstruction = reconstructor.registration, reconstructor.reconstruction
     knows_response = reconstruction.response and registration.method == "gauss_newton" and not registration.rotation
+    bias = "displacements count as mean gradients of the wavefront, whose bias the error bars leave out"
     if reconstruction.method == "modal" and knows_response:
-        return ""
-    return "displacements count as mean gradients of the wavefront, whose bias the error bars leave out"
+        bias = ""
+    return "; ".join(filter(None, [_left_out(reconstructor, sample), bias]))
 
 
 def _left_out(reconstructor: Reconstructor, sample: AssumedSample | None) -> str:
