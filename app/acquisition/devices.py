@@ -63,7 +63,6 @@ def _open_real(bench: Bench, progress: Callable[[float], None], stack: ExitStack
 
 
 def _check_pitch(bench: Bench, camera: Camera) -> None:
-    """Raise `InputError` if the camera's pixel pitch is not the bench's."""
     pitch_m = camera.capabilities.pixel_pitch_m
     if pitch_m is not None and not math.isclose(pitch_m, bench.sensor.pixel_pitch_m, rel_tol=_PITCH_TOLERANCE):
         raise InputError(

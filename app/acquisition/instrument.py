@@ -296,7 +296,6 @@ class Instrument:
         return Circumstances.of(self.devices)
 
     def _set_running(self, on: bool) -> None:
-        """Start or stop the camera."""
         if not on:
             self.devices.camera.stop()
         elif not self.devices.camera.is_running:
@@ -361,7 +360,6 @@ class Instrument:
 
 
 def _changed(bench: Bench, changes: Iterable[tuple[str, Any]]) -> Bench:
-    """Change settings of a bench; see `Instrument.change_settings`."""
     for name, value in changes:
         section, _, key = name.partition(".")
         if name == "lenslet":

@@ -41,8 +41,6 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """A block of frames of a recording."""
-
     source: Source
     number: int  # of the recording in the store
     frames: range
@@ -181,7 +179,6 @@ class _Filling:
 
 
 def _reason(error: Exception) -> str:
-    """Say why a recording cannot be reconstructed; an unexpected error with its kind."""
     return in_words(error) if isinstance(error, InputError) else f"{type(error).__name__}: {in_words(error)}"
 
 
@@ -198,7 +195,6 @@ def _only_writer(folder: Path) -> Iterator[None]:
 
 
 def _check_free(folder: Path) -> None:
-    """Raise `InputError` if a folder cannot hold a store."""
     try:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"{folder}: is a file; the results need a folder")

@@ -240,7 +240,6 @@ class ResultStore:
 
 
 def _make(group: zarr.Group, name: Any, dims: Iterable[Any], attributes: Mapping[Any, Any], **array: Any) -> None:
-    """Make an array."""
     simple = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in attributes.items()}
     names = [str(each) for each in dims]
     group.create_array(str(name), dimension_names=names, attributes=simple, overwrite=True, **array)

@@ -224,7 +224,6 @@ def _read(cls: Any, tree: Any, path: str = "") -> Any:
 
 
 def _value(kind: Any, value: Any, path: str) -> Any:
-    """Read a value of a TOML file as one of this type."""
     parts = get_args(kind)
     if dataclasses.is_dataclass(kind) or kind is DeviceSettings:
         return _read(kind, value, path)

@@ -144,7 +144,6 @@ class SettingsForm:
         )
 
     def _emptied(self, section: FormSection) -> FormSection:
-        """Turn the values that must still be typed into examples."""
         if not self._is_new or section.path not in _OF_LENSLETS:
             return section
         cls = next(setting.kind for setting in settings_of(Bench) if setting.name == section.path)

@@ -93,7 +93,6 @@ def benchmark(
 def _benchmark_live(
     bench: Bench, seconds: float, record_in: Path | None, *, with_panels: bool, json: Path | None, check: bool
 ) -> None:
-    """Measure the live path, print and write the figures; with `check`, raise if a limit is missed."""
     from app.evaluation.benchmark.live_path import LivePlan
     from app.run_facts import write_record
 

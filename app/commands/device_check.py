@@ -103,14 +103,12 @@ class _Report:
         self.checks = self.failed = 0
 
     def public(self, text: str) -> str:
-        """Return the text without what is to be hidden."""
         return text if self._is_open else hide(text, self._secrets)
 
     def print(self, text: str, style: str | None = None) -> None:
         self._console.print(self.public(text), style=style, markup=False)
 
     def print_versions(self) -> None:
-        """Print software, computer, and the settings that are no defaults."""
         driver = self._settings.driver
         package = next((kind.package for kind in KINDS if kind.driver == driver), "")
         found = versions(package) if package else versions()

@@ -396,5 +396,4 @@ class PhotographStudy(Study):
         return figure
 
     def _means(self, data: pd.DataFrame) -> pd.DataFrame:
-        """Mean over the repeats, (object, way)."""
         return data.pivot_table("psnr_db", *self.dims, observed=True, dropna=False)

@@ -133,7 +133,6 @@ def _refusals() -> Iterator[None]:
 
 @kept_for_bench(maxsize=4)  # another setting does not change it
 def _shown_lattice(dark: Average | None, reference: Average, sensor: Sensor, full_scale: float) -> Lattice | None:
-    """The lattice that the reference shows; None if it shows none."""
     try:
         return surveyed(sensor, dark, reference, full_scale).lattice
     except ReconstructionError:

@@ -168,7 +168,6 @@ class BackgroundRecording:
         writer.finish(self._problem, acquired=self._acquired, facts={"timings": timing_facts(self._timings)})
 
     def _records(self) -> Iterator[Record]:
-        """Take frames from the queue until the recording ends."""
         while True:
             with self._changed:
                 while not self._waiting:

@@ -156,7 +156,6 @@ def _examine(recording: Recording, lines: FoundLines, found: Recovered, progress
 
 
 def _faults(read: Callable[[int], object], numbers: Iterable[int | None]) -> Iterator[str]:
-    """Errors of those that cannot be read."""
     for number in sorted(number for number in numbers if number is not None):
         try:
             read(number)
@@ -218,7 +217,6 @@ def _rebuild_run(folder: Path) -> str:
 
 
 def _is_lost(path: Path) -> bool:
-    """True if there is no file, or no JSON in it."""
     if not path.is_file():
         return not path.exists()
     try:

@@ -158,8 +158,6 @@ def reprocess(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _InForce:
-    """Estimator of one calibration of a recording, perhaps changed."""
-
     number: int
     estimator: Estimator
     registers_as_recorded: bool
@@ -167,7 +165,6 @@ class _InForce:
 
 
 def _recorded(line: FrameLine, made: Measurement) -> Measurement:
-    """Add what the line of a frame tells."""
     current_a = line.light_current_a
     light = None if current_a is None else LightState(bool(line.is_light_on), current_a)
     return replace(made, lost=line.lost, light=light, index=line.index)

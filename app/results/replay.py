@@ -73,7 +73,6 @@ class Verification:
 
 
 def _differences(recording: Recording, line: FrameLine, frame: Measurement) -> str:
-    """Differences and their size; empty if there are none."""
     wavefront = frame.wavefront
     if line.problem != frame.problem:
         return f'the problem was "{line.problem}" and is "{frame.problem}"'

@@ -148,7 +148,6 @@ def _headline(summary: Summary) -> str:
 
 
 def _draw_images(figure: SubFigure, summary: Summary) -> None:
-    """Draw the first frame and the reference, if any."""
     line, calibration = summary.lines[0], summary.calibration
     images: list[tuple[str, NDArray[Any]]] = [(f"frame {line.index}", summary.recording.pixels(line.index))]
     images += [] if calibration is None else [("reference", calibration.reference.mean)]

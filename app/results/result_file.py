@@ -61,7 +61,6 @@ def reading_results(path: Path) -> Iterator[xr.Dataset]:
 
 
 def _require_sound(path: Path, results: xr.Dataset) -> None:
-    """Raise `InputError` if a frame has no valid lenslet, or a valid one a displacement that none can have."""
     if "valid" in results and "displacement" in results:
         valid = results["valid"].astype(bool)
         if not valid.any(LENSLET).all():
@@ -146,7 +145,6 @@ def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str]) -> memor
 
 
 def _verify(written: Path, path: Path, frames: int) -> None:
-    """Raise `RunError` unless the file can be read and has all frames."""
     try:
         with h5netcdf.File(written, "r") as file:
             found = file.dimensions[FRAME].size if FRAME in file.dimensions else 1

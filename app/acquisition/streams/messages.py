@@ -51,7 +51,6 @@ def message(topic: str, sequence: int, measurement: Measurement, bench: Bench) -
 
 
 def _frame_facts(measurement: Measurement) -> dict[str, Any]:
-    """Header entries on the frame."""
     frame, refinement = measurement.frame, measurement.assumed.refinement
     unix_s = time.time() - time.perf_counter()  # calendar time at which perf_counter is zero
     return {

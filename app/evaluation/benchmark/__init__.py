@@ -125,7 +125,6 @@ def _our_residuals(frames: TimedFrames) -> dict[str, float]:
 
 @contextmanager
 def _peer(name: str, frames: TimedFrames) -> Iterator[contestants.Register]:
-    """Prepare a peer for the reference."""
     match name:
         case "simpleitk_affine":
             yield contestants.simple_itk(frames)

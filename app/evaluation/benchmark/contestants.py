@@ -53,11 +53,9 @@ class _Windows:
         self.top, self.left = (round(float(value)) for value in first)
 
     def light(self, frame: NDArray[Any]) -> Image:
-        """Return the frame above the dark, (row, column)."""
         return np.asarray(frame - self._dark, np.float32)
 
     def __call__(self, frame: NDArray[Any]) -> Image:
-        """Return all subimages, (lenslet, row, column)."""
         pitch_px = self.pitch_px
         inner = self.light(frame)[self.top :, self.left :][: self.rows * pitch_px, : self.columns * pitch_px]
         cells = inner.reshape(self.rows, pitch_px, self.columns, pitch_px).swapaxes(1, 2)

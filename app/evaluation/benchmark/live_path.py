@@ -258,7 +258,6 @@ class Course:
             yield
 
     def _check(self) -> None:
-        """Raise the error that stopped the acquisition, if any."""
         failed = (step.exception() for step in self._expected if step.done())
         error = self.acquisition.error or next(filter(None, failed), None)
         if error is None:

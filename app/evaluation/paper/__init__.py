@@ -194,7 +194,6 @@ def _reconstruct(bench: Bench, own: OwnMethods, pair: FramePair) -> Arrays:
 
 @cache
 def _source_code() -> bytes:
-    """The source code of `reconstruction` and of the paper's non-rigid methods."""
     folder = Path(str(reconstruction.__file__)).parent
     return b"".join(path.read_bytes() for path in (*sorted(folder.rglob("*.py")), Path(nonrigid_methods.__file__)))
 
