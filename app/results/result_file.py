@@ -61,6 +61,7 @@ def reading_results(path: Path) -> Iterator[xr.Dataset]:
 
 
 def _require_sound(path: Path, results: xr.Dataset) -> None:
+    """Raise `InputError` if a frame has no valid lenslet, or a valid one a displacement that none can have."""
     if "valid" in results and "displacement" in results:
         valid = results["valid"].astype(bool)
         if not valid.any(LENSLET).all():
@@ -136,9 +137,8 @@ def _add_sums(path: Path, piece: xr.Dataset, sums: dict[Hashable, int]) -> None:
 def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str]) -> memoryview:
     """Return the contents of a file. HDF5 crashes on a full disk, so it writes into memory."""
     origin = {"software": f"svwfs {version('svwfs')}", "bench": write_bench(bench), **inputs}
-    origin = {
-        name: text.encode(errors="replace").decode() for name, text in origin.items()
-    }  # file names may be no text
+    # names of files need not be text
+    origin = {name: text.encode(errors="replace").decode() for name, text in origin.items()}
     return piece.assign_attrs(**{"title": "Space-variant wavefront"} | piece.attrs | origin).to_netcdf(
         engine="h5netcdf", unlimited_dims=[FRAME] if FRAME in piece.dims else []
     )

@@ -112,10 +112,8 @@ class Method:
     @property
     def is_peer(self) -> bool:
         """True if it needs the extra `svwfs[peers]`."""
-        return self.registration.method == "itk_affine" or self.own in {
-            nonrigid_methods.Demons,
-            nonrigid_methods.FreeForm,
-        }
+        of_itk = (nonrigid_methods.Demons, nonrigid_methods.FreeForm)
+        return self.registration.method == "itk_affine" or self.own in of_itk
 
 
 ZONAL = ReconstructionSettings(method="zonal")
@@ -208,7 +206,7 @@ def table1(*, peers: bool) -> ComparisonTable:
     return ComparisonTable(
         name="table1",
         title="Simulation: residual RMS (rad) against the truth",
-        measure=_in_both_lights(partial(_table1, methods)),
+        measure=partial(_in_both_lights, partial(_table1, methods)),
         paper=PAPER_TABLE_1,
         compared_to="truth",
     )
@@ -224,7 +222,7 @@ def table2(*, peers: bool) -> ComparisonTable:
     return ComparisonTable(
         name="table2",
         title="Experiment: residual RMS (rad) against the stars",
-        measure=_in_both_lights(partial(_table2, methods)),
+        measure=partial(_in_both_lights, partial(_table2, methods)),
         paper=PAPER_TABLE_2,
         compared_to="stars",
     )
@@ -235,24 +233,20 @@ def sources() -> ComparisonTable:
     return ComparisonTable(
         name="sources",
         title="Other sources: residual RMS (rad) against the truth",
-        measure=_in_both_lights(_sources),
+        measure=partial(_in_both_lights, _sources),
         paper={},
         compared_to="truth",
     )
 
 
 def _in_both_lights(
-    measure: Callable[[Bench, range, Progress], Iterator[CaseResult]],
-) -> Callable[[Bench, range, Progress], Iterator[CaseResult]]:
+    measure: Callable[[Bench, range, Progress], Iterator[CaseResult]], bench: Bench, seeds: range, progress: Progress
+) -> Iterator[CaseResult]:
     """Measure with propagation neglected, as the paper simulates it, and in real light."""
-
-    def in_both(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
-        for index, (light, neglect) in enumerate(LIGHTS.items()):
-            lit = replace(bench, field=replace(bench.field, neglect_propagation=neglect))
-            for case in measure(lit, seeds, part(progress, index, len(LIGHTS))):
-                yield replace(case, at={**case.at, "light": light})
-
-    return in_both
+    for index, (light, neglect) in enumerate(LIGHTS.items()):
+        lit = replace(bench, field=replace(bench.field, neglect_propagation=neglect))
+        for case in measure(lit, seeds, part(progress, index, len(LIGHTS))):
+            yield replace(case, at={**case.at, "light": light})
 
 
 def _table1(methods: Mapping[str, Method], bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
@@ -269,9 +263,8 @@ def _table2(methods: Mapping[str, Method], bench: Bench, seeds: range, progress:
         step("rendering and exposing", 0.0)
         frames, truth = exposed_frames(screen, EXPOSURES_S, lambda _: None)
         small_bench, small_frames = resized(screen, frames)
-        for half, (suffix, each, its_frames) in enumerate(
-            (("", screen, frames), ("_resized", small_bench, small_frames))
-        ):
+        halves = (("", screen, frames), ("_resized", small_bench, small_frames))
+        for half, (suffix, each, its_frames) in enumerate(halves):
             try:  # what the experiment takes for the truth
                 stars = reconstructed(each, its_frames, METHODS["stars_zonal"])
             except ReconstructionError as error:
