@@ -21,12 +21,7 @@ def devices(
     ] = None,
     bench: Annotated[
         str | None,
-        typer.Option(
-            "--bench",
-            "-b",
-            metavar="TOML",
-            help="With --check camera or --check light: that device of this bench, with its settings.",
-        ),
+        options.bench_option("With --check camera or --check light: that device of this bench, with its settings."),
     ] = None,
     trust_library: options.Trust = False,
     serial_numbers: Annotated[

@@ -21,10 +21,7 @@ def measure(
     *,
     bench: options.Bench,
     frames: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of frames to measure.")],
-    out: Annotated[
-        Path,
-        typer.Option(metavar=options.FOLDER, help="New folder for the recording, with results.nc beside the frames."),
-    ],
+    out: Annotated[Path, options.folder_option("New folder for the recording, with results.nc beside the frames.")],
     mask: Annotated[
         str | None, typer.Option(metavar="NAME", help="Mask in the beam, as simulation.source.mask: square, stars, ...")
     ] = None,

@@ -18,10 +18,7 @@ def replay(
     recording: options.Recording,
     *,
     verify: Annotated[bool, typer.Option("--verify", help="Fail unless every frame is reproduced bit by bit.")] = False,
-    bench: Annotated[
-        str | None,
-        typer.Option("--bench", "-b", metavar="TOML", help="Another bench to compare with the recorded one."),
-    ] = None,
+    bench: Annotated[str | None, options.bench_option("Another bench to compare with the recorded one.")] = None,
     setting: options.Set = None,
     frames: options.Frames = None,
     out: Annotated[Path | None, typer.Option(help="NetCDF file for the results.")] = None,

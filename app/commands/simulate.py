@@ -16,9 +16,7 @@ _TRUTH = "truth.nc"
 def simulate(
     *,
     bench: options.Bench,
-    out: Annotated[
-        Path, typer.Option(metavar=options.FOLDER, help="Folder for dark.tif, reference.tif, frame.tif and truth.nc.")
-    ],
+    out: Annotated[Path, options.folder_option("Folder for dark.tif, reference.tif, frame.tif and truth.nc.")],
     setting: options.Set = None,
     noise_free: Annotated[
         bool, typer.Option("--noise-free", help="Write mean photons instead of the camera's counts.")
