@@ -11,7 +11,7 @@ from typing import Any
 
 import xarray as xr
 
-from app.batch.store import Job, ResultStore, Source, find_sources, is_store, store_attributes
+from app.batch.store import Job, ResultStore, BatchInput, find_sources, is_store, store_attributes
 from app.bench.config import write_bench
 from app.errors import InputError, Interrupted, RunError
 from app.files import check_writable, in_words, make_folder, remove_partial
@@ -41,7 +41,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    source: Source
+    source: BatchInput
     number: int  # of the recording in the store
     frames: range
 
@@ -55,7 +55,9 @@ class _DoneBlock:
     facts: dict[str, Any]  # bench in force, software and computer
 
 
-def check_batch(folders: Sequence[Path], out: Path, job: Job) -> tuple[list[Source], dict[Path, str], dict[Path, Path]]:
+def check_batch(
+    folders: Sequence[Path], out: Path, job: Job
+) -> tuple[list[BatchInput], dict[Path, str], dict[Path, Path]]:
     """Check what a batch reads, without workers; return what `find_sources` does.
 
     `InputError` if no recording can be used, `out` cannot be the store of this job, or its settings fit no recording.
@@ -73,7 +75,7 @@ def check_batch(folders: Sequence[Path], out: Path, job: Job) -> tuple[list[Sour
     return sources, failed, copies
 
 
-def _check_settings(sources: Sequence[Source], settings: tuple[str, ...]) -> None:
+def _check_settings(sources: Sequence[BatchInput], settings: tuple[str, ...]) -> None:
     """Raise `InputError` if the settings are possible in the bench of no recording."""
     problem: InputError | None = None
     for source in sources if settings else ():
@@ -124,7 +126,7 @@ def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, 
     return batch
 
 
-def _opened(out: Path, job: Job, sources: Sequence[Source], evaluate: Evaluate, progress: Progress) -> ResultStore:
+def _opened(out: Path, job: Job, sources: Sequence[BatchInput], evaluate: Evaluate, progress: Progress) -> ResultStore:
     """Open the store, or make it for results like those of the first recording that has any."""
     if is_store(out):
         return ResultStore(out)
@@ -145,7 +147,7 @@ def _opened(out: Path, job: Job, sources: Sequence[Source], evaluate: Evaluate, 
 class _Filling:
     """The blocks of a run: which are missing, and what becomes of each."""
 
-    def __init__(self, store: ResultStore, numbered: Sequence[tuple[int, Source]], batch: Batch) -> None:
+    def __init__(self, store: ResultStore, numbered: Sequence[tuple[int, BatchInput]], batch: Batch) -> None:
         self._store, self._numbered, self._batch = store, numbered, batch
         self._missing = {number: store.missing(number, source) for number, source in numbered}
         self._undone = {number: len(blocks) for number, blocks in self._missing.items()}
@@ -226,7 +228,7 @@ def reconstruct_block(store: Path, job: Job, block: _Block) -> _DoneBlock:
     return _DoneBlock(problem or "".join(reasons[:1]), reasons, {"bench": bench, **software_facts()})
 
 
-def first_result(job: Job, source: Source) -> xr.Dataset | None:
+def first_result(job: Job, source: BatchInput) -> xr.Dataset | None:
     """Return the first result of a recording as a piece of one frame; None if its first block has no wavefront."""
     _check_software(job)
     made = _prepared(source, job)(source.chosen[:BLOCK_FRAMES], lambda *_: None)
@@ -240,7 +242,7 @@ def _check_software(job: Job) -> None:
 
 
 @lru_cache(maxsize=1)  # blocks come in the order of the recordings; a reconstructor takes tens of megabytes
-def _prepared(source: Source, job: Job) -> Reprocessing:
+def _prepared(source: BatchInput, job: Job) -> Reprocessing:
     recording = Recording(source.folder)
     if len(recording) < source.chosen.stop:
         raise InputError(

@@ -195,7 +195,7 @@ def fault_path(error: InputError) -> str:
     return "" if not isinstance(error, BenchError) or error.fault is None else error.fault.path
 
 
-def in_words(error: InputError, fields: Mapping[str, FormField]) -> str:
+def fault_in_words(error: InputError, fields: Mapping[str, FormField]) -> str:
     """Return an error of a form's bench with labels and units in place of keys and SI units.
 
     `fields` are the fields by path, as they are shown.

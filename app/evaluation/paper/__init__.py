@@ -33,7 +33,7 @@ from reconstruction.wavefront import rms
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
 
-Mask = Literal["square", "stars"]
+TableMask = Literal["square", "stars"]
 
 _CROP, _RESIZED = 469, 465  # px; the paper's frames end with 31 pixels per lenslet
 _DARKS = 8
@@ -56,7 +56,7 @@ def noise_free_frames(bench: Bench, masks: tuple[str, ...]) -> tuple[dict[str, F
 
 
 def exposed_frames(
-    bench: Bench, exposures_s: Mapping[Mask, float], progress: Callable[[float], None]
+    bench: Bench, exposures_s: Mapping[TableMask, float], progress: Callable[[float], None]
 ) -> tuple[dict[str, FramePair], Floats]:
     """Return frames of the noisy camera above the dark for each mask and its exposure, and the true wavefronts."""
     frames: dict[str, FramePair] = {}
@@ -104,7 +104,7 @@ def _crop_and_resize(image: Image) -> Image:
 class Method:
     """One row of a table."""
 
-    mask: Mask = "square"
+    mask: TableMask = "square"
     registration: RegistrationSettings = RegistrationSettings()
     own: OwnRegistration | None = None  # in place of that of the settings
     reconstruction: ReconstructionSettings
@@ -196,7 +196,7 @@ def _source_code() -> bytes:
     return b"".join(path.read_bytes() for path in (*sorted(folder.rglob("*.py")), Path(nonrigid_methods.__file__)))
 
 
-EXPOSURES_S: dict[Mask, float] = {"stars": 3.8, "square": 0.15}  # the paper's
+EXPOSURES_S: dict[TableMask, float] = {"stars": 3.8, "square": 0.15}  # the paper's
 SOURCES = ("square", "circle", "ellipse", "octagon", "peaks")
 
 
