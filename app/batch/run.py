@@ -11,7 +11,7 @@ from typing import Any
 
 import xarray as xr
 
-from app.batch.store import Job, ResultStore, BatchInput, find_sources, is_store, store_attributes
+from app.batch.store import BatchInput, Job, ResultStore, find_sources, is_store, store_attributes
 from app.bench.config import write_bench
 from app.errors import InputError, Interrupted, RunError
 from app.files import check_writable, in_words, make_folder, remove_partial

@@ -20,7 +20,7 @@ from PyQt6.QtWidgets import (
 
 from app.bench.config import Bench, write_bench
 from app.bench.device_kinds import KINDS
-from app.bench.settings_form import FormField, SettingsForm, fault_path, fault_in_words
+from app.bench.settings_form import FormField, SettingsForm, fault_in_words, fault_path
 from app.errors import InputError, RunError
 from app.files import atomic_write
 from app.gui.widgets import theme
