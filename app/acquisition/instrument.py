@@ -113,8 +113,7 @@ class Instrument:
 
     def properties(self) -> dict[str, dict[str, Property]]:
         """All properties of the devices, for a recording."""
-        camera, light, stage = self.devices.camera, self.devices.light, self.devices.stage
-        return {"camera": camera.properties(), "light": light.properties(), "stage": stage.properties()}
+        return {name: getattr(self.devices, name).properties() for name in ("camera", "light", "stage")}
 
     def status(self) -> Status:
         """Query the devices."""

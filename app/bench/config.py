@@ -88,10 +88,8 @@ class Bench(Checked):
         shape = self.sensor.lenslet_rows, self.sensor.lenslet_columns
         for lenslet in self.registration.excluded:
             if not all(0 <= index < count for index, count in zip(lenslet, shape, strict=True)):
-                yield (
-                    "registration.excluded",
-                    f"is wrong: there is no lenslet {list(lenslet)} among {shape[0]} x {shape[1]}",
-                )
+                why = f"is wrong: there is no lenslet {list(lenslet)} among {shape[0]} x {shape[1]}"
+                yield "registration.excluded", why
         if self.lattice is not None and self.lattice.arrangement != self.sensor.arrangement:
             yield "lattice.arrangement", f'= "{self.sensor.arrangement}" is missing'
 

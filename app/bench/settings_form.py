@@ -276,11 +276,8 @@ def _text(kind: Kind, value: Any, factor: float) -> str:
     if kind == "toml":
         plain = dataclasses.asdict(value) if isinstance(value, Region) else value
         if isinstance(plain, Mapping):
-            return (
-                "{ "
-                + ", ".join(f"{key} = {tomli_w.dumps({'v': one})[4:].strip()}" for key, one in plain.items())
-                + " }"
-            )
+            parts = (f"{key} = {tomli_w.dumps({'v': one})[4:].strip()}" for key, one in plain.items())
+            return f"{{ {', '.join(parts)} }}"
         return str(list(plain)) if len(plain) else ""
     return str(value)
 

@@ -9,7 +9,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -209,9 +209,11 @@ def identifying_texts(name: str, settings: Mapping[str, object], properties: Map
     keys = ("serial_number",) if "adapter" in settings else ("device", "serial_number")  # an adapter's is a model
     found = {str(settings.get(key) or "") for key in keys}
     found |= {str(value) for key, value in properties.items() if any(own in key.lower() for own in _OWN_KEYS)}
-    for text in (name, *properties.values()):
-        if isinstance(text, str) and not _is_number(text):
-            found |= set(_SERIAL.findall(text))
+    for text in (each for each in (name, *properties.values()) if isinstance(each, str)):
+        with suppress(ValueError):
+            float(text)
+            continue  # it is a number
+        found |= set(_SERIAL.findall(text))
     return frozenset(text for text in found if len(text) > 3)  # a shorter one is an index
 
 
@@ -220,14 +222,6 @@ def hide(text: str, secrets: frozenset[str]) -> str:
     for secret in sorted(secrets, key=len, reverse=True):
         text = text.replace(secret, _HIDDEN)
     return text.replace(str(Path.home()), "~")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _short(answer: object) -> str:

@@ -77,9 +77,8 @@ class Calibration:
             return self.known.curve
         if dark is None or dark.mean.shape != reference.mean.shape:  # refused by `reconstructor`
             return None
-        return photon_transfer(
-            reference.mean - dark.mean, reference.variance, frames=reference.frames, dark_variance=dark.variance
-        )
+        light, frames = reference.mean - dark.mean, reference.frames
+        return photon_transfer(light, reference.variance, frames=frames, dark_variance=dark.variance)
 
     @property
     def noise(self) -> CameraNoise | None:

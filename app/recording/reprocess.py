@@ -131,10 +131,8 @@ class Reprocessing:
             sample = reconstructor.find_sample(registered)
         if self._rounds:
             if rounds := list(in_force.estimator.refinement.rounds(registered, self._rounds, sample)):
-                newest = rounds[-1]
-                return newest.wavefront, Assumptions(
-                    sample, RefinementState("applied", 0.0, bias=newest.bias.displacement)
-                )
+                refined = RefinementState("applied", 0.0, bias=rounds[-1].bias.displacement)
+                return rounds[-1].wavefront, Assumptions(sample, refined)
         elif line.bias is not None and in_force.registers_as_recorded:
             bias = recording.bias(line.bias)
             if bias.shape != registered.coefficients.shape:

@@ -72,9 +72,8 @@ def mode_coefficients(wavefront: Wavefront, choice: ModeChoice) -> ModeCoefficie
     names = BASES[choice.basis].names(len(fit))
     sigma_rad = np.full(len(fit), np.nan)
     if isinstance(solution, ModalSolution):
-        sigma_rad = np.linalg.norm(
-            _apply(fit, np.moveaxis(solution.deviations(weights).astype(np.float64), -1, 0)), axis=0
-        )
+        deviations = np.moveaxis(solution.deviations(weights).astype(np.float64), -1, 0)
+        sigma_rad = np.linalg.norm(_apply(fit, deviations), axis=0)
     field_map = None
     if choice.mapped is not None:
         by_mode = _apply(fit, solution.wavefront(np.eye(displacement.modes.count)))[:, choice.mapped]

@@ -210,9 +210,8 @@ def _write_results(
 def _write_zernike_table(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
     """Write one row of numbers for each frame with a wavefront, and view inside the field."""
     frames = _reconstructed(recording, chosen, progress)
-    tables = (
-        (frame.index, *table_of(zernikes_of_views(frame.wavefront))) for frame in frames if frame.wavefront is not None
-    )
+    known = ((frame.index, frame.wavefront) for frame in frames if frame.wavefront is not None)
+    tables = ((index, *table_of(zernikes_of_views(wavefront))) for index, wavefront in known)
     first = next(tables, None)
     if first is None:
         raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")

@@ -28,6 +28,7 @@ from scipy import fft
 
 from app.evaluation.benchmark.timed_frames import TimedFrames
 from reconstruction.arrays import Floats, Image
+from reconstruction.displacement import Displacement
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.wavefront import Wavefront
@@ -64,15 +65,9 @@ class _Windows:
 
 def simple_itk(frames: TimedFrames) -> Register:
     """Prepare SimpleITK's affine registration."""
-    reconstructor = frames.reconstructor(
-        RegistrationSettings(method="itk_affine"), ReconstructionSettings(method="zonal")
-    )
-
-    def register(frame: NDArray[Any]) -> Floats:
-        found = reconstructor.register(frame).coefficients
-        return np.swapaxes(found.reshape(-1, *found.shape[2:]), 1, 2)
-
-    return register
+    affine, zonal = RegistrationSettings(method="itk_affine"), ReconstructionSettings(method="zonal")
+    reconstructor = frames.reconstructor(affine, zonal)
+    return lambda frame: coefficients_of(reconstructor.register(frame))
 
 
 @contextmanager
@@ -160,9 +155,8 @@ def pyrtc(frames: TimedFrames, *, reach_px: int) -> Register:
 
 def reach_px(frames: TimedFrames) -> int:
     """Return the whole pixels by which a subimage may move before it leaves its cell."""
-    reference = ReferenceSubimages(
-        frames.reference - frames.dark, sensor=frames.sensor, lattice=frames.lattice, field=frames.field
-    )
+    light, sensor = frames.reference - frames.dark, frames.sensor
+    reference = ReferenceSubimages(light, sensor=sensor, lattice=frames.lattice, field=frames.field)
     return int(max(reference.reach_px - reference.half_width_px, _NO_SEARCH_PX))
 
 
@@ -194,9 +188,9 @@ def ours(frames: TimedFrames) -> Iterator[tuple[str, Callable[[], Wavefront]]]:
             )
 
 
-def coefficients_of(wavefront: Wavefront) -> Floats:
-    """Return the displacements of a wavefront, px, (lenslet, xy, field_mode)."""
-    found = wavefront.displacement.coefficients
+def coefficients_of(displacement: Displacement) -> Floats:
+    """Return the coefficients of displacements, px, (lenslet, xy, field_mode)."""
+    found = displacement.coefficients
     return np.swapaxes(found.reshape(-1, *found.shape[2:]), 1, 2)
 
 
