@@ -211,7 +211,7 @@ def _check_free(folder: Path) -> None:
 
 def reconstruct_block(store: Path, job: Job, block: _Block) -> _DoneBlock:
     """Reconstruct a block and write its results into the store."""
-    _check_software(job)
+    job.check_software()
     problem, bench = "", ""
     damaged: dict[int, str] = {}
 
@@ -230,15 +230,10 @@ def reconstruct_block(store: Path, job: Job, block: _Block) -> _DoneBlock:
 
 def first_result(job: Job, source: BatchInput) -> xr.Dataset | None:
     """Return the first result of a recording as a piece of one frame; None if its first block has no wavefront."""
-    _check_software(job)
+    job.check_software()
     made = _prepared(source, job)(source.chosen[:BLOCK_FRAMES], lambda *_: None)
     first = next((each for each in made if each.wavefront is not None), None)
     return None if first is None else next(results_in_pieces([(first, {})]))
-
-
-def _check_software(job: Job) -> None:
-    if not job.is_of_this_software:
-        raise RunError(f"a worker runs another version than {job.software}: install the same everywhere")
 
 
 @lru_cache(maxsize=1)  # blocks come in the order of the recordings; a reconstructor takes tens of megabytes

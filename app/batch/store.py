@@ -25,7 +25,7 @@ from zarr.errors import ZarrUserWarning
 from zarr.storage import LocalStore
 
 from app.bench.config import parse_bench
-from app.errors import InputError
+from app.errors import InputError, RunError
 from app.files import atomic_write, in_words
 from app.measurement.calibration import Calibration
 from app.recording.folder import RUN, read_run, recorded_frames
@@ -291,10 +291,10 @@ class Job:
     def __post_init__(self) -> None:
         object.__setattr__(self, "software", self.software or _software())
 
-    @property
-    def is_of_this_software(self) -> bool:
-        """True if this process runs the same version of svwfs."""
-        return self.software == _software()
+    def check_software(self) -> None:
+        """Raise `RunError` unless this process runs the same version of svwfs."""
+        if self.software != _software():
+            raise RunError(f"a worker runs another version than {self.software}: install the same everywhere")
 
     @property
     def change(self) -> Change:

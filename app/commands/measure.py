@@ -140,7 +140,7 @@ def print_measurement(measured: Measured, out: Path) -> None:
     has_scatter = measured.reconstructed > 1
     of = f", mean +- scatter of {measured.reconstructed} frames" if has_scatter else " +- error bar"
     errors_rad = measured.scatter_rms_rad if has_scatter else measured.noise_rad
-    rows = zip(measured.mean_rms_rad, errors_rad, measured.noise_rad, strict=True)
+    rows = zip(measured.means[0], errors_rad, measured.noise_rad, strict=True)
     cells = (
         (
             rms_text(mean, noise) if mean < noise else f"{mean:.3f} +- {error:.3f}"
@@ -156,10 +156,10 @@ def print_measurement(measured: Measured, out: Path) -> None:
     terminal.print_sentence(f"exposure {measured.exposure_s * 1e3:.4g} ms{light}")
     if measured.mask_note:
         terminal.print_sentence(measured.mask_note)
-    failed = measured.recorded - measured.reconstructed
+    failed = measured.frames - measured.reconstructed
     why = f", {failed} not reconstructed ({measured.problem})" if failed else ""
     if measured.rotation is not None:
         terminal.print_rotation(measured.rotation, rotates=2 * measured.rotating > measured.reconstructed)
     terminal.print_quality(measured.quality)
-    counts = f"{counted(measured.recorded)}{why}, {measured.lost} lost by the camera; all is in {out}"
+    counts = f"{counted(measured.frames)}{why}, {measured.lost} lost by the camera; all is in {out}"
     terminal.print_sentence(counts)

@@ -1,7 +1,7 @@
 """Recordings reconstructed again: verified bit by bit, or compared with another bench."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, get_args
@@ -21,7 +21,7 @@ from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, reprocess
 from app.results.dataset import results_in_pieces
-from app.results.frame_tallies import QualityTally, SampleTally
+from app.results.frame_tallies import FrameTally
 from app.results.result_file import Variable, about, write_pieces
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
@@ -137,30 +137,13 @@ def are_alike(one: Wavefront, other: Wavefront) -> bool:
     )
 
 
-@dataclass(slots=True)
-class Replay:
+@dataclass(slots=True, kw_only=True)
+class Replay(FrameTally):
     """Outcome of a replay: a verification with the recorded bench, a comparison with another."""
 
     verification: Verification | None
     comparison: Comparison | None
-    frames: int = 0
-    reconstructed: int = 0
     unrefined: int = 0  # frames refined live but not in this replay
-    problem: str = ""  # of the first frame that could not be reconstructed
-    assumed: str = ""  # samples, in words
-    samples: SampleTally = field(default_factory=SampleTally)
-    quality: QualityTally = field(default_factory=QualityTally)
-
-    def take(self, frame: Measurement, *, was_refined: bool) -> None:
-        """Count one frame, which `was_refined` live or not."""
-        self.frames += 1
-        self.reconstructed += frame.wavefront is not None
-        self.unrefined += frame.wavefront is not None and was_refined and frame.assumed.refinement.bias is None
-        self.problem = self.problem or frame.problem
-        if frame.wavefront is not None:
-            self.quality.take(frame.quality)
-            self.samples.take(frame.wavefront.sample)
-            self.assumed = self.samples.sentence(frame.wavefront.field)
 
 
 def replay(
@@ -193,7 +176,7 @@ def replay(
         raise InputError("--verify compares with the recorded bench: leave --bench and --set out")
     is_known = recording.bench.registration.method in get_args(Method)  # earlier versions had others
     comparison = Comparison() if change is not None and is_known else None
-    made = Replay(Verification(recording) if change is None else None, comparison)
+    made = Replay(verification=Verification(recording) if change is None else None, comparison=comparison)
     with one_blas_thread():
         stream = _frames(recording, chosen, change, made, progress)
         if out is not None:
@@ -218,7 +201,9 @@ def _frames(
             made.verification.take(frame)
         if made.comparison is not None:
             more = made.comparison.take(next(originals), frame)
-        made.take(frame, was_refined=recording.line(frame.index).bias is not None)
+        made.count(frame)
+        was_refined = recording.line(frame.index).bias is not None
+        made.unrefined += frame.wavefront is not None and was_refined and frame.assumed.refinement.bias is None
         progress(f"replaying {counted(len(chosen))}", done / len(chosen))
         yield frame, more
 

@@ -48,7 +48,7 @@ class _Windows:
     def __init__(self, frames: TimedFrames) -> None:
         self._dark = frames.dark
         self.pitch_px = round(frames.lattice.pitch_px)
-        self.rows, self.columns = frames.sensor.lenslet_rows, frames.sensor.lenslet_columns
+        self.rows, self.columns = frames.bench.sensor.lenslet_rows, frames.bench.sensor.lenslet_columns
         first = np.array([frames.lattice.center_y_px, frames.lattice.center_x_px])
         first -= (np.array([self.rows, self.columns]) * self.pitch_px - 1) / 2
         self.top, self.left = (round(float(value)) for value in first)
@@ -78,7 +78,7 @@ def opencv_ecc(frames: TimedFrames, *, is_warm: bool = True, threads: int = _THR
     brightest = references.max()
     references /= brightest
     middle = np.full(2, (windows.pitch_px - 1) / 2)
-    half_width_px = frames.field.half_width_px(frames.sensor)
+    half_width_px = frames.bench.field.half_width_px(frames.bench.sensor)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, _ECC_STEPS, _ECC_TOLERANCE)
     starts = np.tile(np.eye(2, 3, dtype=np.float32), (len(references), 1, 1))
 
@@ -155,8 +155,8 @@ def pyrtc(frames: TimedFrames, *, reach_px: int) -> Register:
 
 def reach_px(frames: TimedFrames) -> int:
     """Return the whole pixels by which a subimage may move before it leaves its cell."""
-    light, sensor = frames.reference - frames.dark, frames.sensor
-    reference = ReferenceSubimages(light, sensor=sensor, lattice=frames.lattice, field=frames.field)
+    light, sensor = frames.reference - frames.dark, frames.bench.sensor
+    reference = ReferenceSubimages(light, sensor=sensor, lattice=frames.lattice, field=frames.bench.field)
     return int(max(reference.reach_px - reference.half_width_px, _NO_SEARCH_PX))
 
 
