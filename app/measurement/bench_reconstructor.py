@@ -24,7 +24,7 @@ from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import survey
 from reconstruction.layers.layer_solver import FrameEquations
 from reconstruction.pipeline import NO_OWN, OwnBasis, OwnMethods, OwnRegistration
-from reconstruction.quality.reference_quality import linearity_quality
+from reconstruction.quality.reference_quality import likeness_quality, linearity_quality
 from reconstruction.quality.verdict import Quality, repeated_reference
 from reconstruction.refinement import Round
 from reconstruction.wavefront import Wavefront
@@ -191,9 +191,14 @@ class BenchReconstructor:
     def quality(self, frame: Counts, wavefront: Wavefront) -> Quality:
         """Judge a frame (row, column), counts, by its wavefront."""
         counts = as_image(frame, "frame")
-        of_frame = linearity_quality(self._curve(counts), "frame")
-        judged = self._prepared().judge(counts, wavefront.displacement)
-        return repeated_reference(counts, self._calibration.reference.mean) | of_frame | judged
+        estimator, curve = self._prepared(), self._curve(counts)
+        given = estimator.calibration
+        return (
+            repeated_reference(counts, given.reference.mean)
+            | linearity_quality(curve, "frame")
+            | estimator.judge(counts, wavefront.displacement)
+            | likeness_quality(curve, given.curve, given.reference_frames)
+        )
 
     def mask_sentence(self, wavefront: Wavefront) -> str:
         """Say which displacements the mask hides, and what they follow from; empty if it shows all."""

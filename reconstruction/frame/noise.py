@@ -17,10 +17,12 @@ _BINS = 40  # of light, with equally many pixels
 _BEYOND = 1.05  # times the highest spatial frequency of the light
 _FEWEST_FREQUENCIES = 0.1  # share of those beyond it
 _MEDIAN_SQUARE = 0.4549  # of a normal deviate; hot pixels do not move it
+_OUTLYING, _INNER_SQUARE = 9.0, 0.9733  # square that only hot pixels exceed, and the mean of normal deviates below it
 _LEAST_NOISE = 2e-3  # of the light; noise-free images of lenslets seem to have 4e-4, from the borders of cells
 _BRIGHT = 0.1  # of the brightest bin; dimmer ones tell little about shot noise
 _TERMS = 2  # of a bent curve: proportional to light, and to its square
 _CHANCE = 4.0  # standard errors of a bend that are not counted
+_CHANCE_OF_TWO = 3.3  # the same of the difference of two bends, whose standard error is rather too large
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,17 +67,36 @@ class TransferCurve:
 
         Saturation or a gamma below 1 compress bright counts, and their noise more.
         """
+        bend, error = self._bend
+        return float(np.clip(-(bend + _CHANCE * error) * np.max(self.light), 0, 1))
+
+    def difference(self, other: "TransferCurve", averaged: float) -> float:
+        """Share of the variance per count by which two images of one camera differ, beyond chance.
+
+        The other one is the mean of `averaged` frames. Uneven pixels bend both curves alike, the other one's up to
+        `averaged` times as much, since their scatter stays.
+        """
+        (here, error), (there, other_error) = self._bend, other._bend  # noqa: SLF001 - of the same class
+        beyond = here - np.clip(here, *sorted((there, there / averaged)))
+        brightest = min(np.max(self.light), np.max(other.light))
+        return float(max(abs(beyond) - _CHANCE_OF_TWO * math.hypot(error, other_error), 0.0) * brightest)
+
+    @property
+    def _bend(self) -> tuple[float, float]:
+        """Relative change of the variance per count of light with light, and its standard error, 1/count."""
         light, variance = self._bright
         if len(light) <= _TERMS or np.min(variance) <= self.read_variance:
-            return 0.0
+            return 0.0, 0.0
         share = light / np.max(light)
         terms = np.stack([share, share**2], axis=-1) / variance[:, None]
         shot = 1 - self.read_variance / variance
         inverse = np.linalg.pinv(terms)
         slope, bend = inverse @ shot
+        if slope <= 0:
+            return 0.0, 0.0
         scatter = np.sum((shot - terms @ (slope, bend)) ** 2) / (len(terms) - _TERMS)
-        error = math.sqrt(scatter * np.sum(inverse[1] ** 2))
-        return float(np.clip(-(bend + _CHANCE * error) / slope, 0, 1)) if slope > 0 else 0.0
+        whole = slope * np.max(light)
+        return float(bend / whole), float(math.sqrt(scatter * np.sum(inverse[1] ** 2)) / whole)
 
     @property
     def _bright(self) -> tuple[Floats, Floats]:
@@ -141,10 +162,18 @@ def image_transfer(light: Image, blur_px: float) -> TransferCurve | None:
     order = np.argsort(smooth, axis=None)
     parts = np.array_split(order, _BINS)
     levels = np.array([np.mean(smooth.ravel()[part]) for part in parts])
-    variance = np.array([np.median(noise.ravel()[part] ** 2) for part in parts]) / (_MEDIAN_SQUARE * np.mean(is_noise))
+    variance = np.array([_typical_square(noise.ravel()[part]) for part in parts]) / np.mean(is_noise)
     if variance[-1] < (_LEAST_NOISE * levels[-1]) ** 2:
         return None
-    return TransferCurve(levels, variance, float(np.min(variance)))
+    darkest = int(np.argmin(variance))
+    return TransferCurve(levels - levels[darkest], variance, float(variance[darkest]))  # stray light is not read noise
+
+
+def _typical_square(deviations: Floats) -> float:
+    """Mean square of normal deviates (pixel,) without hot pixels; it scatters less than their median square."""
+    squares = deviations**2
+    median = np.median(squares) / _MEDIAN_SQUARE
+    return float(np.mean(squares, where=squares <= _OUTLYING * median) / _INNER_SQUARE)
 
 
 def _median_of_chi_square(degrees: int) -> float:

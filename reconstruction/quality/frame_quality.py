@@ -23,6 +23,7 @@ from reconstruction.frame.pixels import clipped_fraction
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.quality.stray_light import StrayLight
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
@@ -56,6 +57,13 @@ _SATURATED = 0.1  # share of lenslets with pixels at full scale
 _BLOCKED = 0.1  # share of the reference's lit lenslets that are dark
 _UNEVEN = 2.0  # factor by which the light of a lenslet, over that of most, may differ from the reference's
 _DIM = 0.01  # of the reference's light; below, what remains may be stray light
+_GAP = 0.1  # of the brightest; darker samples are between the openings
+_FEWEST_GAPS = 9  # lenslets with such samples
+_STRAY = (
+    0.006  # rise of stray light from lenslet to lenslet, over the brightest; it looks like a sample of twice that, rad
+)
+_STRAY_CERTAIN = 5.0  # standard errors of the rise
+_STRAY = 0.006  # rise of stray light from lenslet to lenslet, over the brightest; it adds 0.03 rad
 _CLIPPED = 0.01  # of the pixels
 _BACKGROUND_PERCENT = 1.0  # of the pixels, without a dark
 _STEP_PX = 2  # between the pixels that are looked at, along each axis; 1 where a point's image is narrower
@@ -113,6 +121,8 @@ class FrameJudge:
         self._values: Floats | None = None  # of the field modes there, (field_mode, position), at the first frame
         self._noise_slopes = _NOISE_SLOPES * (1 + 1 / reference.reference_frames)  # its noise is not in the variance
         self._dark = None if dark is None else np.asarray(dark, np.float64).ravel()[self._sampled]
+        level = 0.0 if self._dark is None else self._dark
+        self._stray = StrayLight(sensor, self._lit, light, self._sampled, self._is_good, level)
         # Compile now instead of at the first frame.
         camera_frame = np.zeros(1, np.uint16)
         camera_frame.setflags(write=False)
@@ -183,6 +193,9 @@ class FrameJudge:
         elif uneven > _BLOCKED * ratio.size:
             change = f"relative to the others, by more than a factor of {_UNEVEN:g} since the reference"
             yield Fault.ILLUMINATION, f"the light of {uneven} lenslets has changed, {change}"
+        elif (rise := self._stray.rise(frame)) > _STRAY:
+            change = f"by {100 * rise:.1f} % of the brightest pixels from lenslet to lenslet"
+            yield Fault.ILLUMINATION, f"stray light rises across the frame, {change}: keep it off the camera"
         else:
             yield from propagation_faults(
                 displacement, self._lit, ratio, self._half_width_px, neglect_propagation=self._neglects

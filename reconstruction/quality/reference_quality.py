@@ -25,6 +25,7 @@ _SAMPLES = 16  # across a cell
 _LEAK = 0.01  # of the light in the dark; 0.2 changes a wavefront of 4 rad RMS by 0.9 rad
 _CLIPPED = 0.01  # of the pixels
 _LOST = 0.25  # of the variance per count; good sensors lose 0.1 near their full well
+_DIFFERENT = 0.03  # of the variance per count, between images of one camera
 
 
 def reference_quality(
@@ -110,6 +111,19 @@ def linearity_quality(curve: TransferCurve | None, image: str) -> Quality:
         {
             Fault.LINEARITY: f"bright counts of the {image} are compressed, by their noise, which is {100 * loss:.0f} %"
             " too small: lower the EM gain or the light, and switch gamma off"
+        }
+    )
+
+
+def likeness_quality(frame: TransferCurve | None, reference: TransferCurve | None, averaged: float) -> Quality:
+    """Judge by their noise whether grey values of a frame and of a reference, of so many frames, mean the same."""
+    differ = 0.0 if frame is None or reference is None else frame.difference(reference, averaged)
+    if differ <= _DIFFERENT:
+        return Quality()
+    return Quality(
+        {
+            Fault.LINEARITY: "grey values of the frame and of the reference are not alike, by their noise, which"
+            f" differs by {100 * differ:.0f} % in bright pixels: was gamma or the EM gain changed between them?"
         }
     )
 
