@@ -51,8 +51,8 @@ class Estimator:
     @cached_property
     def judge(self) -> FrameJudge:
         """Judges frames by their displacements; the calibration itself is judged already."""
-        made, given = self.reconstructor, self.calibration
-        shown = None
+        made, given, shown = self.reconstructor, self.calibration, None
+        noise = given.noise
         if given.bench.lattice is not None:
             shown = _shown_lattice(given.dark, given.reference, given.bench.sensor, given.full_scale)
         of_reference = reference_quality(
@@ -63,7 +63,7 @@ class Estimator:
             dark=given.dark_image,
             variance=given.reference.variance,
             noise=made.noise,
-            frames=given.reference_frames,
+            frames=noise.reference_frames,
         )
         return FrameJudge(
             made.subimages,
@@ -72,7 +72,7 @@ class Estimator:
             field=made.field,
             dark=given.dark_image,
             of_reference=sample_quality(made.subimages)
-            | linearity_quality(given.curve, "reference")
+            | linearity_quality(noise.curve, "reference")
             | of_reference
             | response_quality(made.response_problem),  # named first
         )

@@ -102,15 +102,15 @@ def _difference(then: NDArray[Any] | None, now: NDArray[Any], what: str, unit: s
 
 
 class Comparison:
-    """RMS of the wavefronts with both benches, and of their difference without piston, (view_row, view_column).
+    """RMS of the wavefronts with the recorded bench, with another, and of their difference without piston.
 
-    They are means over the frames that have a wavefront with both.
+    `means_rad` (3, view_row, view_column) are means over the frames that have a wavefront with both.
     """
 
     def __init__(self) -> None:
         self.frames = 0
         self.field: Field | None = None
-        self.recorded_rms_rad = self.rms_rad = self.difference_rms_rad = np.zeros(())
+        self.means_rad = np.zeros((3, 1, 1))
 
     def take(self, then: Measurement, now: Measurement) -> dict[str, Variable]:
         """Add a frame; return additional variables for its results."""
@@ -119,9 +119,7 @@ class Comparison:
         self.frames, self.field = self.frames + 1, now.wavefront.field
         recorded, again = rms(then.wavefront.views), rms(now.wavefront.views)
         difference = rms(now.wavefront.views - then.wavefront.views)
-        self.recorded_rms_rad = self.recorded_rms_rad + (recorded - self.recorded_rms_rad) / self.frames
-        self.rms_rad = self.rms_rad + (again - self.rms_rad) / self.frames
-        self.difference_rms_rad = self.difference_rms_rad + (difference - self.difference_rms_rad) / self.frames
+        self.means_rad = self.means_rad + (np.stack([recorded, again, difference]) - self.means_rad) / self.frames
         return {
             "recorded_rms": (_VIEW, recorded, about("rad", "RMS of each view's wavefront with the recorded bench")),
             "difference_rms": (_VIEW, difference, about("rad", "RMS difference of each view's wavefront from it")),
