@@ -98,8 +98,7 @@ class OpenedRecording:
 
     @cached_property
     def _calibration(self) -> Calibration | None:
-        numbers = (self._recording.line(index).calibration for index in range(len(self)))
-        first = next((number for number in numbers if number is not None), None)
+        first = self._recording.first_calibration(range(len(self)))
         return None if first is None else self._recording.calibration(first)
 
     @cached_property

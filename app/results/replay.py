@@ -228,9 +228,8 @@ def changed_bench(recorded: Bench, settings: tuple[str, ...]) -> Bench:
 
 def first_bench(recording: Recording, chosen: range, change: Change | None = None) -> Bench:
     """Return the bench of the first chosen frame that has one, after the change."""
-    for index in chosen:
-        number = recording.line(index).calibration
-        if number is not None:
-            calibration = recording.calibration(number)
-            return (calibration if change is None else change(calibration)).bench
-    return recording.bench
+    number = recording.first_calibration(chosen)
+    if number is None:
+        return recording.bench
+    calibration = recording.calibration(number)
+    return (calibration if change is None else change(calibration)).bench
