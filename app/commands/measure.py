@@ -9,7 +9,7 @@ import typer
 
 from app.commands import options, terminal
 from app.errors import InputError, Interrupted, RunError
-from app.files import check_outputs
+from app.files import MEASURED, check_outputs
 from app.progress import Progress, counted
 
 if TYPE_CHECKING:
@@ -77,10 +77,10 @@ def measure_bench(
     """
     from app.recording.folder import RUN, check_free, remove_empty
     from app.recording.reader import Recording
-    from app.results.frame_tallies import files_of, write_measured
+    from app.results.frame_tallies import write_measured
 
     check_free(out)
-    check_outputs(files_of(out), inputs=bench.files, overwrite=overwrite)
+    check_outputs([out / name for name in MEASURED], inputs=bench.files, overwrite=overwrite)
     is_stopped, fault = _record(bench, frames, out, progress, average, auto_expose=auto_expose)
     recording = Recording(out) if (out / RUN).exists() else None
     if not recording:

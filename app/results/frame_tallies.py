@@ -3,11 +3,11 @@
 from collections import Counter
 from dataclasses import dataclass, field
 from itertools import chain
-from pathlib import Path
 
 import numpy as np
 
 from app.bench.config import Bench
+from app.files import MEASURED
 from app.images import write_image
 from app.measurement.measurement import Measurement, sample_sentence
 from app.progress import Progress, counted, counting
@@ -22,7 +22,7 @@ from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.circulation import Circulation
 from reconstruction.wavefront import Wavefront, rms
 
-_RESULTS = "results.nc"
+_RESULTS, _DARK, _REFERENCE = MEASURED
 ROTATES = (
     "the subimages rotate, which thin layers cannot cause: look for a cylinder lens, different magnifications"
     " along x and y, or a camera turned since the reference; keep registration.rotation = true"
@@ -105,11 +105,6 @@ def rms_text(rms_rad: float, noise_rad: float) -> str:
     return f"{rms_rad:.3f} +- {noise_rad:.3f}" if np.isfinite(noise_rad) else f"{rms_rad:.3f}"
 
 
-def files_of(folder: Path) -> list[Path]:
-    """Return the files that `write_measured` writes."""
-    return [folder / name for name in (_RESULTS, "dark.tif", "reference.tif")]
-
-
 @dataclass(slots=True)
 class FrameTally:
     """Counts of frames with their faults and samples."""
@@ -178,13 +173,13 @@ def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Me
     measured = Measured(bench=bench, means=np.zeros((3, *shape)))
     if len(recording) and (number := recording.line(0).calibration) is not None:
         calibration = recording.calibration(number)
-        for name, average in (("dark", calibration.dark), ("reference", calibration.reference)):
+        for name, average in ((_DARK, calibration.dark), (_REFERENCE, calibration.reference)):
             if average is not None:
-                write_image(recording.folder / f"{name}.tif", average.mean)
+                write_image(recording.folder / name, average.mean)
     reprocessing = Reprocessing(recording)
     frames = counting(reprocessing(), len(recording), progress, "writing the results")
     pieces = results_in_pieces((measured.take(made, reprocessing.mask_sentence(made)), {}) for made in frames)
     if (first := next(pieces, None)) is not None:
-        names = {"dark": "dark.tif", "reference": "reference.tif"}
+        names = {"dark": _DARK, "reference": _REFERENCE}
         write_pieces(recording.folder / _RESULTS, chain([first], pieces), bench=bench, inputs=names)
     return measured
