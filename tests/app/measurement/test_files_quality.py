@@ -143,6 +143,56 @@ def test_compressed_counts_are_flagged(images: str) -> None:
     assert "too small" in quality.reasons[Fault.LINEARITY]
 
 
+def gamma(counts: NDArray[np.uint16], power: float) -> NDArray[np.uint16]:
+    above, full = np.maximum(counts - OFFSET, 0), float(light()[0].max())
+    return np.asarray(np.rint(OFFSET + full * (above / full) ** power), np.uint16)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("power", [0.7, 1.4, 1.8])
+@pytest.mark.parametrize("image", ["frame", "reference"])
+def test_gamma_in_one_image_is_flagged(image: str, power: float) -> None:
+    reference, frame = exposed(light()[0], 1), exposed(light()[1], 2)
+    if image == "frame":
+        frame = gamma(frame, power)
+    else:
+        reference = gamma(reference, power)
+    reconstructor = BenchReconstructor(load_bench("small_demo"), reference, dark=dark(), frame=frame)
+    quality = reconstructor.quality(frame, reconstructor(frame))
+    assert Fault.LINEARITY in quality.faults
+    if power > 1:
+        assert "not alike" in quality.reasons[Fault.LINEARITY]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("averaged", [1, 16])
+def test_uneven_pixels_and_a_dimmer_frame_are_no_gamma(averaged: int) -> None:
+    uneven = 1 + 0.01 * np.random.default_rng(7).normal(size=light()[0].shape)
+    images = [exposed(light()[0] * uneven, seed) for seed in range(10, 10 + averaged)]
+    reference, frame = np.asarray(np.mean(images, axis=0), np.float32), exposed(0.5 * light()[1] * uneven, 2)
+    reconstructor = BenchReconstructor(load_bench("small_demo"), reference, dark=dark(), frame=frame)
+    quality = reconstructor.quality(frame, reconstructor(frame))
+    assert quality.faults == Fault(0), quality.sentence
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_stray_light_that_rises_across_the_frame_is_flagged(axis: int) -> None:
+    """By 1.5 % of the brightest from lenslet to lenslet."""
+    lenslets = np.indices(light()[0].shape)[axis] / 31.25
+    quality, _ = measured(exposed(light()[1] + np.float32(0.015 * ELECTRONS) * lenslets, 2))
+    assert Fault.ILLUMINATION in quality.faults
+    assert "stray light rises across the frame, by 1." in quality.sentence
+
+
+@pytest.mark.parametrize("change", ["the same everywhere", "half the light on one side"])
+def test_even_stray_light_and_uneven_light_do_not_rise(change: str) -> None:
+    frame = light()[1]
+    frame = frame + 0.15 * ELECTRONS if change == "the same everywhere" else frame * np.linspace(1, 0.5, frame.shape[1])
+    quality, _ = measured(exposed(frame, 2))
+    assert "stray light" not in quality.sentence
+    assert "not alike" not in quality.sentence
+
+
 @pytest.mark.parametrize(("seed", "rms_rad"), [(1, 0.5), (4, 4.0)])
 def test_moved_images_of_pinholes_are_no_change_of_light(seed: int, rms_rad: float) -> None:
     """A pinhole's image is a few pixels wide and moves by several."""

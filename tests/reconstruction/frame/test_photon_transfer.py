@@ -112,6 +112,50 @@ def test_loss_is_the_bend_beyond_four_standard_errors() -> None:
     assert TransferCurve(light, variance, 9.0).loss == pytest.approx(expected, rel=1e-4)
 
 
+def bent(bend: float, brightest: float = 1000.0, *, scatter: float = 0.0) -> TransferCurve:
+    """Curve of 9 + 2 light (1 + bend light / brightest), counts^2."""
+    light = np.linspace(0.15, 1, 20) * brightest
+    noise = 1 + scatter * np.random.default_rng(3).normal(size=light.size)
+    return TransferCurve(light, (9 + 2 * light * (1 + bend * light / brightest)) * noise, 9.0)
+
+
+def test_difference_of_curves_is_taken_where_both_are_bright() -> None:
+    """Bends of 0.4 and -0.2 at 1000 counts; at 500 counts half as much."""
+    assert bent(0.4).difference(bent(-0.2), 1) == pytest.approx(0.6)
+    assert bent(-0.2).difference(bent(0.4), 1) == pytest.approx(0.6)
+    dimmer = bent(-0.1, 500)  # the same curve
+    assert dimmer.difference(bent(-0.2), 1) == pytest.approx(0, abs=1e-9)
+    assert dimmer.difference(bent(0.4), 1) == pytest.approx(0.3)
+
+
+def test_uneven_pixels_bend_the_curve_of_an_average_more() -> None:
+    """Of 8 frames up to 8 times as much as that of one; a bend beyond is another response."""
+    average = bent(0.8)
+    for bend in (0.1, 0.3, 0.8):
+        assert bent(bend).difference(average, 8) == pytest.approx(0, abs=1e-9)
+    assert bent(-0.2).difference(average, 8) == pytest.approx(0.3)
+    assert bent(1.0).difference(average, 8) == pytest.approx(0.2)
+    assert bent(0.1).difference(average, 1) == pytest.approx(0.7)
+
+
+def test_difference_of_scattered_curves_is_no_difference() -> None:
+    assert bent(0.1, scatter=0.05).difference(bent(0.1), 1) == 0
+    assert bent(0.1, scatter=0.005).difference(bent(-0.5), 1) == pytest.approx(0.6, abs=0.1)
+
+
+def test_noise_of_a_single_image_is_that_of_the_camera_despite_stray_light_and_hot_pixels() -> None:
+    generator = np.random.default_rng(4)
+    light = LIGHT * 2000 + 500.0
+    image = (generator.poisson(light) + generator.normal(0, 3, light.shape)).astype(np.float32)
+    image.ravel()[generator.choice(image.size, image.size // 500, replace=False)] += 300
+    curve = image_transfer(image, BENCH.sensor.blur_px)
+    assert curve is not None
+    assert curve.noise is not None
+    assert curve.loss == 0
+    assert curve.noise.counts_per_light == pytest.approx(1, rel=0.1)
+    assert curve.read_variance == pytest.approx(500 + 9, rel=0.1)  # where the light is least
+
+
 @pytest.mark.parametrize(
     ("name", "peak_e", "sample", "warp"),
     [
