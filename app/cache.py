@@ -55,7 +55,9 @@ def cached(kind: str, fingerprint: str, compute: Callable[[], Arrays]) -> Arrays
     with suppress(RunError):  # a full disk only means that nothing is cached
         with atomic_write(path) as temporary:
             np.savez(temporary, allow_pickle=False, **computed)
-        _keep_newest(path.parent)
+        with suppress(OSError):  # one was removed by another process
+            for old in sorted(path.parent.glob("*.npz"), key=lambda each: -each.stat().st_mtime)[_KEPT:]:
+                old.unlink(missing_ok=True)
     return computed
 
 
@@ -67,12 +69,6 @@ def _load(path: Path) -> Arrays | None:
     except (OSError, ValueError, EOFError, BadZipFile):  # missing or damaged
         return None
     return result
-
-
-def _keep_newest(folder: Path) -> None:
-    with suppress(OSError):  # one was removed by another process
-        for path in sorted(folder.glob("*.npz"), key=lambda path: -path.stat().st_mtime)[_KEPT:]:
-            path.unlink(missing_ok=True)
 
 
 _caches: list[Any] = []

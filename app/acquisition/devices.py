@@ -26,8 +26,13 @@ _PITCH_TOLERANCE = 0.01
 def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
     """Open the devices of a bench; `progress` goes from 0 to 1 while a simulated one is prepared."""
     with ExitStack() as stack:
-        if isinstance(bench.camera, RecordingSettings):
-            return _open_recording(bench, bench.camera, stack)
+        if isinstance(settings := bench.camera, RecordingSettings):
+            recording = Recording(settings.folder)
+            frames = recording.select(None)
+            devices = recorded_devices(recording, frames, pace=settings.pace, repeat=settings.repeat)
+            _check_pitch(bench, stack.enter_context(devices).camera)
+            stack.pop_all()
+            return devices
         if not bench.is_simulated:
             return _open_real(bench, progress, stack)
         simulated = simulated_bench(bench, progress)
@@ -56,17 +61,7 @@ def _open_real(bench: Bench, progress: Callable[[float], None], stack: ExitStack
     return Devices(camera, light, stage, stack.pop_all())
 
 
-def _open_recording(bench: Bench, settings: RecordingSettings, stack: ExitStack) -> Devices:
-    recording = Recording(settings.folder)
-    frames = recording.select(None)
-    devices = stack.enter_context(recorded_devices(recording, frames, pace=settings.pace, repeat=settings.repeat))
-    _check_pitch(bench, devices.camera)
-    stack.pop_all()
-    return devices
-
-
 def _check_pitch(bench: Bench, camera: Camera) -> None:
-    """Raise `InputError` if the camera's pixel pitch is not the bench's."""
     pitch_m = camera.capabilities.pixel_pitch_m
     if pitch_m is not None and not math.isclose(pitch_m, bench.sensor.pixel_pitch_m, rel_tol=_PITCH_TOLERANCE):
         raise InputError(

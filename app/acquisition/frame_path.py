@@ -93,7 +93,6 @@ class FramePath:
             sink(measurement)
 
     def _completed(self, made: Measurement, light: LightState | None, file: str = "") -> Measurement:
-        """Add counts and times."""
         exposure_end_s = self._exposure_end_s(made.frame)
         return replace(
             made,
@@ -128,7 +127,6 @@ class FramePath:
         self._clock_lag_s = min(allowed_s, frame.host_time_s - frame.camera_time_s)
 
     def _exposure_end_s(self, frame: Frame) -> float:
-        """End of the exposure on this computer's clock, `time.perf_counter()`."""
         return frame.camera_time_s + self._clock_lag_s
 
 

@@ -113,8 +113,7 @@ class Instrument:
 
     def properties(self) -> dict[str, dict[str, Property]]:
         """All properties of the devices, for a recording."""
-        camera, light, stage = self.devices.camera, self.devices.light, self.devices.stage
-        return {"camera": camera.properties(), "light": light.properties(), "stage": stage.properties()}
+        return {name: getattr(self.devices, name).properties() for name in ("camera", "light", "stage")}
 
     def status(self) -> Status:
         """Query the devices."""
@@ -296,7 +295,6 @@ class Instrument:
         return Circumstances.of(self.devices)
 
     def _set_running(self, on: bool) -> None:
-        """Start or stop the camera."""
         if not on:
             self.devices.camera.stop()
         elif not self.devices.camera.is_running:
@@ -361,7 +359,6 @@ class Instrument:
 
 
 def _changed(bench: Bench, changes: Iterable[tuple[str, Any]]) -> Bench:
-    """Change settings of a bench; see `Instrument.change_settings`."""
     for name, value in changes:
         section, _, key = name.partition(".")
         if name == "lenslets":

@@ -70,9 +70,7 @@ class KeptAverages:
     def doubt(self, now: Circumstances) -> str:
         """Return why the average does not fit the current frames; empty if it does."""
         if self._used is None:
-            return (
-                "no dark yet: the background is a guess" if self._what == "dark" else f"no {self._what} yet: take one"
-            )
+            return f"no {self._what} yet: {'take one' if self._is_lit else 'the background is a guess'}"
         changed = self._used.circumstances.differs(now, is_lit=self._is_lit)
         return f"the {self._what} was taken {changed}: take it again" if changed else ""
 

@@ -252,7 +252,6 @@ class LiveBench:
         self._result(self._acquisition.submit(Instrument.set, "is_running", True))
 
     def _wait(self, text: str, fraction: float) -> None:
-        """Wait for the next measurement, but not long."""
         self._progress(text, fraction)
         with self._arrived:
             self._arrived.wait(_WAIT_S)

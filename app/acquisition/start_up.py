@@ -24,24 +24,18 @@ def start_up(
     unknown: the camera starts after the dark, and the user requests the reference. With `auto_expose` the exposure is
     found first. Unless `is_lit`, the light stays off, and there is no reference.
     """
-    if not is_lit:
-        return (
-            acquisition.submit(Instrument.take_dark, frames),
-            *([] if acquisition.bench.has_manual_stage else [acquisition.submit(Instrument.set, "is_sample_in", True)]),
-            acquisition.submit(Instrument.set, "is_running", True),
-        )
-    if acquisition.bench.has_manual_stage:
-        return (
-            acquisition.submit(Instrument.set, "is_light_on", True),
-            *([acquisition.submit(Instrument.auto_expose)] if auto_expose else []),
-            acquisition.submit(Instrument.take_dark, frames),
-            acquisition.submit(Instrument.set, "is_running", True),
-        )
-    return (
-        *calibrate(acquisition, frames, auto_expose=auto_expose),
-        acquisition.submit(Instrument.set, "is_sample_in", True),
-        acquisition.submit(Instrument.set, "is_running", True),
-    )
+    has_motor, steps = not acquisition.bench.has_manual_stage, list[Future[Any]]()
+    if is_lit and has_motor:
+        steps += calibrate(acquisition, frames, auto_expose=auto_expose)
+    else:
+        if is_lit:
+            steps.append(acquisition.submit(Instrument.set, "is_light_on", True))
+        if is_lit and auto_expose:
+            steps.append(acquisition.submit(Instrument.auto_expose))
+        steps.append(acquisition.submit(Instrument.take_dark, frames))
+    if has_motor:
+        steps.append(acquisition.submit(Instrument.set, "is_sample_in", True))
+    return (*steps, acquisition.submit(Instrument.set, "is_running", True))
 
 
 def calibrate(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bool = False) -> tuple[Future[Any], ...]:

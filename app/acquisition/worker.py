@@ -275,8 +275,6 @@ class Acquisition:
         self._path.gap_cause = what
 
     def _watch(self, instrument: Instrument, text: str) -> Watch:
-        """Show a routine that begins."""
-
         def show_progress(frame: Frame, fraction: float) -> None:
             self.activity = Activity(text, fraction)
             self._path.show(frame, text, self._light())
@@ -329,5 +327,4 @@ class Acquisition:
 
 
 def _facts(instrument: Instrument, command: str) -> dict[str, Any]:
-    """Origin of a recording, stored with it."""
     return {"command": command, "bench": write_bench(instrument.bench), "devices": instrument.properties()}

@@ -1,7 +1,5 @@
 """`svwfs batch`: reconstruct recordings into one store, block by block; what is there already is not done again."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,7 +11,7 @@ from typing import Any
 
 import xarray as xr
 
-from app.batch.store import Job, ResultStore, Source, find_sources, is_store, store_attributes
+from app.batch.store import BatchInput, Job, ResultStore, find_sources, is_store, store_attributes
 from app.bench.config import write_bench
 from app.errors import InputError, Interrupted, RunError
 from app.files import check_writable, in_words, make_folder, remove_partial
@@ -43,9 +41,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """A block of frames of a recording."""
-
-    source: Source
+    source: BatchInput
     number: int  # of the recording in the store
     frames: range
 
@@ -59,7 +55,9 @@ class _DoneBlock:
     facts: dict[str, Any]  # bench in force, software and computer
 
 
-def check_batch(folders: Sequence[Path], out: Path, job: Job) -> tuple[list[Source], dict[Path, str], dict[Path, Path]]:
+def check_batch(
+    folders: Sequence[Path], out: Path, job: Job
+) -> tuple[list[BatchInput], dict[Path, str], dict[Path, Path]]:
     """Check what a batch reads, without workers; return what `find_sources` does.
 
     `InputError` if no recording can be used, `out` cannot be the store of this job, or its settings fit no recording.
@@ -77,7 +75,7 @@ def check_batch(folders: Sequence[Path], out: Path, job: Job) -> tuple[list[Sour
     return sources, failed, copies
 
 
-def _check_settings(sources: Sequence[Source], settings: tuple[str, ...]) -> None:
+def _check_settings(sources: Sequence[BatchInput], settings: tuple[str, ...]) -> None:
     """Raise `InputError` if the settings are possible in the bench of no recording."""
     problem: InputError | None = None
     for source in sources if settings else ():
@@ -128,7 +126,7 @@ def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, 
     return batch
 
 
-def _opened(out: Path, job: Job, sources: Sequence[Source], evaluate: Evaluate, progress: Progress) -> ResultStore:
+def _opened(out: Path, job: Job, sources: Sequence[BatchInput], evaluate: Evaluate, progress: Progress) -> ResultStore:
     """Open the store, or make it for results like those of the first recording that has any."""
     if is_store(out):
         return ResultStore(out)
@@ -149,7 +147,7 @@ def _opened(out: Path, job: Job, sources: Sequence[Source], evaluate: Evaluate, 
 class _Filling:
     """The blocks of a run: which are missing, and what becomes of each."""
 
-    def __init__(self, store: ResultStore, numbered: Sequence[tuple[int, Source]], batch: Batch) -> None:
+    def __init__(self, store: ResultStore, numbered: Sequence[tuple[int, BatchInput]], batch: Batch) -> None:
         self._store, self._numbered, self._batch = store, numbered, batch
         self._missing = {number: store.missing(number, source) for number, source in numbered}
         self._undone = {number: len(blocks) for number, blocks in self._missing.items()}
@@ -183,7 +181,6 @@ class _Filling:
 
 
 def _reason(error: Exception) -> str:
-    """Say why a recording cannot be reconstructed; an unexpected error with its kind."""
     return in_words(error) if isinstance(error, InputError) else f"{type(error).__name__}: {in_words(error)}"
 
 
@@ -200,7 +197,6 @@ def _only_writer(folder: Path) -> Iterator[None]:
 
 
 def _check_free(folder: Path) -> None:
-    """Raise `InputError` if a folder cannot hold a store."""
     try:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"{folder}: is a file; the results need a folder")
@@ -215,7 +211,7 @@ def _check_free(folder: Path) -> None:
 
 def reconstruct_block(store: Path, job: Job, block: _Block) -> _DoneBlock:
     """Reconstruct a block and write its results into the store."""
-    _check_software(job)
+    job.check_software()
     problem, bench = "", ""
     damaged: dict[int, str] = {}
 
@@ -232,21 +228,16 @@ def reconstruct_block(store: Path, job: Job, block: _Block) -> _DoneBlock:
     return _DoneBlock(problem or "".join(reasons[:1]), reasons, {"bench": bench, **software_facts()})
 
 
-def first_result(job: Job, source: Source) -> xr.Dataset | None:
+def first_result(job: Job, source: BatchInput) -> xr.Dataset | None:
     """Return the first result of a recording as a piece of one frame; None if its first block has no wavefront."""
-    _check_software(job)
+    job.check_software()
     made = _prepared(source, job)(source.chosen[:BLOCK_FRAMES], lambda *_: None)
     first = next((each for each in made if each.wavefront is not None), None)
     return None if first is None else next(results_in_pieces([(first, {})]))
 
 
-def _check_software(job: Job) -> None:
-    if not job.is_of_this_software:
-        raise RunError(f"a worker runs another version than {job.software}: install the same everywhere")
-
-
 @lru_cache(maxsize=1)  # blocks come in the order of the recordings; a reconstructor takes tens of megabytes
-def _prepared(source: Source, job: Job) -> Reprocessing:
+def _prepared(source: BatchInput, job: Job) -> Reprocessing:
     recording = Recording(source.folder)
     if len(recording) < source.chosen.stop:
         raise InputError(

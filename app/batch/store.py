@@ -25,7 +25,7 @@ from zarr.errors import ZarrUserWarning
 from zarr.storage import LocalStore
 
 from app.bench.config import parse_bench
-from app.errors import InputError
+from app.errors import InputError, RunError
 from app.files import atomic_write, in_words
 from app.measurement.calibration import Calibration
 from app.recording.folder import RUN, read_run, recorded_frames
@@ -130,7 +130,7 @@ class ResultStore:
                 " or give another --out"
             )
 
-    def register(self, sources: Sequence[Source]) -> tuple[list[tuple[int, Source]], dict[Path, str]]:
+    def register(self, sources: Sequence[BatchInput]) -> tuple[list[tuple[int, BatchInput]], dict[Path, str]]:
         """Give each recording its number in the store, making room for new ones.
 
         Returns the numbers with the recordings, and the reason for each recording that has changed.
@@ -164,12 +164,12 @@ class ResultStore:
             zarr.consolidate_metadata(self._group.store)  # xarray opens the store much faster
         return registered, changed
 
-    def write_provenance(self, number: int, source: Source, facts: Mapping[str, Any]) -> None:
+    def write_provenance(self, number: int, source: BatchInput, facts: Mapping[str, Any]) -> None:
         """Replace what is known of the origin of a recording's results."""
         record = {"folder": str(source.folder), "fingerprint": source.fingerprint, "frames": source.frames, **facts}
         self._arrays[_PROVENANCE][number] = json.dumps(record)
 
-    def missing(self, number: int, source: Source) -> list[range]:
+    def missing(self, number: int, source: BatchInput) -> list[range]:
         """Chosen frames of each block of a recording that is not done, or has damaged frames, which may be repaired."""
         folder, block = self._folder / STATE / "c" / str(number), self._arrays[STATE].chunks[1]
         done = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
@@ -180,7 +180,7 @@ class ResultStore:
             if str(first // block) not in done or DAMAGED in state[first : first + block]
         ]
 
-    def count(self, number: int, source: Source) -> int:
+    def count(self, number: int, source: BatchInput) -> int:
         """Number of frames of a recording that have a wavefront."""
         return int(np.count_nonzero(np.asarray(self._arrays[STATE][number, : source.frames]) == WAVEFRONT))
 
@@ -240,7 +240,6 @@ class ResultStore:
 
 
 def _make(group: zarr.Group, name: Any, dims: Iterable[Any], attributes: Mapping[Any, Any], **array: Any) -> None:
-    """Make an array."""
     simple = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in attributes.items()}
     names = [str(each) for each in dims]
     group.create_array(str(name), dimension_names=names, attributes=simple, overwrite=True, **array)
@@ -292,10 +291,10 @@ class Job:
     def __post_init__(self) -> None:
         object.__setattr__(self, "software", self.software or _software())
 
-    @property
-    def is_of_this_software(self) -> bool:
-        """True if this process runs the same version of svwfs."""
-        return self.software == _software()
+    def check_software(self) -> None:
+        """Raise `RunError` unless this process runs the same version of svwfs."""
+        if self.software != _software():
+            raise RunError(f"a worker runs another version than {self.software}: install the same everywhere")
 
     @property
     def change(self) -> Change:
@@ -311,21 +310,23 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """A complete recording."""
+class BatchInput:
+    """A complete recording, and the frames that are chosen of it."""
 
     folder: Path  # absolute
     fingerprint: str  # of run.json, which holds the time, the counts and the bench: the same for a copy
     frames: int
-    chosen: range  # of the frames
+    chosen: range
 
 
-def find_sources(folders: Iterable[Path], frames: str = "") -> tuple[list[Source], dict[Path, str], dict[Path, Path]]:
+def find_sources(
+    folders: Iterable[Path], frames: str = ""
+) -> tuple[list[BatchInput], dict[Path, str], dict[Path, Path]]:
     """Check recordings; return the complete ones, each once, the reason for each other folder, and copies of which.
 
     `frames` as FIRST:END chooses some of each; empty: all.
     """
-    found: dict[str, Source] = {}
+    found: dict[str, BatchInput] = {}
     problems: dict[Path, str] = {}
     copies: dict[Path, Path] = {}
     for folder in folders:
@@ -339,7 +340,7 @@ def find_sources(folders: Iterable[Path], frames: str = "") -> tuple[list[Source
     return list(found.values()), problems, copies
 
 
-def _source(folder: Path, chosen: str) -> Source:
+def _source(folder: Path, chosen: str) -> BatchInput:
     run = read_run(folder)
     if not run["complete"]:
         raise InputError(f"{folder}: is not complete: it still grows, or svwfs recover finishes it")
@@ -349,7 +350,7 @@ def _source(folder: Path, chosen: str) -> Source:
     if not frames:
         raise InputError(f"{folder}: holds no frame")
     fingerprint = hashlib.sha256((folder / RUN).read_bytes()).hexdigest()[:16]
-    return Source(folder.absolute(), fingerprint, frames, selected(chosen or None, frames, folder))
+    return BatchInput(folder.absolute(), fingerprint, frames, selected(chosen or None, frames, folder))
 
 
 def unique_names(folders: Iterable[Path], taken: Iterable[str]) -> list[str]:

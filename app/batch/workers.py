@@ -66,7 +66,6 @@ class Workers:
             self._client.cancel(list(waiting))
 
     def _threads(self) -> int:
-        """Number of tasks that run at a time."""
         try:
             return sum(self._client.nthreads().values())
         except (OSError, TimeoutError, RuntimeError) as error:  # RuntimeError: the client has closed
@@ -74,7 +73,6 @@ class Workers:
 
 
 def _outcome(future: Any) -> Any:
-    """Result or error of a finished task."""
     from distributed.client import FutureCancelledError
     from distributed.scheduler import KilledWorker
 

@@ -4,8 +4,6 @@ An invalid file raises one sentence that names the key and what is allowed. Noth
 becomes a number, and no 1 becomes true.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import ipaddress
 import sys
@@ -90,10 +88,8 @@ class Bench(Checked):
         shape = self.sensor.lenslet_rows, self.sensor.lenslet_columns
         for lenslet in self.registration.excluded:
             if not all(0 <= index < count for index, count in zip(lenslet, shape, strict=True)):
-                yield (
-                    "registration.excluded",
-                    f"is wrong: there is no lenslet {list(lenslet)} among {shape[0]} x {shape[1]}",
-                )
+                why = f"is wrong: there is no lenslet {list(lenslet)} among {shape[0]} x {shape[1]}"
+                yield "registration.excluded", why
         if self.lattice is not None and self.lattice.arrangement != self.sensor.arrangement:
             yield "lattice.arrangement", f'= "{self.sensor.arrangement}" is missing'
 
@@ -228,7 +224,6 @@ def _read(cls: Any, tree: Any, path: str = "") -> Any:
 
 
 def _value(kind: Any, value: Any, path: str) -> Any:
-    """Read a value of a TOML file as one of this type."""
     parts = get_args(kind)
     if dataclasses.is_dataclass(kind) or kind is DeviceSettings:
         return _read(kind, value, path)

@@ -61,9 +61,8 @@ def measured_source(bench: Bench, reference: ReferenceSubimages) -> SourcePoints
     y_m, x_m = np.meshgrid(along_m, along_m, indexing="ij")
     position_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)
     subimage, _ = mean_subimage(reference)
-    return SourcePoints(
-        position_m=position_m, area_m2=point_brightness(one_lenslet.point_irradiances(position_m), subimage)
-    )
+    area_m2 = point_brightness(one_lenslet.point_irradiances(position_m), subimage)
+    return SourcePoints(position_m=position_m, area_m2=area_m2)
 
 
 class BenchModel:

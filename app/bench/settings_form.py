@@ -144,7 +144,6 @@ class SettingsForm:
         )
 
     def _emptied(self, section: FormSection) -> FormSection:
-        """Turn the values that must still be typed into examples."""
         if not self._is_new or section.path not in _OF_LENSLETS:
             return section
         cls = next(setting.kind for setting in settings_of(Bench) if setting.name == section.path)
@@ -196,7 +195,7 @@ def fault_path(error: InputError) -> str:
     return "" if not isinstance(error, BenchError) or error.fault is None else error.fault.path
 
 
-def in_words(error: InputError, fields: Mapping[str, FormField]) -> str:
+def fault_in_words(error: InputError, fields: Mapping[str, FormField]) -> str:
     """Return an error of a form's bench with labels and units in place of keys and SI units.
 
     `fields` are the fields by path, as they are shown.
@@ -277,11 +276,8 @@ def _text(kind: Kind, value: Any, factor: float) -> str:
     if kind == "toml":
         plain = dataclasses.asdict(value) if isinstance(value, Region) else value
         if isinstance(plain, Mapping):
-            return (
-                "{ "
-                + ", ".join(f"{key} = {tomli_w.dumps({'v': one})[4:].strip()}" for key, one in plain.items())
-                + " }"
-            )
+            parts = (f"{key} = {tomli_w.dumps({'v': one})[4:].strip()}" for key, one in plain.items())
+            return f"{{ {', '.join(parts)} }}"
         return str(list(plain)) if len(plain) else ""
     return str(value)
 

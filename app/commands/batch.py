@@ -18,12 +18,8 @@ if TYPE_CHECKING:
 def batch(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Folders of recordings.")],
     *,
-    out: Annotated[
-        Path, typer.Option(metavar=options.FOLDER, help="Zarr store for the results; one that exists is continued.")
-    ],
-    bench: Annotated[
-        str | None, typer.Option("--bench", "-b", metavar="TOML", help="Another bench than the recorded ones.")
-    ] = None,
+    out: Annotated[Path, options.folder_option("Zarr store for the results; one that exists is continued.")],
+    bench: Annotated[str | None, options.bench_option("Another bench than the recorded ones.")] = None,
     setting: options.Set = None,
     frames: options.Frames = None,
     refine: Annotated[

@@ -17,9 +17,7 @@ from app.progress import Progress, between, named
 
 if TYPE_CHECKING:
     from app.bench.config import Bench
-    from app.evaluation.benchmark.live_path.course import Course
-    from app.evaluation.benchmark.live_path.figures import LiveFigures
-    from app.evaluation.benchmark.live_path.plan import LivePlan
+    from app.evaluation.benchmark.live_path import Course, LiveFigures, LivePlan
     from app.gui.shell.main_window import MainWindow
     from app.timing import StageTimes
 
@@ -45,16 +43,13 @@ def benchmark(
             help="Measure the live path instead for SECONDS, with window and recording; typically 60.",
         ),
     ] = None,
-    record_in: Annotated[
-        Path | None, typer.Option(metavar=options.FOLDER, help="With --live: folder of the temporary recording.")
-    ] = None,
+    record_in: Annotated[Path | None, options.folder_option("With --live: folder of the temporary recording.")] = None,
     no_record: Annotated[bool, typer.Option("--no-record", help="With --live: do not record.")] = False,
     panels: Annotated[
         bool, typer.Option("--panels", help="With --live: open coefficients, history and histogram, too.")
     ] = False,
     bench: Annotated[
-        str | None,
-        typer.Option("--bench", "-b", metavar="TOML", help=f"With --live: simulated bench [default: {_LIVE_BENCH}]."),
+        str | None, options.bench_option(f"With --live: simulated bench [default: {_LIVE_BENCH}].")
     ] = None,
     overwrite: options.Overwrite = False,
     setting: options.Set = None,
@@ -95,8 +90,7 @@ def benchmark(
 def _benchmark_live(
     bench: Bench, seconds: float, record_in: Path | None, *, with_panels: bool, json: Path | None, check: bool
 ) -> None:
-    """Measure the live path, print and write the figures; with `check`, raise if a limit is missed."""
-    from app.evaluation.benchmark.live_path.plan import LivePlan
+    from app.evaluation.benchmark.live_path import LivePlan
     from app.run_facts import write_record
 
     plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in, with_panels=with_panels)
@@ -115,9 +109,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     The light is turned off and the recording removed, also on an error or Ctrl-C.
     """
     from app.commands.live import use_display
-    from app.evaluation.benchmark.live_path.course import Course
-    from app.evaluation.benchmark.live_path.figures import LiveFigures
-    from app.evaluation.benchmark.live_path.plan import recording_folder
+    from app.evaluation.benchmark.live_path import Course, LiveFigures, recording_folder
 
     is_seen = use_display()
     warm_up_s = min(_WARM_UP_S, plan.warm_up_s)
@@ -242,7 +234,9 @@ def print_figures(figures: LiveFigures) -> None:
 def _lines(figures: LiveFigures) -> list[tuple[str, str, str]]:
     """Name, measured value and name of the limit of each line of the table."""
     window, bare, recording = figures.window, figures.bare, figures.recording
-    frames, times = window.frames, window.timings.summary()
+    frames, times, memory = window.frames, window.timings.summary(), "unknown on this system"
+    if figures.memory_growth is not None:
+        memory = "{:.0f} > {:.0f} MB, {:+.2f} %".format(*window.memory_mb, 100 * figures.memory_growth)
     recorded = []
     if recording is not None:
         recorded.append(("frame written to the disk", _milliseconds(times["record"]), "record_p99_s"))
@@ -258,7 +252,7 @@ def _lines(figures: LiveFigures) -> list[tuple[str, str, str]]:
         ("window redrawn", f"{window.redrawn_hz:.1f} /s", "redrawn_hz"),
         ("redraw, with panels" if figures.plan.with_panels else "redraw", _milliseconds(times["draw"]), "draw_p50_s"),
         *recorded,
-        (f"memory, last {figures.plan.memory_s:.0f} s", _memory(figures), "memory_growth"),
+        (f"memory, last {figures.plan.memory_s:.0f} s", memory, "memory_growth"),
         (f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s", ""),
         ("rate with it", f"{window.rate_hz:.2f} /s: {100 * figures.rate_ratio:.1f} %", "rate_ratio"),
         ("first wavefront after", f"{window.first_wavefront_s:.1f} s", "first_wavefront_s"),
@@ -269,10 +263,3 @@ def _milliseconds(times: StageTimes) -> str:
     if not times.count:
         return "none"
     return " / ".join(f"{1e3 * seconds:.1f}" for seconds in (times.p50_s, times.p99_s, times.max_s)) + " ms"
-
-
-def _memory(figures: LiveFigures) -> str:
-    begin_mb, end_mb = figures.window.memory_mb
-    if figures.memory_growth is None:
-        return "unknown on this system"
-    return f"{begin_mb:.0f} > {end_mb:.0f} MB, {100 * figures.memory_growth:+.2f} %"

@@ -1,7 +1,5 @@
 """`svwfs desktop`: the entry of svwfs in the menu of a Linux desktop."""
 
-from __future__ import annotations
-
 import re
 import sys
 from importlib.resources import files
@@ -10,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from app.commands import options
 from app.errors import InputError, RunError
 from app.files import atomic_write
 
@@ -28,9 +27,7 @@ StartupWMClass=svwfs
 
 def desktop(
     *,
-    bench: Annotated[
-        str | None, typer.Option("--bench", "-b", metavar="TOML", help="Bench file or preset that the entry opens.")
-    ] = None,
+    bench: Annotated[str | None, options.bench_option("Bench file or preset that the entry opens.")] = None,
     remove: Annotated[bool, typer.Option("--remove", help="Remove the entry.")] = False,
 ) -> None:
     """Add svwfs to the menu of a Linux desktop, for the present user.

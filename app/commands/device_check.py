@@ -9,7 +9,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -103,14 +103,12 @@ class _Report:
         self.checks = self.failed = 0
 
     def public(self, text: str) -> str:
-        """Return the text without what is to be hidden."""
         return text if self._is_open else hide(text, self._secrets)
 
     def print(self, text: str, style: str | None = None) -> None:
         self._console.print(self.public(text), style=style, markup=False)
 
     def print_versions(self) -> None:
-        """Print software, computer, and the settings that are no defaults."""
         driver = self._settings.driver
         package = next((kind.package for kind in KINDS if kind.driver == driver), "")
         found = versions(package) if package else versions()
@@ -211,9 +209,11 @@ def identifying_texts(name: str, settings: Mapping[str, object], properties: Map
     keys = ("serial_number",) if "adapter" in settings else ("device", "serial_number")  # an adapter's is a model
     found = {str(settings.get(key) or "") for key in keys}
     found |= {str(value) for key, value in properties.items() if any(own in key.lower() for own in _OWN_KEYS)}
-    for text in (name, *properties.values()):
-        if isinstance(text, str) and not _is_number(text):
-            found |= set(_SERIAL.findall(text))
+    for text in (each for each in (name, *properties.values()) if isinstance(each, str)):
+        with suppress(ValueError):
+            float(text)
+            continue  # it is a number
+        found |= set(_SERIAL.findall(text))
     return frozenset(text for text in found if len(text) > 3)  # a shorter one is an index
 
 
@@ -222,14 +222,6 @@ def hide(text: str, secrets: frozenset[str]) -> str:
     for secret in sorted(secrets, key=len, reverse=True):
         text = text.replace(secret, _HIDDEN)
     return text.replace(str(Path.home()), "~")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _short(answer: object) -> str:

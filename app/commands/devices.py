@@ -1,7 +1,5 @@
 """`svwfs devices`: list the connected devices, or check one of them."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer
@@ -23,12 +21,7 @@ def devices(
     ] = None,
     bench: Annotated[
         str | None,
-        typer.Option(
-            "--bench",
-            "-b",
-            metavar="TOML",
-            help="With --check camera or --check light: that device of this bench, with its settings.",
-        ),
+        options.bench_option("With --check camera or --check light: that device of this bench, with its settings."),
     ] = None,
     trust_library: options.Trust = False,
     serial_numbers: Annotated[

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from app.gui.shell.main_window import MainWindow
     from app.results.player import Player
 
-
 _LIVE_OUT = Path("svwfs-output")
 _LIVE_BENCH = "live_demo"
 _UNATTENDED_S = 5.0
@@ -32,10 +31,7 @@ _LOCAL_X = re.compile(r"(?:unix)?:(\d+)(?:\.\d+)?")
 
 def live(
     *,
-    bench: Annotated[
-        str | None,
-        typer.Option("--bench", "-b", metavar="TOML", help=f"Bench TOML file or preset [default: {_LIVE_BENCH}]."),
-    ] = None,
+    bench: Annotated[str | None, options.bench_option(f"Bench TOML file or preset [default: {_LIVE_BENCH}].")] = None,
     setting: options.Set = None,
     replay: Annotated[
         Path | None, typer.Option(metavar="RECORDING", help="Play a recording repeatedly at its own rate.")
@@ -50,9 +46,7 @@ def live(
             help="Close by itself SECONDS after the first wavefront, saving the results.",
         ),
     ] = None,
-    out: Annotated[
-        Path, typer.Option(metavar=options.FOLDER, help="For screenshot, results and timings of such a run.")
-    ] = _LIVE_OUT,
+    out: Annotated[Path, options.folder_option("For screenshot, results and timings of such a run.")] = _LIVE_OUT,
     overwrite: options.Overwrite = False,
     trust_library: options.Trust = False,
 ) -> None:
@@ -198,7 +192,8 @@ def _has_display() -> bool:
         return platform != "offscreen"
     if not sys.platform.startswith("linux"):
         return True
-    if _answers(_wayland()):
+    name = os.environ.get("WAYLAND_DISPLAY", "")
+    if name and _answers(str(Path(os.environ.get("XDG_RUNTIME_DIR", "/"), name))):
         return True
     os.environ.pop("WAYLAND_DISPLAY", None)  # left by a session that has ended: Qt would abort
     local = _LOCAL_X.fullmatch(os.environ.get("DISPLAY", ""))
@@ -208,15 +203,9 @@ def _has_display() -> bool:
     return _answers(path) or _answers(f"\0{path}")
 
 
-def _wayland() -> str:
-    """Path of the socket of the Wayland display; empty without one."""
-    name = os.environ.get("WAYLAND_DISPLAY", "")
-    return str(Path(os.environ.get("XDG_RUNTIME_DIR", "/"), name)) if name else ""
-
-
 def _answers(path: str) -> bool:
     """True if something listens at a local socket."""
-    if not path or sys.platform == "win32":
+    if sys.platform == "win32":
         return False
     with socket.socket(socket.AF_UNIX) as client:
         try:

@@ -9,7 +9,7 @@ import typer
 
 from app.commands import options, terminal
 from app.errors import InputError, Interrupted, RunError
-from app.files import check_outputs
+from app.files import MEASURED, check_outputs
 from app.progress import Progress, counted
 
 if TYPE_CHECKING:
@@ -21,10 +21,7 @@ def measure(
     *,
     bench: options.Bench,
     frames: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of frames to measure.")],
-    out: Annotated[
-        Path,
-        typer.Option(metavar=options.FOLDER, help="New folder for the recording, with results.nc beside the frames."),
-    ],
+    out: Annotated[Path, options.folder_option("New folder for the recording, with results.nc beside the frames.")],
     mask: Annotated[
         str | None, typer.Option(metavar="NAME", help="Mask in the beam, as simulation.source.mask: square, stars, ...")
     ] = None,
@@ -80,10 +77,10 @@ def measure_bench(
     """
     from app.recording.folder import RUN, check_free, remove_empty
     from app.recording.reader import Recording
-    from app.results.frame_tallies import files_of, write_measured
+    from app.results.frame_tallies import write_measured
 
     check_free(out)
-    check_outputs(files_of(out), inputs=bench.files, overwrite=overwrite)
+    check_outputs([out / name for name in MEASURED], inputs=bench.files, overwrite=overwrite)
     is_stopped, fault = _record(bench, frames, out, progress, average, auto_expose=auto_expose)
     recording = Recording(out) if (out / RUN).exists() else None
     if not recording:
@@ -143,7 +140,7 @@ def print_measurement(measured: Measured, out: Path) -> None:
     has_scatter = measured.reconstructed > 1
     of = f", mean +- scatter of {measured.reconstructed} frames" if has_scatter else " +- error bar"
     errors_rad = measured.scatter_rms_rad if has_scatter else measured.noise_rad
-    rows = zip(measured.mean_rms_rad, errors_rad, measured.noise_rad, strict=True)
+    rows = zip(measured.means[0], errors_rad, measured.noise_rad, strict=True)
     cells = (
         (
             rms_text(mean, noise) if mean < noise else f"{mean:.3f} +- {error:.3f}"
@@ -159,10 +156,10 @@ def print_measurement(measured: Measured, out: Path) -> None:
     terminal.print_sentence(f"exposure {measured.exposure_s * 1e3:.4g} ms{light}")
     if measured.mask_note:
         terminal.print_sentence(measured.mask_note)
-    failed = measured.recorded - measured.reconstructed
+    failed = measured.frames - measured.reconstructed
     why = f", {failed} not reconstructed ({measured.problem})" if failed else ""
     if measured.rotation is not None:
         terminal.print_rotation(measured.rotation, rotates=2 * measured.rotating > measured.reconstructed)
     terminal.print_quality(measured.quality)
-    counts = f"{counted(measured.recorded)}{why}, {measured.lost} lost by the camera; all is in {out}"
+    counts = f"{counted(measured.frames)}{why}, {measured.lost} lost by the camera; all is in {out}"
     terminal.print_sentence(counts)

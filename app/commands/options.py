@@ -22,9 +22,18 @@ if TYPE_CHECKING:
 FOLDER = "FOLDER"  # in the help, of an option that names a folder
 PICTURES = (".png", ".pdf", ".svg")  # Matplotlib writes others, some by programs that may be missing
 
-Bench = Annotated[
-    str, typer.Option("--bench", "-b", metavar="TOML", help=f"Bench TOML file, or a preset: {', '.join(PRESETS)}.")
-]
+
+def bench_option(text: str) -> Any:
+    """Return the option `--bench` with this help."""
+    return typer.Option("--bench", "-b", metavar="TOML", help=text)
+
+
+def folder_option(text: str) -> Any:
+    """Return an option that names a folder, with this help."""
+    return typer.Option(metavar=FOLDER, help=text)
+
+
+Bench = Annotated[str, bench_option(f"Bench TOML file, or a preset: {', '.join(PRESETS)}.")]
 Set = analysis.Set
 Frames = analysis.Frames
 Recording = Annotated[Path, typer.Argument(help="Folder of a recording.")]

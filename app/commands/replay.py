@@ -18,10 +18,7 @@ def replay(
     recording: options.Recording,
     *,
     verify: Annotated[bool, typer.Option("--verify", help="Fail unless every frame is reproduced bit by bit.")] = False,
-    bench: Annotated[
-        str | None,
-        typer.Option("--bench", "-b", metavar="TOML", help="Another bench to compare with the recorded one."),
-    ] = None,
+    bench: Annotated[str | None, options.bench_option("Another bench to compare with the recorded one.")] = None,
     setting: options.Set = None,
     frames: options.Frames = None,
     out: Annotated[Path | None, typer.Option(help="NetCDF file for the results.")] = None,
@@ -61,7 +58,7 @@ def print_replay(made: Replay) -> None:
     """Print whether the frames were reproduced, or how much another bench's wavefronts differ."""
     compared = made.comparison
     if compared is not None and compared.field is not None:
-        rows = zip(compared.recorded_rms_rad, compared.rms_rad, compared.difference_rms_rad, strict=True)
+        rows = zip(*compared.means_rad, strict=True)
         cells = (
             (f"{then:.3f} > {now:.3f}\n{apart:.3f} apart" for then, now, apart in zip(*row, strict=True))
             for row in rows

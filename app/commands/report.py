@@ -1,7 +1,5 @@
 """`svwfs report`: a recording summarised on three pages."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`svwfs simulate`: simulated frames and the true wavefronts as files."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,9 +16,7 @@ _TRUTH = "truth.nc"
 def simulate(
     *,
     bench: options.Bench,
-    out: Annotated[
-        Path, typer.Option(metavar=options.FOLDER, help="Folder for dark.tif, reference.tif, frame.tif and truth.nc.")
-    ],
+    out: Annotated[Path, options.folder_option("Folder for dark.tif, reference.tif, frame.tif and truth.nc.")],
     setting: options.Set = None,
     noise_free: Annotated[
         bool, typer.Option("--noise-free", help="Write mean photons instead of the camera's counts.")

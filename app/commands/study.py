@@ -49,9 +49,7 @@ def study(
         ),
     ] = None,
     *,
-    out: Annotated[
-        Path, typer.Option(metavar=options.FOLDER, help="Folder for tables and figures: JSON, CSV and PNG.")
-    ],
+    out: Annotated[Path, options.folder_option("Folder for tables and figures: JSON, CSV and PNG.")],
     seeds: options.Seeds = 3,
     frames: Annotated[
         Path | None,
@@ -130,9 +128,7 @@ def print_results(results: Sequence[StudyResult]) -> None:
 paper = typer.Typer(
     help="Reproduce the paper's tables beside its own numbers.", no_args_is_help=True, rich_markup_mode=None
 )
-OutOption = Annotated[
-    Path, typer.Option(metavar=options.FOLDER, help="Folder for the table (JSON, CSV) and its figure.")
-]
+OutOption = Annotated[Path, options.folder_option("Folder for the table (JSON, CSV) and its figure.")]
 PeersOption = Annotated[bool, typer.Option(help="Include the slow methods of SimpleITK (extra: peers).")]
 
 

@@ -34,6 +34,7 @@ LATTICE = Lattice(center_x_px=121.3, center_y_px=84.6, pitch_px=31.25, rotation_
 
 _TOLERANCE = 0.1  # far from the -1, 0 or 1.4 of a wrong sign, axis or unit
 
+Complex = NDArray[np.complex64]
 Phase = Callable[[Floats, Floats, float, float], Floats]
 Intensity = Callable[[Floats, Floats], Floats]
 
@@ -104,10 +105,8 @@ def run_checks() -> Iterator[Check]:
     for name, known in KNOWN.items():
         amplitude = np.sqrt(known.intensity(sample_x_m, sample_y_m))
 
-        def of_point(
-            x_m: float, y_m: float, known: Known = known, amplitude: Floats = amplitude
-        ) -> NDArray[np.complex64]:
-            return np.asarray(amplitude * np.exp(1j * known.phase(sample_x_m, sample_y_m, x_m, y_m)), np.complex64)
+        def of_point(x_m: float, y_m: float, phase: Phase = known.phase, by: Floats = amplitude) -> Complex:
+            return np.asarray(by * np.exp(1j * phase(sample_x_m, sample_y_m, x_m, y_m)), np.complex64)
 
         at_views = [[known.phase(u, v, x_m, y_m) for x_m in FIELD.view_x_m] for y_m in FIELD.view_y_m]
         truth, measured = without_piston(np.array(at_views)), reconstructor(model.irradiance(source, of_point)).views

@@ -181,17 +181,11 @@ class TrialStudy(Study):
     def summary(data: pd.DataFrame) -> pd.DataFrame:
         """Median, worst value and limit of every quantity of a case."""
         cases = data.groupby("case", observed=True)
-        parts = [
-            pd.DataFrame(
-                {
-                    "quantity": each,
-                    "median": cases[each].median(),
-                    "worst": cases[each].max(),
-                    "asked": cases[f"{each}{_LIMIT}"].max(),
-                }
-            )
-            for each in quantities_of(data)
-        ]
+        parts = []
+        for each in quantities_of(data):
+            values, asked = cases[each], cases[f"{each}{_LIMIT}"].max()
+            numbers = {"quantity": each, "median": values.median(), "worst": values.max(), "asked": asked}
+            parts.append(pd.DataFrame(numbers))
         return pd.concat(parts).reset_index()
 
     def output(self, results: Sequence[StudyResult]) -> Output:
@@ -207,9 +201,8 @@ class TrialStudy(Study):
         for row in known_rows(self.summary(data)):
             cases[row.pop("case")][row.pop("quantity")] = row
         columns = ["case", "name", *quantities, "as_asked", "refusal"]
-        return Output(
-            {"seeds": results[-1].seeds, "title": self.title, "cases": cases}, trials, self.figure(data), columns
-        )
+        tree = {"seeds": results[-1].seeds, "title": self.title, "cases": cases}
+        return Output(tree, trials, self.figure(data), columns)
 
     def printed(self, data: pd.DataFrame) -> Printed:
         """Return a line for each case, and the refusals."""
@@ -375,9 +368,8 @@ class PhotographStudy(Study):
     def printed(self, data: pd.DataFrame) -> Printed:
         """Return a line for each object."""
         means = self._means(data).dropna(axis="columns", how="all")
-        lines = [
-            [name, *(f"{each:.1f}" for each in row)] for name, row in zip(means.index, means.to_numpy(), strict=True)
-        ]
+        rows = zip(means.index, means.to_numpy(), strict=True)
+        lines = [[name, *(f"{each:.1f}" for each in row)] for name, row in rows]
         return Printed(self.title, ("object", *means.columns), lines)
 
     def figure(self, data: pd.DataFrame) -> Figure:
@@ -386,9 +378,8 @@ class PhotographStudy(Study):
         figure = Figure(figsize=(2.4 * means.shape[1], 2.65 * means.shape[0]), layout="constrained")
         axes = figure.subplots(*means.shape, squeeze=False)
         first = data.drop_duplicates([*self.dims])
-        for axis, way, mean_db, image in zip(
-            axes.flat, first["way"], means.to_numpy().flat, first["image"], strict=True
-        ):
+        shown = zip(axes.flat, first["way"], means.to_numpy().flat, first["image"], strict=True)
+        for axis, way, mean_db, image in shown:
             axis.imshow(np.sqrt(np.clip(image, 0, 1)), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
             known = f", {mean_db:.1f} dB" if np.isfinite(mean_db) else ""
             axis.set_title(f"{way}{known}", fontsize=8)
@@ -396,5 +387,4 @@ class PhotographStudy(Study):
         return figure
 
     def _means(self, data: pd.DataFrame) -> pd.DataFrame:
-        """Mean over the repeats, (object, way)."""
         return data.pivot_table("psnr_db", *self.dims, observed=True, dropna=False)

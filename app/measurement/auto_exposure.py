@@ -100,9 +100,8 @@ def auto_expose(
             progress(frame, 1.0 if is_reached else len(shots) / MOST_FRAMES)
             if is_reached:
                 if seen.level - seen.background < _LEAST_CONTRAST * seen.level:
-                    raise RoutineError(
-                        "light falls on the camera, but shows no subimages: is the room dark, the lamp on?"
-                    )
+                    why = "light falls on the camera, but shows no subimages: is the room dark, the lamp on?"
+                    raise RoutineError(why)
                 state.exposure_s, state.current_a = camera.exposure_s, devices.light.current_a
                 return AutoExposure(state.exposure_s, state.current_a, seen.level / full_scale, len(shots))
             light = control.possible(next_light(shots, fill * full_scale, full_scale, control.reach), shots)
@@ -167,9 +166,8 @@ class _LightControl:
         camera, lamp = self._devices.camera, self._devices.light
         wanted_s, current_a = light / self._current_a, self._current_a
         exposure_s = camera.set_exposure(_within(self._exposures_s, wanted_s))
-        if exposure_s * self._currents_a.maximum < light * (
-            1 - _EXACT
-        ):  # one exposure step too short at the maximum current
+        least = light * (1 - _EXACT)
+        if exposure_s * self._currents_a.maximum < least:  # one exposure step too short at the maximum current
             exposure_s = camera.set_exposure(_within(self._exposures_s, _LONGER * wanted_s))
         if self._is_fixed:
             return exposure_s
@@ -294,14 +292,10 @@ def brightness(pixels: NDArray[np.integer[Any]], cell_px: float) -> Brightness:
     is_hot = light - brightest > _HOT * np.maximum(brightest - faintest, noise)
     cells = np.where(is_hot, brightest, light)
     for axis, length in enumerate(light.shape):
-        cells = np.maximum.reduceat(cells, _edges(length, cell_px), axis=axis)
+        count = max(1, int(length / cell_px))
+        first_px = (np.arange(count) * (length / count)).astype(np.intp)  # of every cell
+        cells = np.maximum.reduceat(cells, first_px, axis=axis)
     above = cells - background
     usual, top = np.percentile(above, (_USUAL_PERCENT, _TOP_PERCENT), method="lower")
     usual = max(usual if usual > top / _MOST_UNEVEN else top, 0.0)
     return Brightness(background + float(np.max(above[above <= _OUTSTANDING * usual])), background, noise)
-
-
-def _edges(length: int, cell_px: float) -> NDArray[np.intp]:
-    """First pixel of every cell along an axis."""
-    cells = max(1, int(length / cell_px))
-    return (np.arange(cells) * (length / cells)).astype(np.intp)

@@ -45,8 +45,7 @@ def average(camera: Camera, frames: int, *, progress: FrameProgress, should_stop
     _check(frames)
     camera.stop()
     camera.start()
-    capabilities = camera.capabilities
-    mean, squares = np.zeros((2, capabilities.rows, capabilities.columns))
+    mean, squares = np.zeros((2, camera.capabilities.rows, camera.capabilities.columns))
     for index in range(frames):
         frame = next_frame(camera, should_stop)
         away = frame.pixels - mean

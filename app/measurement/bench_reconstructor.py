@@ -197,7 +197,7 @@ class BenchReconstructor:
             repeated_reference(counts, given.reference.mean)
             | linearity_quality(curve, "frame")
             | estimator.judge(counts, wavefront.displacement)
-            | likeness_quality(curve, given.curve, given.reference_frames)
+            | likeness_quality(curve, given.noise.curve, given.noise.reference_frames)
         )
 
     def mask_sentence(self, wavefront: Wavefront) -> str:

@@ -22,11 +22,11 @@ from reconstruction.pipeline import NO_OWN, OwnMethods, Reconstructor
 
 @dataclass(frozen=True, slots=True)
 class KnownNoise:
-    """Noise that does not come from the scatter of the averaged frames."""
+    """Noise of the camera, and what the reference shows of it."""
 
-    noise: CameraNoise | None
+    noise: CameraNoise | None  # of a single frame; None if it is unknown
     reference_frames: float = math.inf  # averaged in the reference
-    curve: TransferCurve | None = None  # of the reference
+    curve: TransferCurve | None = None  # variance of the reference's frames against their light
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +38,7 @@ class Calibration:
     reference: Average
     lattice: Lattice  # configured, or found in the reference
     full_scale: float  # saturation level, counts
-    known: KnownNoise | None = None  # None: found from the averages
+    known: KnownNoise | None = None  # None: that of the scatter of the averaged frames
     own: OwnMethods = NO_OWN
 
     @classmethod
@@ -70,33 +70,19 @@ class Calibration:
         return None if self.dark is None else self.dark.mean
 
     @property
-    def curve(self) -> TransferCurve | None:
-        """Variance of the reference's frames against their light; None if it is unknown, as without a dark."""
-        dark, reference = self.dark, self.reference
+    def noise(self) -> KnownNoise:
+        """Noise as known, or found in dark and reference, which without a dark do not show it."""
         if self.known is not None:
-            return self.known.curve
-        if dark is None or dark.mean.shape != reference.mean.shape:  # refused by `reconstructor`
-            return None
-        return photon_transfer(
-            reference.mean - dark.mean, reference.variance, frames=reference.frames, dark_variance=dark.variance
-        )
-
-    @property
-    def noise(self) -> CameraNoise | None:
-        """Camera noise of a single frame; None if it is unknown."""
-        if self.known is not None:
-            return self.known.noise
-        curve = self.curve
-        return None if curve is None else curve.noise
-
-    @property
-    def reference_frames(self) -> float:
-        """Number of frames averaged in the reference."""
-        return self.reference.frames if self.known is None else self.known.reference_frames
+            return self.known
+        dark, reference, curve = self.dark, self.reference, None
+        if dark is not None and dark.mean.shape == reference.mean.shape:  # `reconstructor` refuses another
+            light, frames = reference.mean - dark.mean, reference.frames
+            curve = photon_transfer(light, reference.variance, frames=frames, dark_variance=dark.variance)
+        return KnownNoise(None if curve is None else curve.noise, reference.frames, curve)
 
     def reconstructor(self) -> Reconstructor:
         """Build the reconstructor; `ReconstructionError` if dark, reference and settings do not fit."""
-        bench = self.bench
+        bench, noise = self.bench, self.noise
         return Reconstructor(
             self.reference.mean,
             sensor=bench.sensor,
@@ -106,8 +92,8 @@ class Calibration:
             reconstruction=bench.reconstruction,
             dark=self.dark_image,
             full_scale=self.full_scale,
-            noise=self.noise,
-            reference_frames=self.reference_frames,
+            noise=noise.noise,
+            reference_frames=noise.reference_frames,
             own=self.own,
             lenslet_model=partial(lenslet_model, bench),
         )

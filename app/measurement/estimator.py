@@ -1,7 +1,5 @@
 """Estimator: everything that turns the frames of one calibration into measurements."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -53,8 +51,8 @@ class Estimator:
     @cached_property
     def judge(self) -> FrameJudge:
         """Judges frames by their displacements; the calibration itself is judged already."""
-        made, given = self.reconstructor, self.calibration
-        shown = None
+        made, given, shown = self.reconstructor, self.calibration, None
+        noise = given.noise
         if given.bench.lattice is not None:
             shown = _shown_lattice(given.dark, given.reference, given.bench.sensor, given.full_scale)
         of_reference = reference_quality(
@@ -65,7 +63,7 @@ class Estimator:
             dark=given.dark_image,
             variance=given.reference.variance,
             noise=made.noise,
-            frames=given.reference_frames,
+            frames=noise.reference_frames,
         )
         return FrameJudge(
             made.subimages,
@@ -74,7 +72,7 @@ class Estimator:
             field=made.field,
             dark=given.dark_image,
             of_reference=sample_quality(made.subimages)
-            | linearity_quality(given.curve, "reference")
+            | linearity_quality(noise.curve, "reference")
             | of_reference
             | response_quality(made.response_problem),  # named first
         )
@@ -135,7 +133,6 @@ def _refusals() -> Iterator[None]:
 
 @kept_for_bench(maxsize=4)  # another setting does not change it
 def _shown_lattice(dark: Average | None, reference: Average, sensor: Sensor, full_scale: float) -> Lattice | None:
-    """The lattice that the reference shows; None if it shows none."""
     try:
         return surveyed(sensor, dark, reference, full_scale).lattice
     except ReconstructionError:
@@ -154,15 +151,12 @@ def mask_sentence(reconstructor: Reconstructor, sample: AssumedSample | None = N
 
     Also say if the bias of mean gradients is left out. Without a `sample`, of frames in general.
     """
-    return "; ".join(filter(None, [_left_out(reconstructor, sample), _bias(reconstructor)]))
-
-
-def _bias(reconstructor: Reconstructor) -> str:
     registration, reconstruction = reconstructor.registration, reconstructor.reconstruction
     knows_response = reconstruction.response and registration.method == "gauss_newton" and not registration.rotation
+    bias = "displacements count as mean gradients of the wavefront, whose bias the error bars leave out"
     if reconstruction.method == "modal" and knows_response:
-        return ""
-    return "displacements count as mean gradients of the wavefront, whose bias the error bars leave out"
+        bias = ""
+    return "; ".join(filter(None, [_left_out(reconstructor, sample), bias]))
 
 
 def _left_out(reconstructor: Reconstructor, sample: AssumedSample | None) -> str:

@@ -32,8 +32,6 @@ _WAIT_S = 0.2
 
 
 class _Solved(NamedTuple):
-    """A frame's result."""
-
     wavefront: Wavefront
     measured: Displacement  # before the bias
     time_s: float
@@ -41,8 +39,6 @@ class _Solved(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """What the thread has found."""
-
     sample: AssumedSample | None
     bias: Bias | None = None  # of a wavefront of that sample
     time_s: float = math.nan  # of the frame that gave the bias

@@ -97,7 +97,6 @@ def sample_sentence(sample: AssumedSample, of: Field) -> str:
 
 
 def _place(distance_m: float, sigma_m: float) -> str:
-    """Describe a distance, positive towards the source."""
     side = "in front of" if distance_m >= 0 else "behind"
     decimals = 0 if sigma_m <= 0 else max(0, -math.floor(math.log10(sigma_m * 1e3)))
     error = f" +- {sigma_m * 1e3:.{decimals}f}" if sigma_m > 0 else ""

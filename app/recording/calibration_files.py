@@ -105,7 +105,6 @@ def _read_average(path: Path) -> Average:
 
 
 def _check(average: Average) -> None:
-    """Raise `ValueError` unless the numbers can be those of averaged frames."""
     mean, variance = average.mean, average.variance
     require(
         {

@@ -151,7 +151,11 @@ def describe(folder: Path, *, name: str, note: str) -> Path:
     try:
         if run.get("note", "") != note.strip():
             write_record(folder / RUN, {**run, "note": note.strip()})
-        wanted = folder.with_name(_folder_name(folder.name, name.strip()))
+        name, stamp = name.strip(), _STAMP.match(folder.name)
+        if problem := name_problem(name):
+            raise InputError(f"{problem}: {name}")
+        kept = stamp[0] if stamp else ""
+        wanted = folder.with_name("-".join(filter(None, (kept, name))) or folder.name)
         if wanted != folder and wanted.exists():
             raise InputError(f"{wanted}: exists already: give another name")
         return folder if wanted == folder else folder.rename(wanted)
@@ -166,12 +170,3 @@ def name_problem(name: str) -> str:
     if name.startswith("."):
         return "a name of a recording cannot begin with a point"
     return f"a name of a recording has at most {_LONGEST} letters" if len(name) > _LONGEST else ""
-
-
-def _folder_name(present: str, name: str) -> str:
-    if problem := name_problem(name):
-        raise InputError(f"{problem}: {name}")
-    stamp = _STAMP.match(present)
-    if stamp is None:
-        return name or present
-    return f"{stamp[0]}-{name}" if name else stamp[0]

@@ -2,7 +2,7 @@
 
 import re
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -100,6 +100,11 @@ class Recording:
     def bench(self) -> Bench:
         """The bench at the beginning; each calibration has its own, with the lattice in force."""
         return parse_bench(str(self.run["bench"]), f"{self.folder / RUN}: bench", is_recorded=True)
+
+    def first_calibration(self, frames: Iterable[int]) -> int | None:
+        """Return the number of the first calibration of these frames; None if they have none."""
+        numbers = (self.line(index).calibration for index in frames)
+        return next((number for number in numbers if number is not None), None)
 
     def select(self, text: str | None) -> range:
         """Parse FIRST:END, counted from 0 or, if negative, from the end; END is excluded; None selects all."""

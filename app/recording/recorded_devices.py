@@ -6,7 +6,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import lru_cache
-from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,7 +168,6 @@ class RecordedCamera(Camera):
         return replace(frame, index=index, camera_time_s=due_s, host_time_s=self._now())
 
     def _show(self, average: Average) -> Frame:
-        """Return the next frame of an average."""
         pixels = self._averaged(average, self.capabilities.full_scale).pixels(self._count)
         index, due_s = self._advance(average.exposure_s, lost=0)
         return Frame(pixels, index, due_s, self._now(), average.exposure_s, average.em_gain)
@@ -184,7 +182,6 @@ class RecordedCamera(Camera):
         return present
 
     def _absence(self) -> str:
-        """Why no frame comes; empty if one does."""
         if self.is_lit and self.is_sample_in:
             if self._position == len(self._frames):
                 return f"{self.name} has ended: all {len(self._frames)} frames were played"
@@ -202,7 +199,6 @@ class RecordedCamera(Camera):
         return calibration.reference if self.is_lit else calibration.dark
 
     def _calibration(self) -> Calibration | None:
-        """The calibration of the next frame."""
         number = self._line().calibration
         try:
             return None if number is None else self._recording.calibration(number)
@@ -310,7 +306,7 @@ class AveragedFrames:
 def _spread(average: Average, full_scale: int) -> Floats:
     """Amplitude of each pixel's alternation that gives its variance, counts."""
     pairs, mean = average.frames // 2, average.mean.astype(np.float64)
-    scale = sqrt((average.frames - 1) / (2 * pairs)) if pairs else 0.0
+    scale = math.sqrt((average.frames - 1) / (2 * pairs)) if pairs else 0.0
     wanted = scale * np.sqrt(np.maximum(average.variance.astype(np.float64) - _ROUNDING, 0))
     room = np.floor(np.minimum(mean, full_scale - mean))
     spread: Floats = np.clip(wanted, 0, np.maximum(room, 0))

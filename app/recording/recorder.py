@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -119,8 +119,8 @@ class BackgroundRecording:
         if self._is_finished:
             stage = "ended early" if self._problem else "finished"
         seconds = (self._ended_s or time.perf_counter()) - self._began_s
-        written = self._folder, stage, self._frames, len(self._waiting)
-        return RecordingState(*written, seconds, self._free_minutes, self._problem, self._gaps)
+        written = self._folder, stage, self._frames, len(self._waiting), seconds
+        return RecordingState(*written, self._free_minutes, self._problem, self._gaps)
 
     def _is_beyond_limit(self, record: Record) -> bool:
         """Return whether a frame comes too late; the limit may have been lowered below what was taken."""
@@ -157,15 +157,17 @@ class BackgroundRecording:
                         writer.write(record)
                     self._frames, self._gaps = writer.frames, tuple(writer.gaps)
                     if synced.done() and time.perf_counter() > synced_s + _SYNC_S:
-                        synced = self._sync(writer, synced, syncing)
-                        synced_s = time.perf_counter()
+                        synced.result()  # raises its error
+                        seconds = time.perf_counter() - self._began_s
+                        free = shutil.disk_usage(self._folder).free
+                        self._free_minutes = free / (writer.bytes / seconds) / 60 if writer.bytes else math.inf
+                        synced, synced_s = syncing.submit(writer.sync), time.perf_counter()
                 synced.result()
         except (OSError, InputError, RunError) as error:
             self._fail(self._in_words(error))
         writer.finish(self._problem, acquired=self._acquired, facts={"timings": timing_facts(self._timings)})
 
     def _records(self) -> Iterator[Record]:
-        """Take frames from the queue until the recording ends."""
         while True:
             with self._changed:
                 while not self._waiting:
@@ -175,14 +177,6 @@ class BackgroundRecording:
                 record = self._waiting.popleft()
                 self._waiting_bytes -= record.nbytes
             yield record
-
-    def _sync(self, writer: RecordingWriter, before: Future[None], syncing: ThreadPoolExecutor) -> Future[None]:
-        """Start the next sync in its own thread; raise the error of the one before."""
-        before.result()
-        seconds = time.perf_counter() - self._began_s
-        free = shutil.disk_usage(self._folder).free
-        self._free_minutes = free / (writer.bytes / seconds) / 60 if writer.bytes else math.inf
-        return syncing.submit(writer.sync)
 
     def _fail(self, problem: str) -> None:
         """End the recording early and drop the queue."""

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -88,9 +89,12 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
             found.rebuilt = tuple(filter(None, rebuilt))
             found.put_aside = _put_in_place(lines, found.frames, is_complete=found.was_complete)
             if found.rebuilt or not found.was_complete:
-                _set_length(recording, found.frames)
+                for array in filter(is_array, _array_folders(folder / STORE)):
+                    FrameArray(array).set_length(found.frames)
             if not found.was_complete:
-                _finish(recording, found)
+                counts = {"recorded": found.frames, "reconstructed": found.reconstructed, "lost": found.lost}
+                ended = {"complete": True, "ended": now(), "ended_early": _WHY, "frames": counts}
+                write_record(folder / RUN, {**recording.run, **ended})
             if left := ", ".join(str(each.relative_to(folder)) for each in remove_partial(folder)):
                 found.rebuilt += (f"half written, and removed: {left}",)
     except OSError as error:
@@ -152,7 +156,6 @@ def _examine(recording: Recording, lines: FoundLines, found: Recovered, progress
 
 
 def _faults(read: Callable[[int], object], numbers: Iterable[int | None]) -> Iterator[str]:
-    """Errors of those that cannot be read."""
     for number in sorted(number for number in numbers if number is not None):
         try:
             read(number)
@@ -172,13 +175,8 @@ def frames_in_words(frames: Sequence[int]) -> str:
 
 def _ranges_of(frames: Sequence[int]) -> list[range]:
     """Join consecutive frames into ranges."""
-    ranges: list[range] = []
-    for index in frames:
-        if ranges and ranges[-1].stop == index:
-            ranges[-1] = range(ranges[-1].start, index + 1)
-        else:
-            ranges.append(range(index, index + 1))
-    return ranges
+    parts = np.split(np.array(frames, np.int64), np.flatnonzero(np.diff(frames) != 1) + 1)
+    return [range(int(part[0]), int(part[-1]) + 1) for part in parts if part.size]
 
 
 def _put_in_place(lines: FoundLines, frames: int, *, is_complete: bool) -> str:
@@ -206,20 +204,6 @@ def _put_in_place(lines: FoundLines, frames: int, *, is_complete: bool) -> str:
     return put_aside
 
 
-def _set_length(recording: Recording, frames: int) -> None:
-    store = recording.folder / STORE
-    for path in (store / PIXELS, *sorted(store.glob(RESULTS.format("*") + "/*"))):
-        if is_array(path):
-            FrameArray(path).set_length(frames)
-
-
-def _finish(recording: Recording, found: Recovered) -> None:
-    """Mark the recording complete."""
-    counts = {"recorded": found.frames, "reconstructed": found.reconstructed, "lost": found.lost}
-    ended = {"complete": True, "ended": now(), "ended_early": _WHY, "frames": counts}
-    write_record(recording.folder / RUN, {**recording.run, **ended})
-
-
 def _rebuild_run(folder: Path) -> str:
     """Make `run.json` again, as far as it is known, if it is missing or no JSON; return what was done."""
     run, bench, lines = folder / RUN, folder / CALIBRATION.format(0) / "bench.toml", folder / FRAME_LINES
@@ -233,7 +217,6 @@ def _rebuild_run(folder: Path) -> str:
 
 
 def _is_lost(path: Path) -> bool:
-    """True if there is no file, or no JSON in it."""
     if not path.is_file():
         return not path.exists()
     try:
@@ -251,8 +234,11 @@ def _rebuild_arrays(folder: Path) -> Iterator[str]:
     if not (store / METADATA).is_file():
         make_store(store)
         yield f"{STORE}/{METADATA} was missing and is made again"
-    for name in _without_metadata(store):
-        metadata = store / name / METADATA
+    for path in filter(Path.is_dir, _array_folders(store)):
+        name, metadata = path.relative_to(store).as_posix(), path / METADATA
+        with suppress(InputError):
+            FrameArray(path)
+            continue  # it can be read
         try:
             values = _zeros_of_a_frame(folder, name)
             if metadata.exists():
@@ -263,14 +249,9 @@ def _rebuild_arrays(folder: Path) -> Iterator[str]:
             yield f"{STORE}/{name}/{METADATA} is missing or damaged and cannot be made again: {error}"
 
 
-def _without_metadata(store: Path) -> Iterator[str]:
-    """Names of the arrays whose metadata cannot be read."""
-    for path in (store / PIXELS, *sorted(store.glob(RESULTS.format("*") + "/*"), reverse=True)):
-        if path.is_dir():
-            try:
-                FrameArray(path)
-            except InputError:
-                yield path.relative_to(store).as_posix()
+def _array_folders(store: Path) -> list[Path]:
+    """Folders of the frames and of the results, the displacements of a calibration before its coefficients."""
+    return [store / PIXELS, *sorted(store.glob(RESULTS.format("*") + "/*"), reverse=True)]
 
 
 def _zeros_of_a_frame(folder: Path, name: str) -> NDArray[np.uint16] | NDArray[np.float64]:

@@ -131,10 +131,8 @@ class Reprocessing:
             sample = reconstructor.find_sample(registered)
         if self._rounds:
             if rounds := list(in_force.estimator.refinement.rounds(registered, self._rounds, sample)):
-                newest = rounds[-1]
-                return newest.wavefront, Assumptions(
-                    sample, RefinementState("applied", 0.0, bias=newest.bias.displacement)
-                )
+                refined = RefinementState("applied", 0.0, bias=rounds[-1].bias.displacement)
+                return rounds[-1].wavefront, Assumptions(sample, refined)
         elif line.bias is not None and in_force.registers_as_recorded:
             bias = recording.bias(line.bias)
             if bias.shape != registered.coefficients.shape:
@@ -158,8 +156,6 @@ def reprocess(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _InForce:
-    """Estimator of one calibration of a recording, perhaps changed."""
-
     number: int
     estimator: Estimator
     registers_as_recorded: bool
@@ -167,7 +163,6 @@ class _InForce:
 
 
 def _recorded(line: FrameLine, made: Measurement) -> Measurement:
-    """Add what the line of a frame tells."""
     current_a = line.light_current_a
     light = None if current_a is None else LightState(bool(line.is_light_on), current_a)
     return replace(made, lost=line.lost, light=light, index=line.index)

@@ -84,6 +84,7 @@ class Record:
         made, frame, light = self.made, self.made.frame, self.made.light
         sample, refinement = made.assumed
         gap = made.gap if index else None  # one before the first frame is none of this recording
+        rms_rad = math.nan if self.views is None else mean_rms(self.views)
         return FrameLine(
             index=index,
             camera_index=frame.index,
@@ -99,19 +100,13 @@ class Record:
             bias_age_s=None if refinement.bias is None else refinement.age_s,
             start=start,
             problem=made.problem,
-            rms_rad=_known_mean_rms(self.views),
+            rms_rad=None if math.isnan(rms_rad) else rms_rad,  # JSON has no NaN
             valid=self.valid,
             sample=None if sample is None else sample_line(sample),
             crc32=checksum(frame.pixels),
             gap_s=0.0 if gap is None else gap.seconds,
             gap_cause="" if gap is None else gap.cause,
         )
-
-
-def _known_mean_rms(views: Floats | None) -> float | None:
-    """RMS of a wavefront, mean over the views in the field; None without a wavefront, as JSON has no NaN."""
-    value = math.nan if views is None else mean_rms(views)
-    return None if math.isnan(value) else value
 
 
 class RecordingWriter:
@@ -149,21 +144,17 @@ class RecordingWriter:
 
     def write(self, record: Record) -> None:
         """Write a frame, and then its line."""
-        index = self.frames
-        made = record.made
+        index, made = self.frames, record.made
         calibration = self._calibrations.number_of(made.calibration)
         bias = self._biases.number_of(made.assumed.refinement.bias)
         if self._registered is None and record.start is not None:  # the frame before is not in this recording
             write_array(self._folder / START, record.start)
             self._registered = BEFORE, record.start
         start = self._registered[0] if record.start is not None and self._registered is not None else None
-        written = self._put(PIXELS, index, made.frame.pixels)
-        if calibration is not None:
-            results = RESULTS.format(calibration)
-            if record.displacement is not None:
-                written += self._put(f"{results}/displacement", index, record.displacement)
-            if record.coefficients is not None:
-                written += self._put(f"{results}/coefficients", index, record.coefficients)
+        self._put(PIXELS, index, made.frame.pixels)
+        for name, values in (("displacement", record.displacement), ("coefficients", record.coefficients)):
+            if calibration is not None and values is not None:
+                self._put(f"{RESULTS.format(calibration)}/{name}", index, values)
         self._write_line(record.line(index, calibration, bias, start))
         if record.displacement is not None:
             self._registered = index, record.displacement
@@ -172,7 +163,6 @@ class RecordingWriter:
         self.lost += made.lost
         if made.gap is not None and index:
             self.gaps.append(made.gap)
-        self.bytes += written
 
     def sync(self) -> None:
         """Force the lines to disk, so that they survive a power failure."""
@@ -183,9 +173,13 @@ class RecordingWriter:
 
         Of the `acquired` frames, those beyond the recorded ones could not be written. `RunError` if the folder is gone.
         """
-        self._check_in_place()
-        if ended_early:
-            self._remove_unfinished()
+        lines = self._folder / FRAME_LINES  # if it is not where it was, no empty recording may take its place
+        if not lines.exists() or not os.path.samestat(os.fstat(self._lines.fileno()), lines.stat()):
+            raise RunError(f"{lines}: was removed or renamed during the recording; svwfs recover finishes it")
+        if ended_early:  # parts of a frame without a line; on a full disk their removal makes room for the rest
+            for array in self._arrays.values():
+                array.remove(self.frames)
+            os.ftruncate(self._lines.fileno(), self._lines_bytes)
         for array in self._arrays.values():
             array.set_length(self.frames)
         self.sync()
@@ -197,18 +191,6 @@ class RecordingWriter:
         """Close the files."""
         self._lines.close()
 
-    def _check_in_place(self) -> None:
-        """Raise `RunError` if the list of frames is not where it was, so that no empty recording takes its place."""
-        lines = self._folder / FRAME_LINES
-        if not lines.exists() or not os.path.samestat(os.fstat(self._lines.fileno()), lines.stat()):
-            raise RunError(f"{lines}: was removed or renamed during the recording; svwfs recover finishes it")
-
-    def _remove_unfinished(self) -> None:
-        """Remove the parts of a frame without a line; on a full disk this makes room for the rest."""
-        for array in self._arrays.values():
-            array.remove(self.frames)
-        os.ftruncate(self._lines.fileno(), self._lines_bytes)
-
     def _write_line(self, line: FrameLine) -> None:
         left = memoryview((line.to_json() + "\n").encode())
         length = len(left)
@@ -216,13 +198,13 @@ class RecordingWriter:
             left = left[self._lines.write(left) :]
         self._lines_bytes += length
 
-    def _put(self, name: str, index: int, values: NDArray[Any]) -> int:
+    def _put(self, name: str, index: int, values: NDArray[Any]) -> None:
         if name not in self._arrays:
             if not self._arrays:
                 make_store(self._folder / STORE)
             self._arrays[name] = make_array(self._folder / STORE, name, values)
         try:
-            return self._arrays[name].write(index, values)
+            self.bytes += self._arrays[name].write(index, values)
         except RunError as error:
             raise RunError(f"the recording has ended with frame {index}, {name}: {error}") from error
 

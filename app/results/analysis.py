@@ -32,7 +32,7 @@ ANALYSES = {
 }
 
 # options of several commands
-Source = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]
+RunOrResult = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]
 Frame = Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")]
 Frames = Annotated[
     str | None,
@@ -54,7 +54,7 @@ class Analysis(Protocol):
     An impossible combination of options is an `InputError`. Window and Python use the same functions of its file.
     """
 
-    source: ClassVar[object] = Source  # the option of its wavefronts
+    source: ClassVar[object] = RunOrResult  # the option of its wavefronts
     file_help: ClassVar[str]  # of the file that it writes
     suffixes: ClassVar[tuple[str, ...]] = (".nc",)  # of that file
     needs_suffix: ClassVar[bool] = False  # which says what is written

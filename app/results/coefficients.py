@@ -61,26 +61,25 @@ def mode_coefficients(wavefront: Wavefront, choice: ModeChoice) -> ModeCoefficie
     reconstruction, the fit returns its coefficients.
     """
     sensor, displacement, solution = wavefront.sensor, wavefront.displacement, wavefront.solution
-    weights = np.zeros(displacement.modes.count)
     if choice.field_mode is None:
-        row, column = choice.view
-        field = wavefront.field
+        (row, column), field = choice.view, wavefront.field
         x, y = field.view_x_m[column] / field.half_width_m, field.view_y_m[row] / field.half_width_m
         weights, phase = displacement.modes.values(x, y), wavefront.views[choice.view]
     else:
-        weights[choice.field_mode] = 1.0
+        weights = np.eye(displacement.modes.count)[choice.field_mode]
         phase = solution.wavefront(weights)
     fit = _fit(sensor, choice.basis, np.isfinite(phase).tobytes())
     names = BASES[choice.basis].names(len(fit))
     sigma_rad = np.full(len(fit), np.nan)
     if isinstance(solution, ModalSolution):
-        sigma_rad = np.linalg.norm(
-            _apply(fit, np.moveaxis(solution.deviations(weights).astype(np.float64), -1, 0)), axis=0
-        )
+        deviations = np.moveaxis(solution.deviations(weights).astype(np.float64), -1, 0)
+        sigma_rad = np.linalg.norm(_apply(fit, deviations), axis=0)
     field_map = None
     if choice.mapped is not None:
         by_mode = _apply(fit, solution.wavefront(np.eye(displacement.modes.count)))[:, choice.mapped]
-        field_map = _over_field(wavefront, by_mode)
+        steps = centered_steps(_MAP_ACROSS) * 2 / (_MAP_ACROSS - 1)
+        field_map = np.tensordot(by_mode, displacement.modes.values(steps, steps[:, None]), axes=1)
+        field_map[~wavefront.field.contains(steps, steps[:, None])] = np.nan
     return ModeCoefficients(choice, names, _apply(fit, phase[None])[0], sigma_rad, field_map)
 
 
@@ -91,25 +90,14 @@ def _fit(sensor: Sensor, basis: PupilBasis, known_bytes: bytes) -> Floats:
     modes = pupil_modes(sensor, basis, min(_MOST_MODES, most * (most + 1) // 2))
     known = np.frombuffer(known_bytes, np.bool_)
     used = known & modes.inside.ravel()
-    fit = np.zeros((len(modes.values), used.size))
-    if used.any():
-        fit[:, used] = np.linalg.pinv(modes.values.reshape(len(fit), -1)[:, used].T)
-    else:
-        fit[:] = np.nan
+    fit = np.full((len(modes.values), used.size), 0.0 if used.any() else np.nan)
+    fit[:, used] = np.linalg.pinv(modes.values.reshape(len(fit), -1)[:, used].T)
     return fit
 
 
 def _apply(fit: Floats, phases: Floats) -> Floats:
     """Coefficients (case, pupil_mode) of wavefronts (case, lenslet_row, lenslet_column)."""
     return np.asarray(np.nan_to_num(phases.reshape(len(phases), -1)) @ fit.T)
-
-
-def _over_field(wavefront: Wavefront, by_mode: Floats) -> Floats:
-    """Map over the field, (row, column), of what has the coefficients (field_mode,); NaN outside."""
-    steps = centered_steps(_MAP_ACROSS) * 2 / (_MAP_ACROSS - 1)
-    values = np.tensordot(by_mode, wavefront.displacement.modes.values(steps, steps[:, None]), axes=1)
-    values[~wavefront.field.contains(steps, steps[:, None])] = np.nan
-    return np.asarray(values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

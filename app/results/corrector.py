@@ -32,8 +32,6 @@ PHASE_FORMATS = (".npy", ".fits", ".png")
 _SHARES = np.linspace(-0.95, 0.95, 77)  # ratio / (1 + |ratio|) of the correctors compared
 _GREY = 256  # levels of a wrapped phase
 _REFINED = 0.02  # about the best of them
-
-
 _READING = 0.7  # share of the work
 
 
@@ -104,9 +102,8 @@ class BestCorrector(Analysis):
         label = f"{layers.distance_in_words(at_m, np.nan, origin)}: {residual:.2g} rad"
         left.plot([at_m * 1e3], [residual], "o", color="#d1495b", label=label)
         uncorrected = float(found["uncorrected"])
-        left.axhline(
-            uncorrected, color="0.5", linewidth=0.8, linestyle="--", label=f"uncorrected: {uncorrected:.2g} rad"
-        )
+        label = f"uncorrected: {uncorrected:.2g} rad"
+        left.axhline(uncorrected, color="0.5", linewidth=0.8, linestyle="--", label=label)
         low_m, high_m = layers.shown_range_m(found["corrector_distance_m"].values, found["distance"].values, origin)
         left.set(
             xlim=(1e3 * low_m, 1e3 * high_m),
@@ -187,10 +184,7 @@ def correction_dataset(found: CorrectorComparison, bench: Bench, origin: layers.
     origin = layers.possible_origin(origin, [made.ratio])
     distances_m = layers.distance_m(np.array([each.ratio for each in curve]), origin, bench)
     order = np.argsort(distances_m)[: np.count_nonzero(np.isfinite(distances_m))]  # NaN comes last
-    residual, strehl = (
-        np.array(values)[order]
-        for values in ([each.mean_residual_rad for each in curve], [np.nanmean(each.strehl) for each in curve])
-    )
+    residual, strehl = np.array([(each.mean_residual_rad, np.nanmean(each.strehl)) for each in curve])[order].T
     of_distance = f"of the corrector; {layers.from_where(origin)}"
     x_m, y_m, phase = made.phase_map(layers.MAP_POINTS)
     return xr.Dataset(

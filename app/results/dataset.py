@@ -1,7 +1,5 @@
 """Results as a dataset: wavefronts with coordinates and units, image quality, what was assumed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -107,8 +105,12 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
             "slope_chi_square": ((), chi_square, about("1", "reduced chi-square of the slopes against the fit")),
         }
     variables |= rotation_variables(wavefront) | sample_variables(wavefront.sample, wavefront.field)
-    if quality is not None:
-        variables["quality"] = quality_variable(quality)
+    if quality is not None:  # as CF flags, one bit each
+        name = "faults that make the wavefront doubtful; 0 if none was found"
+        masks = np.array([int(fault) for fault in Fault], np.int32)
+        meanings = " ".join(fault.name.lower() for fault in Fault if fault.name)
+        flags = {**about("1", name), "flag_masks": masks, "flag_meanings": meanings}
+        variables["quality"] = (), np.array(int(quality.faults), np.int32), flags
     variables |= transfer(wavefront) | structure(wavefront)
     if with_psf:
         variables |= point_spread(wavefront)
@@ -194,18 +196,6 @@ def _coordinates(sensor: Sensor, field: Field) -> dict[str, Variable]:
         "pupil_x": (LENSLET[1:] if is_square else LENSLET, pupil_x_m, about("m", "lenslet centre")),
         "pupil_y": (("lenslet_row",), sensor.pupil_y_m, about("m", "lenslet centre")),
     }
-
-
-def quality_variable(quality: Quality) -> Variable:
-    """Faults of a frame as CF flags, one bit each."""
-    meanings = " ".join(fault.name.lower() for fault in Fault if fault.name)
-    name = "faults that make the wavefront doubtful; 0 if none was found"
-    masks = np.array([int(fault) for fault in Fault], np.int32)
-    return (
-        (),
-        np.array(int(quality.faults), np.int32),
-        {**about("1", name), "flag_masks": masks, "flag_meanings": meanings},
-    )
 
 
 def sample_variables(sample: AssumedSample, of: Field) -> dict[str, Variable]:

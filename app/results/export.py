@@ -188,7 +188,6 @@ def _row(frame: Measurement, names: list[str]) -> list[float]:
 
 
 def _values(wavefront: Wavefront) -> dict[str, float]:
-    """Columns of a wavefront."""
     values = {f"rms_{row}_{column}_rad": float(value) for (row, column), value in np.ndenumerate(rms(wavefront.views))}
     if isinstance(wavefront.solution, ModalSolution):
         for name, modes in (("", wavefront.solution.coefficients), ("_sigma", wavefront.solution.coefficients_sigma)):
@@ -211,9 +210,8 @@ def _write_results(
 def _write_zernike_table(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
     """Write one row of numbers for each frame with a wavefront, and view inside the field."""
     frames = _reconstructed(recording, chosen, progress)
-    tables = (
-        (frame.index, *table_of(zernikes_of_views(frame.wavefront))) for frame in frames if frame.wavefront is not None
-    )
+    known = ((frame.index, frame.wavefront) for frame in frames if frame.wavefront is not None)
+    tables = ((index, *table_of(zernikes_of_views(wavefront))) for index, wavefront in known)
     first = next(tables, None)
     if first is None:
         raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
@@ -239,7 +237,6 @@ def _write_psf(recording: Recording, chosen: range, out: Path, progress: Progres
 
 
 def _views(recording: Recording, chosen: range, progress: Progress, text: str) -> Iterator[Floats]:
-    """Wavefronts of the frames that have one."""
     frames = _reconstructed(recording, chosen, progress, text)
     return (frame.wavefront.views for frame in frames if frame.wavefront is not None)
 

@@ -102,9 +102,7 @@ def draw_structure(axis: Axes, found: Isoplanatism) -> None:
     """Draw the difference of wavefronts over their separation in the field, with and without tilt."""
     for name, curve in (("with tilt", found.curve), ("tilt removed", found.curve_without_tilt)):
         separation_mm = np.append(0.0, curve.separation_m * 1e3)
-        rms_rad, least_rad, most_rad = (
-            np.append(0.0, values) for values in (curve.rms_rad, curve.least_rad, curve.most_rad)
-        )
+        rms_rad, least_rad, most_rad = np.pad([curve.rms_rad, curve.least_rad, curve.most_rad], ((0, 0), (1, 0)))
         (line,) = axis.plot(separation_mm, rms_rad, label=name)
         axis.fill_between(separation_mm, least_rad, most_rad, color=line.get_color(), alpha=0.15, linewidth=0)
     axis.axhline(1.0, linestyle="--", linewidth=0.8, color="0.4")

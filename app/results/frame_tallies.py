@@ -3,11 +3,11 @@
 from collections import Counter
 from dataclasses import dataclass, field
 from itertools import chain
-from pathlib import Path
 
 import numpy as np
 
 from app.bench.config import Bench
+from app.files import MEASURED
 from app.images import write_image
 from app.measurement.measurement import Measurement, sample_sentence
 from app.progress import Progress, counted, counting
@@ -22,7 +22,7 @@ from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.circulation import Circulation
 from reconstruction.wavefront import Wavefront, rms
 
-_RESULTS = "results.nc"
+_RESULTS, _DARK, _REFERENCE = MEASURED
 ROTATES = (
     "the subimages rotate, which thin layers cannot cause: look for a cylinder lens, different magnifications"
     " along x and y, or a camera turned since the reference; keep registration.rotation = true"
@@ -105,65 +105,62 @@ def rms_text(rms_rad: float, noise_rad: float) -> str:
     return f"{rms_rad:.3f} +- {noise_rad:.3f}" if np.isfinite(noise_rad) else f"{rms_rad:.3f}"
 
 
-def files_of(folder: Path) -> list[Path]:
-    """Return the files that `write_measured` writes."""
-    return [folder / name for name in (_RESULTS, "dark.tif", "reference.tif")]
-
-
 @dataclass(slots=True)
-class Measured:
+class FrameTally:
+    """Counts of frames with their faults and samples."""
+
+    frames: int = 0
+    reconstructed: int = 0
+    problem: str = ""  # of the first frame that could not be reconstructed
+    assumed: str = ""  # samples, in words
+    samples: SampleTally = field(default_factory=SampleTally)
+    quality: QualityTally = field(default_factory=QualityTally)
+
+    def count(self, made: Measurement) -> None:
+        """Add one frame."""
+        self.frames += 1
+        self.problem = self.problem or made.problem
+        if made.wavefront is not None:
+            self.reconstructed += 1
+            self.quality.take(made.quality)
+            self.samples.take(made.wavefront.sample)
+            self.assumed = self.samples.sentence(made.wavefront.field)
+
+
+@dataclass(slots=True, kw_only=True)
+class Measured(FrameTally):
     """Statistics of all frames of a measurement."""
 
     bench: Bench
-    mean_rms_rad: Floats  # mean over the frames, (view_row, view_column)
-    square_rms_rad: Floats  # mean of the squares, rad^2, (view_row, view_column)
-    square_noise_rad: Floats  # mean of the squares of each frame's noise, rad^2, (view_row, view_column)
-    recorded: int = 0
-    reconstructed: int = 0
+    means: Floats  # over the frames: RMS, its square, and square of the noise, rad, (3, view_row, view_column)
     lost: int = 0  # by the camera
     exposure_s: float = np.nan  # of the last frame
     light_current_a: float | None = None  # of the last frame; None if unknown
     rotation: Circulation | None = None  # of the subimages of the last frame; None if the registration excludes it
     rotating: int = 0  # frames whose subimages rotate
-    problem: str = ""  # of the first frame that could not be reconstructed
     mask_note: str = ""  # of the last frame, see `mask_sentence`
-    samples: SampleTally = field(default_factory=SampleTally)
-    quality: QualityTally = field(default_factory=QualityTally)
 
     @property
     def scatter_rms_rad(self) -> Floats:
         """Standard deviation of each view's RMS over the frames, rad, (view_row, view_column)."""
-        return np.sqrt(np.maximum(self.square_rms_rad - self.mean_rms_rad**2, 0))
+        return np.asarray(np.sqrt(np.maximum(self.means[1] - self.means[0] ** 2, 0)))
 
     @property
     def noise_rad(self) -> Floats:
         """Noise of one frame, rad, (view_row, view_column); see `rms_noise`."""
-        return np.sqrt(self.square_noise_rad)
-
-    @property
-    def assumed(self) -> str:
-        """Samples that were assumed, in words."""
-        return self.samples.sentence(self.bench.field)
+        return np.asarray(np.sqrt(self.means[2]))
 
     def take(self, made: Measurement, mask_note: str) -> Measurement:
         """Add one frame, and return it."""
-        self.recorded, self.lost = self.recorded + 1, self.lost + made.lost
-        self.exposure_s = made.frame.exposure_s
+        self.count(made)
+        self.lost, self.exposure_s = self.lost + made.lost, made.frame.exposure_s
         self.light_current_a = None if made.light is None else made.light.current_a
-        if made.wavefront is None:
-            self.problem = self.problem or made.problem
-            return made
-        self.reconstructed += 1
-        self.mask_note = mask_note
-        self.quality.take(made.quality)
-        self.samples.take(made.wavefront.sample)
-        self.rotation = rotation_of(made.wavefront)
-        self.rotating += self.rotation is not None and self.rotation.contradicts_layers
-        values = rms(made.wavefront.views)
-        self.mean_rms_rad = self.mean_rms_rad + (values - self.mean_rms_rad) / self.reconstructed
-        self.square_rms_rad = self.square_rms_rad + (values**2 - self.square_rms_rad) / self.reconstructed
-        noise = rms_noise(made.wavefront) ** 2
-        self.square_noise_rad = self.square_noise_rad + (noise - self.square_noise_rad) / self.reconstructed
+        if made.wavefront is not None:
+            self.mask_note, self.rotation = mask_note, rotation_of(made.wavefront)
+            self.rotating += self.rotation is not None and self.rotation.contradicts_layers
+            values = rms(made.wavefront.views)
+            numbers = np.stack([values, values**2, rms_noise(made.wavefront) ** 2])
+            self.means = self.means + (numbers - self.means) / self.reconstructed
         return made
 
 
@@ -173,16 +170,16 @@ def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Me
     Every frame is reconstructed, also those that were skipped live; without any wavefront there is no `results.nc`.
     """
     shape = bench.field.view_rows, bench.field.view_columns
-    measured = Measured(bench, *np.zeros((3, *shape)))
+    measured = Measured(bench=bench, means=np.zeros((3, *shape)))
     if len(recording) and (number := recording.line(0).calibration) is not None:
         calibration = recording.calibration(number)
-        for name, average in (("dark", calibration.dark), ("reference", calibration.reference)):
+        for name, average in ((_DARK, calibration.dark), (_REFERENCE, calibration.reference)):
             if average is not None:
-                write_image(recording.folder / f"{name}.tif", average.mean)
+                write_image(recording.folder / name, average.mean)
     reprocessing = Reprocessing(recording)
     frames = counting(reprocessing(), len(recording), progress, "writing the results")
     pieces = results_in_pieces((measured.take(made, reprocessing.mask_sentence(made)), {}) for made in frames)
     if (first := next(pieces, None)) is not None:
-        names = {"dark": "dark.tif", "reference": "reference.tif"}
+        names = {"dark": _DARK, "reference": _REFERENCE}
         write_pieces(recording.folder / _RESULTS, chain([first], pieces), bench=bench, inputs=names)
     return measured

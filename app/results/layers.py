@@ -273,9 +273,8 @@ def _draw_curve(axes: Axes, found: xr.Dataset) -> None:
 
 def _draw_map(axes: Axes, values: xr.DataArray, title: str, colours: str, limits: tuple[float, float]) -> None:
     x_mm, y_mm = (values[name].values * 1e3 for name in ("x", "y"))
-    image = axes.imshow(
-        values, cmap=colours, vmin=limits[0], vmax=limits[1], extent=(x_mm[0], x_mm[-1], y_mm[-1], y_mm[0])
-    )
+    extent = (x_mm[0], x_mm[-1], y_mm[-1], y_mm[0])
+    image = axes.imshow(values, cmap=colours, vmin=limits[0], vmax=limits[1], extent=extent)
     axes.set(xlabel="x on the layer (mm)", ylabel="y (mm)")
     axes.set_title(title, fontsize=9)
     axes.figure.colorbar(image, ax=axes, shrink=0.85)

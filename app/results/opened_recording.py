@@ -86,10 +86,8 @@ class OpenedRecording:
     def __repr__(self) -> str:
         rows, columns = self._recording.frame_shape if len(self) else (0, 0)
         facts = [f"{counted(len(self))} of {rows} x {columns} pixels", f"began {self.run.get('began', 'some time')}"]
-        facts += [
-            self._recording.ended_early if self._recording.is_complete else "unfinished",
-            self.run.get("note", ""),
-        ]
+        facts.append(self._recording.ended_early if self._recording.is_complete else "unfinished")
+        facts.append(self.run.get("note", ""))
         return f"<Recording {self._recording.folder}: {'; '.join(filter(None, facts))}>"
 
     def _repr_html_(self) -> str:
@@ -100,8 +98,7 @@ class OpenedRecording:
 
     @cached_property
     def _calibration(self) -> Calibration | None:
-        numbers = (self._recording.line(index).calibration for index in range(len(self)))
-        first = next((number for number in numbers if number is not None), None)
+        first = self._recording.first_calibration(range(len(self)))
         return None if first is None else self._recording.calibration(first)
 
     @cached_property
@@ -150,9 +147,8 @@ class _Pixels(BackendArray):
         self.dtype = np.dtype(np.uint16)
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> NDArray[Any]:
-        return np.asarray(
-            indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._read)
-        )
+        support = indexing.IndexingSupport.BASIC
+        return np.asarray(indexing.explicit_indexing_adapter(key, self.shape, support, self._read))
 
     def _read(self, key: tuple[int | slice, ...]) -> NDArray[np.uint16]:
         frame, *within = key

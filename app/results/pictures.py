@@ -58,7 +58,6 @@ def frame_statistics(pixels: NDArray[np.integer[Any]], full_scale: int) -> Frame
 
 @compiled
 def _count(pixels: NDArray[np.integer[Any]], by_count: NDArray[np.intp]) -> None:
-    """Count the pixels (row, column) with each count."""
     for row in range(pixels.shape[0]):
         for column in range(pixels.shape[1]):
             by_count[pixels[row, column]] += 1

@@ -36,8 +36,7 @@ class Player:
         self._change = change_of(None if bench is None else load_bench(bench, settings), settings)
         self._camera: RecordedCamera | None = None
         self._acquisition: Acquisition | None = None
-        numbers = (self._recording.line(index).calibration for index in self.frames)
-        first = next((number for number in numbers if number is not None), None)
+        first = self._recording.first_calibration(self.frames)
         if first is None:
             raise InputError(f"{folder}: these frames have no calibration: there is nothing to reconstruct them with")
         self._first = self._asked = first

@@ -1,7 +1,7 @@
 """Recordings reconstructed again: verified bit by bit, or compared with another bench."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, get_args
@@ -21,7 +21,7 @@ from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, reprocess
 from app.results.dataset import results_in_pieces
-from app.results.frame_tallies import QualityTally, SampleTally
+from app.results.frame_tallies import FrameTally
 from app.results.result_file import Variable, about, write_pieces
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
@@ -73,7 +73,6 @@ class Verification:
 
 
 def _differences(recording: Recording, line: FrameLine, frame: Measurement) -> str:
-    """Differences and their size; empty if there are none."""
     wavefront = frame.wavefront
     if line.problem != frame.problem:
         return f'the problem was "{line.problem}" and is "{frame.problem}"'
@@ -103,15 +102,15 @@ def _difference(then: NDArray[Any] | None, now: NDArray[Any], what: str, unit: s
 
 
 class Comparison:
-    """RMS of the wavefronts with both benches, and of their difference without piston, (view_row, view_column).
+    """RMS of the wavefronts with the recorded bench, with another, and of their difference without piston.
 
-    They are means over the frames that have a wavefront with both.
+    `means_rad` (3, view_row, view_column) are means over the frames that have a wavefront with both.
     """
 
     def __init__(self) -> None:
         self.frames = 0
         self.field: Field | None = None
-        self.recorded_rms_rad = self.rms_rad = self.difference_rms_rad = np.zeros(())
+        self.means_rad = np.zeros((3, 1, 1))
 
     def take(self, then: Measurement, now: Measurement) -> dict[str, Variable]:
         """Add a frame; return additional variables for its results."""
@@ -120,9 +119,7 @@ class Comparison:
         self.frames, self.field = self.frames + 1, now.wavefront.field
         recorded, again = rms(then.wavefront.views), rms(now.wavefront.views)
         difference = rms(now.wavefront.views - then.wavefront.views)
-        self.recorded_rms_rad = self.recorded_rms_rad + (recorded - self.recorded_rms_rad) / self.frames
-        self.rms_rad = self.rms_rad + (again - self.rms_rad) / self.frames
-        self.difference_rms_rad = self.difference_rms_rad + (difference - self.difference_rms_rad) / self.frames
+        self.means_rad = self.means_rad + (np.stack([recorded, again, difference]) - self.means_rad) / self.frames
         return {
             "recorded_rms": (_VIEW, recorded, about("rad", "RMS of each view's wavefront with the recorded bench")),
             "difference_rms": (_VIEW, difference, about("rad", "RMS difference of each view's wavefront from it")),
@@ -138,30 +135,13 @@ def are_alike(one: Wavefront, other: Wavefront) -> bool:
     )
 
 
-@dataclass(slots=True)
-class Replay:
+@dataclass(slots=True, kw_only=True)
+class Replay(FrameTally):
     """Outcome of a replay: a verification with the recorded bench, a comparison with another."""
 
     verification: Verification | None
     comparison: Comparison | None
-    frames: int = 0
-    reconstructed: int = 0
     unrefined: int = 0  # frames refined live but not in this replay
-    problem: str = ""  # of the first frame that could not be reconstructed
-    assumed: str = ""  # samples, in words
-    samples: SampleTally = field(default_factory=SampleTally)
-    quality: QualityTally = field(default_factory=QualityTally)
-
-    def take(self, frame: Measurement, *, was_refined: bool) -> None:
-        """Count one frame, which `was_refined` live or not."""
-        self.frames += 1
-        self.reconstructed += frame.wavefront is not None
-        self.unrefined += frame.wavefront is not None and was_refined and frame.assumed.refinement.bias is None
-        self.problem = self.problem or frame.problem
-        if frame.wavefront is not None:
-            self.quality.take(frame.quality)
-            self.samples.take(frame.wavefront.sample)
-            self.assumed = self.samples.sentence(frame.wavefront.field)
 
 
 def replay(
@@ -194,7 +174,7 @@ def replay(
         raise InputError("--verify compares with the recorded bench: leave --bench and --set out")
     is_known = recording.bench.registration.method in get_args(Method)  # earlier versions had others
     comparison = Comparison() if change is not None and is_known else None
-    made = Replay(Verification(recording) if change is None else None, comparison)
+    made = Replay(verification=Verification(recording) if change is None else None, comparison=comparison)
     with one_blas_thread():
         stream = _frames(recording, chosen, change, made, progress)
         if out is not None:
@@ -219,7 +199,9 @@ def _frames(
             made.verification.take(frame)
         if made.comparison is not None:
             more = made.comparison.take(next(originals), frame)
-        made.take(frame, was_refined=recording.line(frame.index).bias is not None)
+        made.count(frame)
+        was_refined = recording.line(frame.index).bias is not None
+        made.unrefined += frame.wavefront is not None and was_refined and frame.assumed.refinement.bias is None
         progress(f"replaying {counted(len(chosen))}", done / len(chosen))
         yield frame, more
 
@@ -246,9 +228,8 @@ def changed_bench(recorded: Bench, settings: tuple[str, ...]) -> Bench:
 
 def first_bench(recording: Recording, chosen: range, change: Change | None = None) -> Bench:
     """Return the bench of the first chosen frame that has one, after the change."""
-    for index in chosen:
-        number = recording.line(index).calibration
-        if number is not None:
-            calibration = recording.calibration(number)
-            return (calibration if change is None else change(calibration)).bench
-    return recording.bench
+    number = recording.first_calibration(chosen)
+    if number is None:
+        return recording.bench
+    calibration = recording.calibration(number)
+    return (calibration if change is None else change(calibration)).bench

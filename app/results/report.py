@@ -148,7 +148,6 @@ def _headline(summary: Summary) -> str:
 
 
 def _draw_images(figure: SubFigure, summary: Summary) -> None:
-    """Draw the first frame and the reference, if any."""
     line, calibration = summary.lines[0], summary.calibration
     images: list[tuple[str, NDArray[Any]]] = [(f"frame {line.index}", summary.recording.pixels(line.index))]
     images += [] if calibration is None else [("reference", calibration.reference.mean)]
@@ -216,9 +215,8 @@ def _draw_trend(axis: Axes, summary: Summary, stats: Statistics) -> None:
         axis.vlines(gaps_s, 0, 1, transform=axis.get_xaxis_transform(), color="#cc3311", lw=0.8, label="frames lost")
     failed_s = [time_s[line.index] for line in lines if line.problem]
     if failed_s:
-        axis.plot(
-            failed_s, [0.03] * len(failed_s), "x", transform=axis.get_xaxis_transform(), label="no live wavefront"
-        )
+        low = axis.get_xaxis_transform()
+        axis.plot(failed_s, [0.03] * len(failed_s), "x", transform=low, label="no live wavefront")
     axis.set(title="RMS of the wavefront, mean over the views", xlabel="time since the first frame (s)", ylabel="rad")
     axis.ticklabel_format(useOffset=False)
     axis.margins(y=0.1)
@@ -245,9 +243,8 @@ def _draw_lost(axis: Axes, stats: Statistics) -> None:
     text = f"{ever} of {stats.lost.size} lenslets lost, {always} of them always" if ever else "no lenslet was lost"
     axis.set_title(text)
     if handles:
-        axis.legend(
-            handles=handles, fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False
-        )
+        below = (0.5, -0.02)
+        axis.legend(handles=handles, fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=below, frameon=False)
 
 
 _POSITIONS = 21  # across the field

@@ -105,8 +105,6 @@ def summarise(recording: Recording, frames: str | None, progress: Progress, *, c
 
 
 class _Sums:
-    """Sums over frames."""
-
     def __init__(self) -> None:
         self._frames: list[int] = []
         self._rms_rad: list[float] = []
@@ -138,7 +136,6 @@ class _Sums:
         self._quality.take(frame.quality)
 
     def statistics(self) -> Statistics | None:
-        """Statistics of all frames; None if none has a wavefront."""
         if self._wavefront is None:
             return None
         lost = self._outcomes.copy()
@@ -290,7 +287,7 @@ def _of_calibration(summary: Summary) -> Iterator[Fact]:
     several = f"; the first of {summary.calibrations} calibrations" * (summary.calibrations > 1)
     yield "dark", "none" if calibration.dark is None else _average(calibration.dark)
     yield "reference", _average(calibration.reference) + several
-    noise = calibration.noise
+    noise = calibration.noise.noise
     yield (
         "noise",
         "unknown from dark and reference; error bars from the misfit"

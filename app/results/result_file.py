@@ -1,7 +1,5 @@
 """Results as NetCDF-4 files with their origin, for xarray, MATLAB or Panoply: written atomically, checked when read."""
 
-from __future__ import annotations
-
 import io
 import os
 import warnings
@@ -139,16 +137,14 @@ def _add_sums(path: Path, piece: xr.Dataset, sums: dict[Hashable, int]) -> None:
 def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str]) -> memoryview:
     """Return the contents of a file. HDF5 crashes on a full disk, so it writes into memory."""
     origin = {"software": f"svwfs {version('svwfs')}", "bench": write_bench(bench), **inputs}
-    origin = {
-        name: text.encode(errors="replace").decode() for name, text in origin.items()
-    }  # file names may be no text
+    # names of files need not be text
+    origin = {name: text.encode(errors="replace").decode() for name, text in origin.items()}
     return piece.assign_attrs(**{"title": "Space-variant wavefront"} | piece.attrs | origin).to_netcdf(
         engine="h5netcdf", unlimited_dims=[FRAME] if FRAME in piece.dims else []
     )
 
 
 def _verify(written: Path, path: Path, frames: int) -> None:
-    """Raise `RunError` unless the file can be read and has all frames."""
     try:
         with h5netcdf.File(written, "r") as file:
             found = file.dimensions[FRAME].size if FRAME in file.dimensions else 1

@@ -95,17 +95,13 @@ class DisplayOptions:
     @property
     def in_words(self) -> str:
         """The options other than the defaults, for a caption; empty without any."""
-        return ", ".join(
-            filter(
-                None,
-                [
-                    "no tilt" * self.without_tilt,
-                    "no defocus" * self.without_defocus,
-                    "" if self.stored is None else f"minus {self.stored.name}",
-                    f"mean of {self.averaged} frames" * (self.averaged > 1),
-                ],
-            )
+        parts = (
+            "no tilt" * self.without_tilt,
+            "no defocus" * self.without_defocus,
+            "" if self.stored is None else f"minus {self.stored.name}",
+            f"mean of {self.averaged} frames" * (self.averaged > 1),
         )
+        return ", ".join(filter(None, parts))
 
 
 class WavefrontDisplay:
@@ -129,12 +125,8 @@ class WavefrontDisplay:
         if options.stored is not None:
             shown = replace(shown, views=without_piston(shown.views - options.stored.at(field)))
         if options.without_tilt or options.without_defocus:
-            views = without_low_orders(
-                shown.views,
-                tilt=options.without_tilt,
-                defocus=options.without_defocus,
-                arrangement=wavefront.sensor.arrangement,
-            )
+            removed = {"tilt": options.without_tilt, "defocus": options.without_defocus}
+            views = without_low_orders(shown.views, **removed, arrangement=wavefront.sensor.arrangement)
             shown = replace(shown, views=views)
         return shown
 

@@ -114,9 +114,8 @@ def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:
     except ReconstructionError as error:
         raise InputError(f"{source}: {error}") from error
     bench, results = stored_frame(source, frame, "coefficients_sigma", "wavefront")
-    rad, sigma = (
-        results[name].transpose("pupil_mode", "field_mode").values for name in ("coefficients", "coefficients_sigma")
-    )
+    names = ("coefficients", "coefficients_sigma")
+    rad, sigma = (results[name].transpose("pupil_mode", "field_mode").values for name in names)
     views = results["wavefront"].transpose("view_row", "view_column", ...).values
     if bench.registration.method != "gauss_newton":
         raise InputError(f"{source}: its wavefront is known at its views alone: reconstruct with method gauss_newton")

@@ -72,6 +72,9 @@ def inspect_lenslet(measurement: Measurement, row: int, column: int) -> LensletI
         gain_and_offset = np.linalg.lstsq(terms[is_fitted], reference[is_fitted])[0]
         fitted = (terms @ gain_and_offset).reshape(square)
         residual = np.where(is_fitted, reference - fitted.ravel(), np.nan).reshape(square)
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    share = np.einsum("qyx,y,x->q", displacement.modes.values(nodes, nodes[:, None]), weights, weights) / 4
+    variance = np.einsum("q,qdrd,r->d", share, displacement.covariance[row, column], share)
     return LensletInspection(
         row,
         column,
@@ -81,11 +84,8 @@ def inspect_lenslet(measurement: Measurement, row: int, column: int) -> LensletI
         fitted,
         residual,
         displacement.mean[row, column],
-        _sigma_of_mean(displacement, row, column),
-        *(
-            float(one[row, column])
-            for one in (displacement.residual_rms, displacement.chi_square, displacement.range_used)
-        ),
+        np.asarray(np.sqrt(variance)),
+        *(float(getattr(displacement, name)[row, column]) for name in ("residual_rms", "chi_square", "range_used")),
     )
 
 
@@ -127,13 +127,6 @@ def _warped(
     return np.asarray(values, np.float64), np.linalg.det(jacobian)
 
 
-def _sigma_of_mean(displacement: Displacement, row: int, column: int) -> Floats:
-    nodes, weights = np.polynomial.legendre.leggauss(6)
-    values = displacement.modes.values(nodes, nodes[:, None])
-    share = np.einsum("qyx,y,x->q", values, weights, weights) / 4
-    return np.asarray(np.sqrt(np.einsum("q,qdrd,r->d", share, displacement.covariance[row, column], share)))
-
-
 class Quantity(StrEnum):
     """Quantity that is mapped for every view."""
 
@@ -166,22 +159,18 @@ def quantity_maps(
     if quantity is Quantity.UNCERTAINTY:
         return QuantityMaps(wavefront.sigma())
     if quantity is Quantity.PSF:
-        return _psf_maps(wavefront, reach_rad)
+        sensor = wavefront.sensor
+        light_reach_rad = psf_reach_rad(wavefront.views, sensor)
+        reach_rad = light_reach_rad if reach_rad is None else reach_rad
+        if not math.isfinite(reach_rad):
+            return None
+        maps = psf(wavefront.views, sensor, angle_rad=psf_angles_rad(sensor, reach_rad))
+        return QuantityMaps(maps, reach_rad, light_reach_rad)
     coefficients = wavefront.coefficients
     count = settings.pupil_modes if coefficients is None else len(coefficients)
     fit = slope_fit(wavefront, wavefront.sensor, _modes(wavefront.sensor, settings.basis, count))
-    maps = {Quantity.MEASURED: fit.measured, Quantity.FITTED: fit.fitted, Quantity.DIFFERENCE: fit.difference}
-    return QuantityMaps(maps[quantity])
-
-
-def _psf_maps(wavefront: Wavefront, reach_rad: float | None) -> QuantityMaps | None:
-    views, sensor = wavefront.views, wavefront.sensor
-    light_reach_rad = psf_reach_rad(views, sensor)
-    reach_rad = light_reach_rad if reach_rad is None else reach_rad
-    if not math.isfinite(reach_rad):
-        return None
-    maps = psf(views, sensor, angle_rad=psf_angles_rad(sensor, reach_rad))
-    return QuantityMaps(maps, reach_rad, light_reach_rad)
+    of_fit = {Quantity.MEASURED: fit.measured, Quantity.FITTED: fit.fitted, Quantity.DIFFERENCE: fit.difference}
+    return QuantityMaps(of_fit[quantity])
 
 
 @lru_cache(maxsize=2)

@@ -4,7 +4,7 @@ import json
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from app.bench.config import Bench
 from app.measurement.measurement import Measurement
 from reconstruction.geometry import Sensor
-from reconstruction.layers.layered_wavefront import AssumedSample
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
 
@@ -23,14 +22,7 @@ _VIEW = ("view_row", "view_column")
 _LENSLET = ("lenslet_row", "lenslet_column")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Labelled:
-    """An array with name, dimensions and units as in the NetCDF results."""
-
-    name: str
-    dimensions: tuple[str, ...]
-    units: str
-    values: NDArray[Any]
+Labelled = tuple[str, tuple[str, ...], str, NDArray[Any]]  # name, dimensions and units as in NetCDF results, values
 
 
 def message(topic: str, sequence: int, measurement: Measurement, bench: Bench) -> list[bytes]:
@@ -43,16 +35,10 @@ def message(topic: str, sequence: int, measurement: Measurement, bench: Bench) -
     arrays = [] if wavefront is None else TOPICS[topic](wavefront, bench.sensor)
     if wavefront is not None and not arrays:
         return []
-    parts = [_little_endian(array.values) for array in arrays]
+    parts = [np.ascontiguousarray(values, values.dtype.newbyteorder("<")) for *_, values in arrays]
     layout = [
-        {
-            "name": array.name,
-            "dtype": part.dtype.str,
-            "shape": part.shape,
-            "dimensions": array.dimensions,
-            "units": array.units,
-        }
-        for array, part in zip(arrays, parts, strict=True)
+        {"name": name, "dtype": part.dtype.str, "shape": part.shape, "dimensions": dimensions, "units": units}
+        for (name, dimensions, units, _), part in zip(arrays, parts, strict=True)
     ]
     header = {
         "format": FORMAT,
@@ -65,7 +51,6 @@ def message(topic: str, sequence: int, measurement: Measurement, bench: Bench) -
 
 
 def _frame_facts(measurement: Measurement) -> dict[str, Any]:
-    """Header entries on the frame."""
     frame, refinement = measurement.frame, measurement.assumed.refinement
     unix_s = time.time() - time.perf_counter()  # calendar time at which perf_counter is zero
     return {
@@ -87,17 +72,22 @@ def _frame_facts(measurement: Measurement) -> dict[str, Any]:
 
 def _facts(measurement: Measurement, bench: Bench) -> dict[str, Any]:
     """Header entries on calibration and sample, which give axes, units and wavefronts their meaning."""
-    calibration = measurement.calibration
+    calibration, sample, layers = measurement.calibration, measurement.assumed.sample, None
     if calibration is not None:
         bench = calibration.bench
-    sensor = bench.sensor
+    sensor, focal_length_m = bench.sensor, bench.field.collimator_focal_length_m
+    if sample is not None:  # else layers have not been searched for
+        layers = [
+            {"distance_m": -ratio * focal_length_m, "distance_sigma_m": sigma * focal_length_m}
+            for ratio, sigma in zip(sample.ratios, sample.sigma.tolist(), strict=True)
+        ]
     pupil_x_m = sensor.pupil_x_m if sensor.arrangement == "square" else sensor.lenslet_centers_m[..., 0]
     return {
         "sensor": asdict(sensor),
         "lattice": None if calibration is None else asdict(calibration.lattice),
         "field": asdict(bench.field),
         "reconstruction": asdict(bench.reconstruction),
-        "layers": _layers(measurement.assumed.sample, bench),
+        "layers": layers,
         "view_x_m": bench.field.view_x_m.tolist(),
         "view_y_m": bench.field.view_y_m.tolist(),
         "pupil_x_m": pupil_x_m.tolist(),
@@ -105,24 +95,13 @@ def _facts(measurement: Measurement, bench: Bench) -> dict[str, Any]:
     }
 
 
-def _layers(sample: AssumedSample | None, bench: Bench) -> list[dict[str, float]] | None:
-    """Return the assumed layers: none for any wavefront, None before they have been searched for."""
-    if sample is None:
-        return None
-    focal_length_m = bench.field.collimator_focal_length_m
-    return [
-        {"distance_m": -ratio * focal_length_m, "distance_sigma_m": sigma * focal_length_m}
-        for ratio, sigma in zip(sample.ratios, sample.sigma.tolist(), strict=True)
-    ]
-
-
 def _coefficients(wavefront: Wavefront, _: Sensor) -> list[Labelled]:
     if not isinstance(wavefront.solution, ModalSolution):
         return []
     modes = ("pupil_mode", "field_mode")
     return [
-        Labelled("coefficients", modes, "rad", wavefront.solution.coefficients),
-        Labelled("coefficients_sigma", modes, "rad", wavefront.solution.coefficients_sigma),
+        ("coefficients", modes, "rad", wavefront.solution.coefficients),
+        ("coefficients_sigma", modes, "rad", wavefront.solution.coefficients_sigma),
     ]
 
 
@@ -130,16 +109,16 @@ def _slopes(wavefront: Wavefront, sensor: Sensor) -> list[Labelled]:
     displacement, per_px = wavefront.displacement, sensor.slope_per_px
     vectors = (*_LENSLET, "field_mode", "xy")
     return [
-        Labelled("slopes", vectors, "rad/m", displacement.coefficients * per_px),
-        Labelled("slopes_sigma", vectors, "rad/m", np.sqrt(displacement.variance) * per_px),
-        Labelled("valid", _LENSLET, "1", displacement.valid.astype(np.uint8)),
+        ("slopes", vectors, "rad/m", displacement.coefficients * per_px),
+        ("slopes_sigma", vectors, "rad/m", np.sqrt(displacement.variance) * per_px),
+        ("valid", _LENSLET, "1", displacement.valid.astype(np.uint8)),
     ]
 
 
 def _views(wavefront: Wavefront, _: Sensor) -> list[Labelled]:
     return [
-        Labelled("wavefront", (*_VIEW, *_LENSLET), "rad", wavefront.views),
-        Labelled("wavefront_sigma", (*_VIEW, *_LENSLET), "rad", wavefront.sigma()),
+        ("wavefront", (*_VIEW, *_LENSLET), "rad", wavefront.views),
+        ("wavefront_sigma", (*_VIEW, *_LENSLET), "rad", wavefront.sigma()),
     ]
 
 
@@ -148,7 +127,3 @@ TOPICS: dict[str, Callable[[Wavefront, Sensor], list[Labelled]]] = {
     "slopes": _slopes,
     "views": _views,
 }
-
-
-def _little_endian(values: NDArray[Any]) -> NDArray[Any]:
-    return np.ascontiguousarray(values, values.dtype.newbyteorder("<"))

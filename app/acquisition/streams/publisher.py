@@ -93,12 +93,9 @@ class Publisher:
                 sequence, measurement = self._waiting.popleft()
                 self._read_subscriptions()
                 for topic in TOPICS:
-                    if any(topic.encode().startswith(prefix) for prefix in self._subscriptions):
-                        self._send(message(topic, sequence, measurement, self._bench))
-
-    def _send(self, parts: list[bytes]) -> None:
-        if parts:
-            self._socket.send_multipart(parts, zmq.NOBLOCK)  # dropped for subscribers that have not kept up
+                    is_wanted = any(topic.encode().startswith(prefix) for prefix in self._subscriptions)
+                    if is_wanted and (parts := message(topic, sequence, measurement, self._bench)):
+                        self._socket.send_multipart(parts, zmq.NOBLOCK)  # dropped for subscribers that are behind
 
     def _read_subscriptions(self) -> None:
         """Read subscriptions, some at a time: a byte, 1 to begin or 0 to end, and a topic prefix."""

@@ -117,7 +117,7 @@ def _our_residuals(frames: TimedFrames) -> dict[str, float]:
     residuals = {}
     for name, call in ours(frames):
         wavefront = call()
-        residuals[name] = residual_rad(frames, coefficients_of(wavefront))
+        residuals[name] = residual_rad(frames, coefficients_of(wavefront.displacement))
         if name == OURS and frames.truth is not None:
             residuals[f"{name}, modal"] = float(np.nanmean(rms(wavefront.views - frames.truth)))
     return residuals
@@ -125,7 +125,6 @@ def _our_residuals(frames: TimedFrames) -> dict[str, float]:
 
 @contextmanager
 def _peer(name: str, frames: TimedFrames) -> Iterator[contestants.Register]:
-    """Prepare a peer for the reference."""
     match name:
         case "simpleitk_affine":
             yield contestants.simple_itk(frames)

@@ -28,6 +28,7 @@ from scipy import fft
 
 from app.evaluation.benchmark.timed_frames import TimedFrames
 from reconstruction.arrays import Floats, Image
+from reconstruction.displacement import Displacement
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.wavefront import Wavefront
@@ -47,17 +48,15 @@ class _Windows:
     def __init__(self, frames: TimedFrames) -> None:
         self._dark = frames.dark
         self.pitch_px = round(frames.lattice.pitch_px)
-        self.rows, self.columns = frames.sensor.lenslet_rows, frames.sensor.lenslet_columns
+        self.rows, self.columns = frames.bench.sensor.lenslet_rows, frames.bench.sensor.lenslet_columns
         first = np.array([frames.lattice.center_y_px, frames.lattice.center_x_px])
         first -= (np.array([self.rows, self.columns]) * self.pitch_px - 1) / 2
         self.top, self.left = (round(float(value)) for value in first)
 
     def light(self, frame: NDArray[Any]) -> Image:
-        """Return the frame above the dark, (row, column)."""
         return np.asarray(frame - self._dark, np.float32)
 
     def __call__(self, frame: NDArray[Any]) -> Image:
-        """Return all subimages, (lenslet, row, column)."""
         pitch_px = self.pitch_px
         inner = self.light(frame)[self.top :, self.left :][: self.rows * pitch_px, : self.columns * pitch_px]
         cells = inner.reshape(self.rows, pitch_px, self.columns, pitch_px).swapaxes(1, 2)
@@ -66,15 +65,9 @@ class _Windows:
 
 def simple_itk(frames: TimedFrames) -> Register:
     """Prepare SimpleITK's affine registration."""
-    reconstructor = frames.reconstructor(
-        RegistrationSettings(method="itk_affine"), ReconstructionSettings(method="zonal")
-    )
-
-    def register(frame: NDArray[Any]) -> Floats:
-        found = reconstructor.register(frame).coefficients
-        return np.swapaxes(found.reshape(-1, *found.shape[2:]), 1, 2)
-
-    return register
+    affine, zonal = RegistrationSettings(method="itk_affine"), ReconstructionSettings(method="zonal")
+    reconstructor = frames.reconstructor(affine, zonal)
+    return lambda frame: coefficients_of(reconstructor.register(frame))
 
 
 @contextmanager
@@ -85,7 +78,7 @@ def opencv_ecc(frames: TimedFrames, *, is_warm: bool = True, threads: int = _THR
     brightest = references.max()
     references /= brightest
     middle = np.full(2, (windows.pitch_px - 1) / 2)
-    half_width_px = frames.field.half_width_px(frames.sensor)
+    half_width_px = frames.bench.field.half_width_px(frames.bench.sensor)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, _ECC_STEPS, _ECC_TOLERANCE)
     starts = np.tile(np.eye(2, 3, dtype=np.float32), (len(references), 1, 1))
 
@@ -162,9 +155,8 @@ def pyrtc(frames: TimedFrames, *, reach_px: int) -> Register:
 
 def reach_px(frames: TimedFrames) -> int:
     """Return the whole pixels by which a subimage may move before it leaves its cell."""
-    reference = ReferenceSubimages(
-        frames.reference - frames.dark, sensor=frames.sensor, lattice=frames.lattice, field=frames.field
-    )
+    light, sensor = frames.reference - frames.dark, frames.bench.sensor
+    reference = ReferenceSubimages(light, sensor=sensor, lattice=frames.lattice, field=frames.bench.field)
     return int(max(reference.reach_px - reference.half_width_px, _NO_SEARCH_PX))
 
 
@@ -196,9 +188,9 @@ def ours(frames: TimedFrames) -> Iterator[tuple[str, Callable[[], Wavefront]]]:
             )
 
 
-def coefficients_of(wavefront: Wavefront) -> Floats:
-    """Return the displacements of a wavefront, px, (lenslet, xy, field_mode)."""
-    found = wavefront.displacement.coefficients
+def coefficients_of(displacement: Displacement) -> Floats:
+    """Return the coefficients of displacements, px, (lenslet, xy, field_mode)."""
+    found = displacement.coefficients
     return np.swapaxes(found.reshape(-1, *found.shape[2:]), 1, 2)
 
 

@@ -32,7 +32,7 @@ def residual_rad(frames: TimedFrames, coefficients: Floats) -> float:
     """
     if frames.truth is None:
         return math.nan
-    sensor = frames.sensor
+    sensor = frames.bench.sensor
     coefficients = coefficients.reshape(sensor.lenslet_rows, sensor.lenslet_columns, *coefficients.shape[1:])
     valid = np.asarray(np.isfinite(coefficients).all(axis=(2, 3)))
     slopes = _slopes(frames, np.swapaxes(coefficients, 2, 3))
@@ -41,7 +41,7 @@ def residual_rad(frames: TimedFrames, coefficients: Floats) -> float:
 
 def zonal_times(frames: TimedFrames, budget_s: float) -> dict[str, float]:
     """Time the zonal solve of all views beside bare equations of the same kind."""
-    sensor = frames.sensor
+    sensor = frames.bench.sensor
     coefficients = frames.reconstructor(RegistrationSettings(warp="quadratic")).register(frames.frame).coefficients
     slopes = _slopes(frames, np.nan_to_num(coefficients))
     slopes = slopes.reshape(-1, *slopes.shape[2:])
@@ -65,9 +65,12 @@ def _slopes(frames: TimedFrames, coefficients: Floats) -> Floats:
 
     `coefficients` (lenslet_row, lenslet_column, field_mode, xy), px.
     """
-    x, y = (view_m / frames.field.half_width_m for view_m in (frames.field.view_x_m, frames.field.view_y_m))
+    x, y = (
+        view_m / frames.bench.field.half_width_m
+        for view_m in (frames.bench.field.view_x_m, frames.bench.field.view_y_m)
+    )
     modes = LegendreModes(coefficients.shape[2]).values(x, y[:, None])
-    return np.asarray(np.einsum("rcqd,qyx->yxrcd", coefficients, modes) * frames.sensor.slope_per_px)
+    return np.asarray(np.einsum("rcqd,qyx->yxrcd", coefficients, modes) * frames.bench.sensor.slope_per_px)
 
 
 def bare_southwell(rows: int, columns: int, pitch_m: float) -> Callable[[Floats], Floats]:
@@ -141,7 +144,7 @@ def forward_times(frames: TimedFrames, budget_s: float) -> tuple[dict[str, float
 def _ours(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
     """Prepare the image of a square of object points."""
     rows, columns = frames.reference.shape
-    model = ForwardModel(frames.sensor, frames.lattice, frames.field, rows=rows, columns=columns)
+    model = ForwardModel(frames.bench.sensor, frames.lattice, frames.bench.field, rows=rows, columns=columns)
     x_m, y_m = model.sample_x_m[None, :], model.sample_y_m[:, None]
     bend = (_BEND_RAD_PER_M2 * (x_m**2 + y_m**2)).astype(np.float32)
     position_m = _positions_m(frames, _POINTS)
@@ -152,14 +155,14 @@ def _ours(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
 def _hcipy(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
     """Prepare the image of one object point."""
     hcipy = import_module("hcipy")
-    sensor, (rows, columns) = frames.sensor, frames.reference.shape
+    sensor, (rows, columns) = frames.bench.sensor, frames.reference.shape
     width_m, height_m = (2 * half_m for half_m in sensor.pupil_half_width_m)
     grid = hcipy.make_pupil_grid([columns, rows], [width_m, height_m])
     lenslets = hcipy.CartesianGrid(hcipy.SeparatedCoords((sensor.pupil_x_m, sensor.pupil_y_m)))
     array = hcipy.MicroLensArray(grid, lenslets, sensor.lenslet_focal_length_m)
     propagator = hcipy.FresnelPropagator(grid, sensor.lenslet_focal_length_m)
     x_m, y_m = _positions_m(frames, 2)[-1]
-    tilt = sensor.wavenumber_rad_per_m / frames.field.collimator_focal_length_m * (grid.x * x_m + grid.y * y_m)
+    tilt = sensor.wavenumber_rad_per_m / frames.bench.field.collimator_focal_length_m * (grid.x * x_m + grid.y * y_m)
     phase = _BEND_RAD_PER_M2 * (grid.x**2 + grid.y**2) + tilt
 
     def image() -> NDArray[Any]:
@@ -171,7 +174,7 @@ def _hcipy(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
 
 def _positions_m(frames: TimedFrames, points: int) -> NDArray[np.float64]:
     """Object points on a square, (point, xy)."""
-    along_m = centered_steps(points) / points * 2 * frames.field.half_width_m
+    along_m = centered_steps(points) / points * 2 * frames.bench.field.half_width_m
     return np.stack(np.meshgrid(along_m, along_m), axis=-1).reshape(-1, 2)
 
 
@@ -180,7 +183,7 @@ _LARGE_LENSLETS, _LARGE_MARGIN_PX = 64, 32  # 31 pixels each on 2048 x 2048
 
 def growth(frames: TimedFrames, sizes: Sequence[int], budget_s: float, progress: Progress) -> list[dict[str, float]]:
     """Time quadratic warps on lattices of several sizes, affine and cubic ones on the frames' own lattice."""
-    own = frames.sensor.lenslet_rows
+    own = frames.bench.sensor.lenslet_rows
     cases: list[tuple[int, Warp]] = []
     for size in dict.fromkeys((*sizes, own)):
         cases += [(size, "quadratic")] * (size in sizes)
@@ -198,20 +201,20 @@ def large_camera(frames: TimedFrames, budget_s: float) -> dict[str, float]:
 
 
 def _timed(frames: TimedFrames, warp: Warp, budget_s: float) -> dict[str, float]:
-    lenslets = frames.sensor.lenslet_rows
+    lenslets = frames.bench.sensor.lenslet_rows
     start_s = time.perf_counter()
     reconstructor = frames.reconstructor(RegistrationSettings(warp=warp))
     before = reconstructor.register(frames.before)
     reconstructor.solve(before)  # computes the factors of the lenslets' weights once
     prepare_s = time.perf_counter() - start_s
     displacement = reconstructor.register(frames.frame, start=before)
-    slopes = displacement.coefficients * frames.sensor.slope_per_px
+    slopes = displacement.coefficients * frames.bench.sensor.slope_per_px
     weights = reconstructor.weights_of(displacement)
-    zonal = ZonalSolution(slopes, displacement.valid, frames.sensor.lenslet_pitch_m, weights)
+    zonal = ZonalSolution(slopes, displacement.valid, frames.bench.sensor.lenslet_pitch_m, weights)
     times_s = medians_s(
         {
             "register_s": partial(reconstructor.register, frames.frame, start=before),  # warm
-            "zonal_s": partial(Wavefront.of, frames.sensor, frames.field, displacement, zonal),
+            "zonal_s": partial(Wavefront.of, frames.bench.sensor, frames.bench.field, displacement, zonal),
             "modal_s": partial(reconstructor.solve, displacement),  # modes chosen from the lattice
             # counts to all views and coefficients: register and modal
             "frame_s": lambda: reconstructor.solve(reconstructor.register(frames.frame, start=before)),

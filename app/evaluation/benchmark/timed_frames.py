@@ -14,7 +14,7 @@ from app.measurement.calibration import Calibration, KnownNoise
 from app.progress import Progress
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.geometry import Lattice
 from reconstruction.pipeline import Reconstructor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 
@@ -36,16 +36,6 @@ class TimedFrames:
     frame: Counts  # counts of the second frame, (row, column)
     truth: Floats | None  # of the second frame, rad, (view_row, view_column, lenslet_row, lenslet_column)
     noise: CameraNoise | None
-
-    @property
-    def sensor(self) -> Sensor:
-        """The bench's sensor."""
-        return self.bench.sensor
-
-    @property
-    def field(self) -> Field:
-        """The bench's field."""
-        return self.bench.field
 
     def reconstructor(
         self, registration: RegistrationSettings, reconstruction: ReconstructionSettings | None = None
@@ -103,7 +93,7 @@ def tiled(frames: TimedFrames, lenslets: int, *, margin_px: int = 0) -> TimedFra
     ValueError
         If lenslets of whole pixels do not fill the frame.
     """
-    sensor, pitch_px = frames.sensor, round(frames.lattice.pitch_px)
+    sensor, pitch_px = frames.bench.sensor, round(frames.lattice.pitch_px)
     rows, columns = frames.reference.shape
     if (rows, columns) != (sensor.lenslet_rows * pitch_px, sensor.lenslet_columns * pitch_px):
         raise ValueError(f"{rows} x {columns} pixels are not filled by lenslets of {pitch_px} pixels")

@@ -33,7 +33,7 @@ from reconstruction.wavefront import rms
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
 
-Mask = Literal["square", "stars"]
+TableMask = Literal["square", "stars"]
 
 _CROP, _RESIZED = 469, 465  # px; the paper's frames end with 31 pixels per lenslet
 _DARKS = 8
@@ -56,7 +56,7 @@ def noise_free_frames(bench: Bench, masks: tuple[str, ...]) -> tuple[dict[str, F
 
 
 def exposed_frames(
-    bench: Bench, exposures_s: Mapping[Mask, float], progress: Callable[[float], None]
+    bench: Bench, exposures_s: Mapping[TableMask, float], progress: Callable[[float], None]
 ) -> tuple[dict[str, FramePair], Floats]:
     """Return frames of the noisy camera above the dark for each mask and its exposure, and the true wavefronts."""
     frames: dict[str, FramePair] = {}
@@ -104,7 +104,7 @@ def _crop_and_resize(image: Image) -> Image:
 class Method:
     """One row of a table."""
 
-    mask: Mask = "square"
+    mask: TableMask = "square"
     registration: RegistrationSettings = RegistrationSettings()
     own: OwnRegistration | None = None  # in place of that of the settings
     reconstruction: ReconstructionSettings
@@ -112,10 +112,8 @@ class Method:
     @property
     def is_peer(self) -> bool:
         """True if it needs the extra `svwfs[peers]`."""
-        return self.registration.method == "itk_affine" or self.own in {
-            nonrigid_methods.Demons,
-            nonrigid_methods.FreeForm,
-        }
+        of_itk = (nonrigid_methods.Demons, nonrigid_methods.FreeForm)
+        return self.registration.method == "itk_affine" or self.own in of_itk
 
 
 ZONAL = ReconstructionSettings(method="zonal")
@@ -194,12 +192,11 @@ def _reconstruct(bench: Bench, own: OwnMethods, pair: FramePair) -> Arrays:
 
 @cache
 def _source_code() -> bytes:
-    """The source code of `reconstruction` and of the paper's non-rigid methods."""
     folder = Path(str(reconstruction.__file__)).parent
     return b"".join(path.read_bytes() for path in (*sorted(folder.rglob("*.py")), Path(nonrigid_methods.__file__)))
 
 
-EXPOSURES_S: dict[Mask, float] = {"stars": 3.8, "square": 0.15}  # the paper's
+EXPOSURES_S: dict[TableMask, float] = {"stars": 3.8, "square": 0.15}  # the paper's
 SOURCES = ("square", "circle", "ellipse", "octagon", "peaks")
 
 
@@ -209,7 +206,7 @@ def table1(*, peers: bool) -> ComparisonTable:
     return ComparisonTable(
         name="table1",
         title="Simulation: residual RMS (rad) against the truth",
-        measure=_in_both_lights(partial(_table1, methods)),
+        measure=partial(_in_both_lights, partial(_table1, methods)),
         paper=PAPER_TABLE_1,
         compared_to="truth",
     )
@@ -225,7 +222,7 @@ def table2(*, peers: bool) -> ComparisonTable:
     return ComparisonTable(
         name="table2",
         title="Experiment: residual RMS (rad) against the stars",
-        measure=_in_both_lights(partial(_table2, methods)),
+        measure=partial(_in_both_lights, partial(_table2, methods)),
         paper=PAPER_TABLE_2,
         compared_to="stars",
     )
@@ -236,24 +233,20 @@ def sources() -> ComparisonTable:
     return ComparisonTable(
         name="sources",
         title="Other sources: residual RMS (rad) against the truth",
-        measure=_in_both_lights(_sources),
+        measure=partial(_in_both_lights, _sources),
         paper={},
         compared_to="truth",
     )
 
 
 def _in_both_lights(
-    measure: Callable[[Bench, range, Progress], Iterator[CaseResult]],
-) -> Callable[[Bench, range, Progress], Iterator[CaseResult]]:
+    measure: Callable[[Bench, range, Progress], Iterator[CaseResult]], bench: Bench, seeds: range, progress: Progress
+) -> Iterator[CaseResult]:
     """Measure with propagation neglected, as the paper simulates it, and in real light."""
-
-    def in_both(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
-        for index, (light, neglect) in enumerate(LIGHTS.items()):
-            lit = replace(bench, field=replace(bench.field, neglect_propagation=neglect))
-            for case in measure(lit, seeds, part(progress, index, len(LIGHTS))):
-                yield replace(case, at={**case.at, "light": light})
-
-    return in_both
+    for index, (light, neglect) in enumerate(LIGHTS.items()):
+        lit = replace(bench, field=replace(bench.field, neglect_propagation=neglect))
+        for case in measure(lit, seeds, part(progress, index, len(LIGHTS))):
+            yield replace(case, at={**case.at, "light": light})
 
 
 def _table1(methods: Mapping[str, Method], bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
@@ -270,9 +263,8 @@ def _table2(methods: Mapping[str, Method], bench: Bench, seeds: range, progress:
         step("rendering and exposing", 0.0)
         frames, truth = exposed_frames(screen, EXPOSURES_S, lambda _: None)
         small_bench, small_frames = resized(screen, frames)
-        for half, (suffix, each, its_frames) in enumerate(
-            (("", screen, frames), ("_resized", small_bench, small_frames))
-        ):
+        halves = (("", screen, frames), ("_resized", small_bench, small_frames))
+        for half, (suffix, each, its_frames) in enumerate(halves):
             try:  # what the experiment takes for the truth
                 stars = reconstructed(each, its_frames, METHODS["stars_zonal"])
             except ReconstructionError as error:

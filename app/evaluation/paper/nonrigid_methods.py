@@ -64,7 +64,6 @@ class _NonRigid(ABC):
         self._variance = pixel[:, None] * np.sum(self._at_views**2, axis=1)[:, None]  # (L, view, xy)
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
-        """Register a frame; see `displacement.RegistrationMethod`."""
         reference = self._reference
         subimages = reference.cut(light)
         flow = self._flow(subimages)

@@ -116,7 +116,6 @@ def _faint(reference: _Reference) -> tuple[Image, Floats]:
 
 
 def _trial(reference: _Reference, light: Image, alive: Floats | None) -> CaseResult:
-    """Calibrate by a clean frame (`alive` is None) or a faint one."""
     limits = {name: most * (1.0 if alive is None else _FAINT_FACTOR) for name, most in _LIMITS.items()}
     limits |= {"whole, wrong by": 0.0, "lit, wrong": 0.0}
     if light.size <= _TIMED_PIXELS:

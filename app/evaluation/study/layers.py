@@ -123,9 +123,8 @@ def _through(renderer: Renderer, mask: str, made: Correction) -> Image:
         centered_steps(2 * (int((half_m + border_m) / _SPACING_M) + _MARGIN) + 1) * _SPACING_M
         for half_m in made.half_width_m
     )
-    corrector = Layer(
-        phase=PhaseScreen(made.phase(x_m, y_m[:, None]), _SPACING_M), distance_m=-made.ratio * focal_length_m
-    )
+    phase = PhaseScreen(made.phase(x_m, y_m[:, None]), _SPACING_M)
+    corrector = Layer(phase=phase, distance_m=-made.ratio * focal_length_m)
     light = LayeredLight(
         [renderer.sample.layer(focal_length_m), corrector],
         scene.sensor,

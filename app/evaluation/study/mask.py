@@ -63,7 +63,6 @@ def mask_study(masks: Sequence[str]) -> Sweep:
 
 
 def _changes(name: str) -> dict[str, str]:
-    """Settings of the source with that mask."""
     if name in MASKS and name != "image":
         return {"mask": name}
     if not Path(name).exists():

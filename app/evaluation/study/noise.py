@@ -148,7 +148,6 @@ def _em_gain(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseRes
 
 
 def _screens(bench: Bench, seeds: range) -> Iterator[tuple[Bench, Image, NoiseFreeFrame]]:
-    """Bench, reference and frame of each screen."""
     for screen in seeded(bench, seeds):
         frames = NoiseFreeFrames(screen)
         yield screen, frames.reference(), frames.frame()

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -111,10 +113,8 @@ def _ensembles(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseR
             progress(f"rendering {length_m * 1e3:g} mm", (index + done / len(seeds)) / len(_CORRELATION_LENGTHS_M) / 2)
             drifting = NoiseFreeFrames(_drifting(screen))
             films.append((length_m, {seconds: drifting.frame(state=seconds) for seconds in _FILM_S}))
-    methods = [
-        (warp, method, reconstruction) for warp in _ENSEMBLE_WARPS for method, reconstruction in _METHODS.items()
-    ]
-    for index, (warp, method, reconstruction) in enumerate(methods):
+    methods = list(product(_ENSEMBLE_WARPS, _METHODS.items()))
+    for index, (warp, (method, reconstruction)) in enumerate(methods):
         progress(f"{warp}, {method}", (1 + index / len(methods)) / 2)
         try:
             estimator = WarpEstimator(bench, reference, warp, reconstruction=reconstruction)
@@ -238,9 +238,8 @@ def _over_errors(values: tuple[float, ...], errors: dict[str, _Error]) -> _Measu
         for done, (kind, value, wrong) in enumerate(cases):
             progress(f"{kind} {value:g}", done / len(cases))
             # affine adds no information
-            estimators = WarpEstimators(
-                wrong(bench, value), reference, warps=("quadratic", "cubic"), refined=("cubic",)
-            )
+            wrongly = wrong(bench, value)
+            estimators = WarpEstimators(wrongly, reference, warps=("quadratic", "cubic"), refined=("cubic",))
             for frame in frames:
                 yield from estimators.compare(frame.photons, frame.truth, value, prefix=f"{kind}: ")
 
@@ -258,14 +257,11 @@ def _with_lattice(bench: Bench, name: str, change: Callable[[float, float], floa
     return replace(bench, lattice=replace(lattice, **{name: changed}))
 
 
-def _other_lenslets(bench: Bench, error: float) -> Bench:
-    focal_length_m = bench.sensor.lenslet_focal_length_m * (1 + error)
-    return replace(bench, sensor=replace(bench.sensor, lenslet_focal_length_m=focal_length_m))
-
-
-def _other_collimator(bench: Bench, error: float) -> Bench:
-    focal_length_m = bench.field.collimator_focal_length_m * (1 + error)
-    return replace(bench, field=replace(bench.field, collimator_focal_length_m=focal_length_m))
+def _with_length(section: str, name: str, bench: Bench, error: float) -> Bench:
+    """Change a length of a section by a relative error."""
+    settings = getattr(bench, section)
+    changed: Any = replace(settings, **{name: getattr(settings, name) * (1 + error)})
+    return replace(bench, **{section: changed})
 
 
 _LATTICE_ERRORS: dict[str, _Error] = {  # by the shift of the outermost lenslets
@@ -284,7 +280,11 @@ FOCAL_LENGTH = Sweep(
     title="Focal lengths wrong",
     axis="relative error",
     measure=_over_errors(
-        (-0.05, -0.02, 0.0, 0.02, 0.05), {"lenslets": _other_lenslets, "collimator": _other_collimator}
+        (-0.05, -0.02, 0.0, 0.02, 0.05),
+        {
+            "lenslets": partial(_with_length, "sensor", "lenslet_focal_length_m"),
+            "collimator": partial(_with_length, "field", "collimator_focal_length_m"),
+        },
     ),
 )
 

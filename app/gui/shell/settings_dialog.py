@@ -20,7 +20,7 @@ from PyQt6.QtWidgets import (
 
 from app.bench.config import Bench, write_bench
 from app.bench.device_kinds import KINDS
-from app.bench.settings_form import FormField, SettingsForm, fault_path, in_words
+from app.bench.settings_form import FormField, SettingsForm, fault_in_words, fault_path
 from app.errors import InputError, RunError
 from app.files import atomic_write
 from app.gui.widgets import theme
@@ -226,7 +226,9 @@ class SettingsDialog(QDialog):
             bench = self._form.bench()
         except InputError as error:
             _, faulty = self.editors.get(fault_path(error), (None, None))
-            self._show_problem(in_words(error, {path: field for path, (field, _) in self.editors.items()}), faulty)
+            self._show_problem(
+                fault_in_words(error, {path: field for path, (field, _) in self.editors.items()}), faulty
+            )
             return None
         self._show_problem("", None)
         return bench

@@ -10,7 +10,7 @@ from app.bench.bench_files import BenchError
 from app.bench.config import load_bench
 from app.bench.device_kinds import DRIVERS
 from app.bench.presets import PRESETS
-from app.bench.settings_form import FormField, SettingsForm, in_words
+from app.bench.settings_form import FormField, SettingsForm, fault_in_words
 from app.errors import InputError
 from drivers.device import DiscoveredDevice
 from drivers.genicam import GenicamSettings
@@ -123,7 +123,7 @@ def test_error_has_labels_and_units_of_the_form(form: SettingsForm, path: str, t
     form.set(shown[path], text)
     with pytest.raises(BenchError) as refused:
         form.bench()
-    assert in_words(refused.value, shown) == words
+    assert fault_in_words(refused.value, shown) == words
 
 
 def test_new_bench_shows_data_of_its_example_only_as_examples() -> None:

@@ -17,7 +17,7 @@ def test_scatter_is_printed_only_of_several_frames(frames: int, capsys: pytest.C
     bench = load_bench("small_demo")
     mean = np.full((bench.field.view_rows, bench.field.view_columns), 1.5)
     noise = np.full(mean.shape, 0.25**2)
-    measured = Measured(bench, mean, mean**2 + 0.01, noise, recorded=frames, reconstructed=frames)
+    measured = Measured(bench=bench, means=np.stack([mean, mean**2 + 0.01, noise]), frames=frames, reconstructed=frames)
     print_measurement(measured, Path("run"))
     printed = " ".join(capsys.readouterr().out.split())
     assert "1.500" in printed
@@ -36,7 +36,10 @@ def test_rms_below_its_noise_is_no_number(
     bench = load_bench("small_demo")
     mean = np.full((bench.field.view_rows, bench.field.view_columns), 1e-8)
     mean[0, 0] = 0.5
-    print_measurement(Measured(bench, mean, mean**2, np.full(mean.shape, 0.007**2), reconstructed=2), Path("run"))
+    print_measurement(
+        Measured(bench=bench, means=np.stack([mean, mean**2, np.full_like(mean, 0.007**2)]), reconstructed=2),
+        Path("run"),
+    )
     printed = " ".join(capsys.readouterr().out.split())
     assert printed.count(text) == printed.count("below noise") == mean.size - 1
     assert "0.500 +- 0.000" in printed

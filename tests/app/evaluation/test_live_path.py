@@ -31,10 +31,16 @@ from app.bench.config import Bench, load_bench
 from app.bench.device_kinds import RecordingSettings
 from app.commands.benchmark import benchmark_acquisition, print_figures
 from app.errors import InputError, Interrupted, RunError, ended_by
-from app.evaluation.benchmark.live_path.course import Course, Span
-from app.evaluation.benchmark.live_path.figures import LiveFigures
-from app.evaluation.benchmark.live_path.plan import LivePlan, recording_folder
-from app.evaluation.benchmark.live_path.tally import FrameCounts, Tally, resident_mb
+from app.evaluation.benchmark.live_path import (
+    Course,
+    FrameCounts,
+    LiveFigures,
+    LivePlan,
+    Span,
+    Tally,
+    recording_folder,
+    resident_mb,
+)
 from app.gui.panels.coefficients import CoefficientsPanel
 from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
 from app.recording.reader import Recording

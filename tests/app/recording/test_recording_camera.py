@@ -447,7 +447,7 @@ def test_measuring_a_recording_reproduces_its_frames(small_toml: Path, tmp_path:
     measure_bench(load_bench(small_toml), 12, tmp_path / "run", ignore)
     again = parse_bench(bench_text(small_toml, tmp_path / "run", pace="fastest"), "bench")
     made = measure_bench(again, 12, tmp_path / "again", ignore)
-    assert (made.recorded, made.reconstructed) == (12, 12)
+    assert (made.frames, made.reconstructed) == (12, 12)
     then, now = Recording(tmp_path / "run"), Recording(tmp_path / "again")
     for name in ("dark", "reference"):
         files = [(recording.folder / f"{name}.tif").read_bytes() for recording in (then, now)]

@@ -1,0 +1,366 @@
+"""Rate and latency of the live path with a window and a recording, and without; for `svwfs benchmark --live`."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from dataclasses import asdict, astuple, dataclass
+from operator import ge, le, lt
+from pathlib import Path
+from typing import Any
+
+from app.acquisition.session import FirstWavefront
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition
+from app.bench.config import Bench, write_bench
+from app.errors import InputError, RunError, ended_by
+from app.measurement.measurement import SKIPPED, Measurement
+from app.progress import Progress
+from app.recording.recorder import RECENT_S, RecordingState
+from app.run_facts import machine_facts, timing_facts, versions
+from app.timing import Timings
+from reconstruction.settings import FIELD_MODES
+
+LEAST_S, MOST_S = 1.0, 3600.0
+_WITHOUT_WINDOW_S = 20.0  # at most
+_MEMORY_S = 50.0  # at the end of the run, at most
+_MOST_FIELD_MODES = max(FIELD_MODES.values())
+_BLOCKS_BYTES = 4 * 4096  # overhead of a frame's folder, files and line
+_MORE_FRAMES = 50  # equivalent of dark, reference and files written once
+_MARGIN = 1.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LivePlan:
+    """A simulated bench, measured for some seconds after the warm-up."""
+
+    bench: Bench
+    seconds: float
+    record_in: Path | None  # folder of the temporary recording; None for none
+    with_panels: bool = False  # coefficients, history and histogram are open beside the window
+    warm_up_s: float = RECENT_S + 2.0  # until the memory is full of recent frames
+
+    def __post_init__(self) -> None:
+        if not LEAST_S <= self.seconds <= MOST_S:
+            raise InputError(f"--live {self.seconds:g}: must be {LEAST_S:g} ... {MOST_S:g} seconds")
+        if not self.bench.is_simulated:
+            raise InputError(f"--live runs the simulated camera; this bench has {self.bench.camera.driver}")
+
+    @property
+    def without_window_s(self) -> float:
+        """Duration of the run without window and recording."""
+        return min(_WITHOUT_WINDOW_S, self.seconds / 3)
+
+    @property
+    def memory_s(self) -> float:
+        """Duration at the end over which the memory must not grow."""
+        return min(_MEMORY_S, self.seconds * 5 / 6)
+
+    @property
+    def recording_bytes(self) -> float:
+        """Estimated maximum size of the recording."""
+        camera, sensor = self.bench.camera_model, self.bench.sensor
+        pixels = camera.rows * camera.columns * 2
+        displacements = sensor.lenslet_rows * sensor.lenslet_columns * _MOST_FIELD_MODES * 2 * 8
+        frames = (self.warm_up_s + self.seconds) / camera.exposure_s + _MORE_FRAMES
+        return frames * (pixels + displacements + _BLOCKS_BYTES) * _MARGIN
+
+
+@contextmanager
+def recording_folder(plan: LivePlan, progress: Progress) -> Iterator[Path | None]:
+    """Give a new folder for the recording and remove it at the end; None without a recording.
+
+    Raises
+    ------
+    InputError
+        If the plan's folder is missing, not writable or too small.
+    """
+    where = plan.record_in
+    if where is None:
+        yield None
+        return
+    if not where.is_dir():
+        raise InputError(f"{where}: no such folder")
+    free, needed = shutil.disk_usage(where).free, plan.recording_bytes
+    if free < needed:
+        raise InputError(
+            f"{where}: the recording takes up to {needed / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free:"
+            " name a folder on another disk with --record-in, or give --no-record"
+        )
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="svwfs-benchmark-", dir=where))
+    except OSError as error:
+        raise InputError(f"{where}: not writable: {error.strerror or error}") from error
+    try:
+        yield folder / "recording"
+    finally:
+        with ended_by(lambda *_: None):  # a second Ctrl-C must not interrupt the removal
+            progress("removing the recording", 1.0)
+            shutil.rmtree(folder)
+
+
+_STATM = Path("/proc/self/statm")
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCounts:
+    """Numbers of frames."""
+
+    acquired: int = 0
+    reconstructed: int = 0
+    passed_over: int = 0  # read, but skipped for a newer one
+    failed: int = 0  # without a wavefront
+    lost: int = 0  # overwritten in the camera before they were read
+
+    @property
+    def share(self) -> float:
+        """Share of reconstructed frames among all frames of the camera, lost ones included."""
+        taken = self.acquired + self.lost
+        return self.reconstructed / taken if taken else math.nan
+
+    def since(self, before: FrameCounts) -> FrameCounts:
+        """Return the difference from earlier counts."""
+        return FrameCounts(*(now - then for now, then in zip(astuple(self), astuple(before), strict=True)))
+
+
+class Tally:
+    """Counting sink of an acquisition."""
+
+    def __init__(self) -> None:
+        self.counts = FrameCounts()  # replaced by the worker with each frame, safe to read in any thread
+
+    def take(self, measurement: Measurement) -> None:
+        """Count one more frame."""
+        is_reconstructed, is_passed_over = measurement.wavefront is not None, measurement.problem == SKIPPED
+        before = self.counts
+        self.counts = FrameCounts(
+            acquired=before.acquired + 1,
+            reconstructed=before.reconstructed + is_reconstructed,
+            passed_over=before.passed_over + is_passed_over,
+            failed=before.failed + (not is_reconstructed and not is_passed_over),
+            lost=measurement.counts.lost,
+        )
+
+
+def resident_mb() -> float | None:
+    """Return the resident memory of this process, MB of 2**20 bytes; None if the system does not report it."""
+    if sys.platform == "win32":
+        return None
+    try:
+        pages = int(_STATM.read_text().split()[1])
+    except OSError:
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+_GIVE_UP_S = 600.0  # for rendering the bench and compiling
+_DONE = object()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Span:
+    """Measurements after the warm-up."""
+
+    first_wavefront_s: float  # since the course was made, with opening and calibrating the devices
+    began_s: float  # by time.perf_counter()
+    seconds: float
+    frames: FrameCounts
+    timings: Timings  # of the span only
+    memory_mb: tuple[float | None, float | None]  # resident, at begin and end of its last seconds
+
+    @property
+    def rate_hz(self) -> float:
+        """Wavefronts a second."""
+        return self.frames.reconstructed / self.seconds
+
+    @property
+    def redrawn_hz(self) -> float:
+        """Rate at which a window showed something new."""
+        return self.timings.summary()["draw"].count / self.seconds
+
+
+class Course:
+    """One run of its own acquisition, which the caller starts and closes."""
+
+    def __init__(
+        self,
+        bench: Bench,
+        progress: Progress,
+        *,
+        warm_up_s: float,
+        seconds: float,
+        memory_s: float = 0.0,
+        record_into: Path | None = None,
+    ) -> None:
+        """Prepare a span of `seconds` after the warm-up; the memory is measured over its last `memory_s`."""
+        self._tally, self._first = Tally(), FirstWavefront(_GIVE_UP_S)
+        self.acquisition = Acquisition(bench, sinks=(self._tally.take, self._first.take))
+        self._progress, self._record_into = progress, record_into
+        self._warm_up_s, self._seconds, self._memory_s = warm_up_s, seconds, memory_s
+        self._kept = 2 * math.ceil(seconds / bench.camera_model.exposure_s)
+        self._expected: tuple[Future[Any], ...] = ()
+        self._span: Span | None = None
+        self._made_s = time.perf_counter()
+        self._steps = self._run()
+
+    def begin(self) -> tuple[Future[Any], ...]:
+        """Calibrate the started acquisition and turn to the sample."""
+        self._expected = start_up(self.acquisition)
+        return self._expected
+
+    def poll(self) -> bool:
+        """Run the steps that are due; True at the end. Raises `RunError` or `InputError` if a step fails."""
+        return next(self._steps, _DONE) is _DONE
+
+    @property
+    def span(self) -> Span:
+        """The measured span."""
+        if self._span is None:
+            raise RunError("the run ended before all was measured")
+        return self._span
+
+    def _run(self) -> Iterator[None]:
+        while (first_s := self._first.came_s) is None:
+            self._check()
+            self._first.check()
+            self._progress(self.acquisition.activity.text or "waiting for the first wavefront", 0.0)
+            yield
+        if self._record_into is not None:
+            self._expected += (self.acquisition.start_recording(self._record_into, command="benchmark"),)
+        yield from self._wait(first_s + self._warm_up_s, first_s, "warming up")
+        began_s, before = time.perf_counter(), self._tally.counts
+        timings, end_s = self.acquisition.timings.begin_span(self._kept), began_s + self._seconds
+        yield from self._wait(end_s - self._memory_s, first_s, "measuring")
+        memory_mb = resident_mb()
+        yield from self._wait(end_s, first_s, "measuring")
+        ended_s, after = time.perf_counter(), self._tally.counts
+        self.acquisition.timings.end_span(timings)
+        self._span = Span(
+            first_wavefront_s=first_s - self._made_s,
+            began_s=began_s,
+            seconds=ended_s - began_s,
+            frames=after.since(before),
+            timings=timings,
+            memory_mb=(memory_mb, resident_mb()),
+        )
+
+    def _wait(self, until_s: float, first_s: float, text: str) -> Iterator[None]:
+        while (now_s := time.perf_counter()) < until_s:
+            self._check()
+            self._progress(text, min(1.0, (now_s - first_s) / (self._warm_up_s + self._seconds)))
+            yield
+
+    def _check(self) -> None:
+        failed = (step.exception() for step in self._expected if step.done())
+        error = self.acquisition.error or next(filter(None, failed), None)
+        if error is None:
+            return
+        if isinstance(error, InputError | RunError):
+            raise error
+        raise RunError(self.acquisition.failure or str(error) or type(error).__name__) from error
+
+
+@dataclass(frozen=True, slots=True)
+class LimitCheck:
+    """One figure beside its limit."""
+
+    value: float
+    limit: float
+    asked: str  # the limit in words
+    is_met: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveFigures:
+    """Figures of the run with a window and an optional recording, and of the run without."""
+
+    plan: LivePlan
+    is_seen: bool  # the window was on a display
+    window: Span
+    recording: RecordingState | None  # at its end
+    bare: Span  # without window and recording
+
+    @property
+    def rate_ratio(self) -> float:
+        """Rate with the window over the rate without; NaN without any wavefront."""
+        return self.window.rate_hz / self.bare.rate_hz if self.bare.rate_hz else math.nan
+
+    @property
+    def memory_growth(self) -> float | None:
+        """Relative growth of the memory; None if the system does not report it."""
+        begin_mb, end_mb = self.window.memory_mb
+        return None if begin_mb is None or end_mb is None else end_mb / begin_mb - 1
+
+    def checks(self) -> dict[str, LimitCheck]:
+        """Compare the figures with their limits, by name in the JSON; unknown figures meet none."""
+        window = self.window
+        times = window.timings.summary()
+        figures = {
+            "share": (window.frames.share, ge, 0.999, ">= 99.9 %"),
+            "lost": (window.frames.lost, le, 0, "none"),
+            "to_result_p99_s": (times["to_result"].p99_s, lt, 0.030, "99 % < 30 ms"),
+            "redrawn_hz": (window.redrawn_hz, ge, 20.0, ">= 20 /s"),
+            **({} if self.plan.with_panels else {"draw_p50_s": (times["draw"].p50_s, le, 0.008, "half <= 8 ms")}),
+            "rate_ratio": (self.rate_ratio, ge, 0.95, ">= 95 %"),
+            "first_wavefront_s": (window.first_wavefront_s, lt, 15.0, "< 15 s, warm"),
+        }
+        if self.memory_growth is not None:
+            figures["memory_growth"] = (self.memory_growth, lt, 0.02, "< 2 %")
+        if self.recording is not None:
+            figures["record_p99_s"] = (times["record"].p99_s, lt, 0.015, "99 % < 15 ms")
+            figures["recording_problems"] = (bool(self.recording.problem), le, 0, "all frames")
+        return {
+            name: LimitCheck(value, limit, asked, holds(value, limit))
+            for name, (value, holds, limit, asked) in figures.items()
+        }
+
+    def missed(self) -> list[str]:
+        """Return a sentence for every figure that misses its limit."""
+        missed = {name: each for name, each in self.checks().items() if not each.is_met}
+        return [f"{name} is {each.value:.3g}, asked {each.asked}" for name, each in missed.items()]
+
+    def tree(self) -> dict[str, Any]:
+        """Return everything for JSON, with computer and libraries."""
+        plan, recording = self.plan, self.recording
+        begin_mb, end_mb = self.window.memory_mb
+        memory = {"seconds": plan.memory_s, "begin_mb": begin_mb, "end_mb": end_mb, "growth": self.memory_growth}
+        live = {
+            "seconds": plan.seconds,
+            "warm_up_s": plan.warm_up_s,
+            "window_is_seen": self.is_seen,
+            "bench": write_bench(plan.bench),
+            "first_wavefront_s": self.window.first_wavefront_s,
+            "window": _span_tree(self.window),
+            "without_window": _span_tree(self.bare),
+            "rate_ratio": _known(self.rate_ratio),
+            "memory": memory,
+            "recording": None if recording is None else {"frames": recording.frames, "problem": recording.problem},
+            "limits": {
+                name: {"value": _known(each.value), "limit": each.limit, "is_met": each.is_met}
+                for name, each in self.checks().items()
+            },
+        }
+        return {"live": live, "machine": machine_facts(), "versions": versions()}
+
+
+def _span_tree(span: Span) -> dict[str, Any]:
+    return {
+        "seconds": span.seconds,
+        "frames": asdict(span.frames),
+        "share": _known(span.frames.share),
+        "rate_hz": span.rate_hz,
+        "redrawn_hz": span.redrawn_hz,
+        "timings": timing_facts(span.timings),
+    }
+
+
+def _known(value: float) -> float | None:
+    """JSON has no NaN."""
+    return None if math.isnan(value) else value
