@@ -21,6 +21,7 @@ VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 EXTRAS = {  # by what they make possible; hcipy is not installed here
     "batch": "bokeh, distributed",
     "genicam": "drivers.genicam.library",
+    "mask": "ezdxf, gdstk",
     "micro-manager": "pymmcore, drivers.micro_manager.core",
     "peers": "SimpleITK, pyrtc.slopes_process, skimage, reconstruction.registration.itk_affine",
 }

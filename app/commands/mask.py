@@ -1,0 +1,67 @@
+"""`svwfs mask`: a drawing of a mask from which a lithographer can make it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.commands import options, terminal
+from app.errors import InputError
+from app.files import require_suffix
+
+
+def mask(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME|FILE", help="Mask of the simulator, or black-and-white picture of openings.")
+    ],
+    *,
+    size: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LENGTH", help="Side of the square that the mask fills, as 1.2mm; the bench's field if omitted."
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="File to write: SVG, DXF, GDS (GDSII) or PNG.")],
+    bench: options.Bench = "paper_simulation",
+    setting: options.Set = None,
+    overwrite: options.Overwrite = False,
+) -> None:
+    """Draw a mask for a lithographer: its openings in true size, a scale bar and an orientation mark.
+
+    Masks have openings only, so grey ones are refused. [simulation.source] of the bench has their proportions, such as
+    the cells of the checkerboard, and the bench tells what its lenslets resolve. DXF and GDS need the extra mask. See
+    docs/masks.md.
+
+    Example: svwfs mask checkerboard --size 1.2mm --out mask.dxf
+
+    Example: svwfs mask four_holes.npy --size 1200um --bench bench.toml --out mask.svg
+    """
+    from app.bench.settings_form import typed_number
+    from app.masks.drawing import WRITERS, draw, write_drawing
+    from app.masks.openings import openings
+
+    loaded = options.load(bench, setting)
+    source, sensor, field = loaded.simulation.source, loaded.sensor, loaded.field
+    size_m = 2 * source.half_width_m if size is None else typed_number(size, "m", 1.0)
+    if size_m is None:
+        raise InputError(f"--size {size}: give a length with its unit, as 1.2mm or 1200um")
+    options.check_files(out, reads=[*options.files_of_bench(bench, loaded), Path(name)], overwrite=overwrite)
+    require_suffix(out, *WRITERS, kind="drawing's name")
+    drawn = openings(name, source, size_m)
+    drawing = draw(drawn)
+    write_drawing(drawing, out)
+    terminal.print_sentence(f"{out}: {drawing.notes[0]}")
+    for sentence in drawing.notes[1:5]:
+        terminal.print_sentence(sentence)
+    resolved_m = sensor.wavelength_m * field.collimator_focal_length_m / sensor.lenslet_pitch_m
+    seen_m = sensor.lenslet_pitch_m * field.collimator_focal_length_m / sensor.lenslet_focal_length_m
+    terminal.print_sentence(f"the lenslets of {bench} resolve {resolved_m * 1e6:.0f} um")
+    for what, length_m in (("feature", drawn.width_m), ("gap", drawn.gap_m)):
+        if length_m is not None and length_m < resolved_m:
+            terminal.print_warning(
+                f"the minimum {what} of {length_m * 1e6:.4g} um is finer than what the lenslets resolve: they blur it"
+            )
+    if size_m > seen_m:
+        terminal.print_warning(f"subimages of masks above {seen_m * 1e3:.3g} mm overlap: choose a smaller size")
