@@ -37,6 +37,14 @@ def test_finest_detail_counts_beside_a_large_one(pixels: int) -> None:
     assert narrowest_px(~part, beyond=True) == pixels
 
 
+@pytest.mark.parametrize(("length", "narrowest"), [(5, 12), (2, 40)])
+def test_arm_counts_from_a_quarter_of_its_width_in_length(length: int, narrowest: int) -> None:
+    part = np.zeros((60, 60), np.bool_)
+    part[5:45, 5:45] = True
+    part[45 : 45 + length, 20:32] = True
+    assert narrowest_px(part) == narrowest
+
+
 @pytest.mark.parametrize("diameter", [8, 20, 50, 100])
 def test_disc_is_not_taken_for_its_caps(diameter: int) -> None:
     found = narrowest_px(np.hypot(X, Y) < diameter / 2)
