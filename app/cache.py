@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from app.errors import RunError
 from app.files import atomic_write
+from reconstruction.arrays import reading_npy
 
 _KEPT = 400  # results of one kind; a third of a gigabyte of images
 
@@ -62,7 +63,7 @@ def cached(kind: str, fingerprint: str, compute: Callable[[], Arrays]) -> Arrays
 
 def _load(path: Path) -> Arrays | None:
     try:
-        with np.load(path, allow_pickle=False) as kept:
+        with reading_npy(), np.load(path, allow_pickle=False) as kept:
             result = dict(kept)
         os.utime(path)  # least recently used results are removed first
     except (OSError, ValueError, EOFError, BadZipFile):  # missing or damaged

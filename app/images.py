@@ -3,7 +3,6 @@
 import logging
 import math
 import os
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from app.errors import InputError
 from app.files import atomic_write, check_readable, in_words
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, reading_npy
 
 FORMATS = "TIFF, NPY, FITS, PNG, BMP or PGM"
 SUFFIXES = frozenset({".tif", ".tiff", ".npy", ".fits", ".fit", ".fts", ".png", ".bmp", ".pgm"})
@@ -65,8 +64,7 @@ def _read(path: Path) -> NDArray[Any]:
     if start.startswith(_TEXT):
         raise ValueError("it holds its numbers as text; save it as a binary PGM (P5)")
     if start.startswith(np.lib.format.MAGIC_PREFIX):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a size that overflows, which raises below
+        with reading_npy():
             # Fails if the file is shorter than its header says.
             return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
     if start == _FITS:

@@ -1,5 +1,9 @@
-"""Array type aliases shared by the packages."""
+"""Array types and the reading of NumPy's files, shared by the packages."""
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -10,3 +14,14 @@ Image = NDArray[np.float32]
 Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
 """Camera frame as read from a camera or a file, (row, column)."""
 Mask = NDArray[np.bool_]
+
+
+@contextmanager
+def reading_npy() -> Iterator[None]:
+    """Turn what `np.load` raises and warns of a damaged header into a `ValueError`."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            yield
+        except (TokenError, SyntaxError, OverflowError) as error:
+            raise ValueError(f"its header is damaged: {error}") from error

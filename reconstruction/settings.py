@@ -27,7 +27,7 @@ class RegistrationSettings(Checked):
     excluded: Annotated[tuple[tuple[int, int], ...], Doc("Lenslets (row, column from 0) that are left out")] = ()
     star_rows: Annotated[int, Ge(1), Le(99)] = 3
     star_columns: Annotated[int, Ge(1), Le(99)] = 3
-    star_spacing_m: Annotated[float, Gt(0)] = 0.5e-3
+    star_spacing_m: Annotated[float, Gt(0), Le(0.1)] = 0.5e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, reading_npy
 from reconstruction.geometry import Field, Lattice, Sensor
 from simulated_devices.optics.forward_model import ForwardModel, OnFraction, PointField
 from simulated_devices.optics.source import SourcePoints, source_points
@@ -141,7 +141,8 @@ class ImageCache:
     def load(self, mask: str, state: int | str) -> NDArray[np.float32] | None:
         """Return the image, or None if there is no complete one."""
         try:
-            image = np.load(self.path(mask, state), allow_pickle=False)
+            with reading_npy():
+                image = np.load(self.path(mask, state), allow_pickle=False)
         except (OSError, ValueError, EOFError):  # missing or damaged: render it
             return None
         if not isinstance(image, np.ndarray) or image.dtype != np.float32 or image.shape != self._shape:

@@ -64,7 +64,7 @@ class Screen(Checked):
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
         if self.pv_rad is not None and not self.pv_rad > 2 * self.rms_rad > 0:
-            yield "pv_rad", "must be more than twice rms_rad"
+            yield "pv_rad", f"must be more than {2 * self.rms_rad:g} rad, twice rms_rad"
         if self.placement == "source" and self.distance_m < 0:
             yield "distance_m", 'must be 0 or more with placement = "source"'
 
@@ -136,7 +136,7 @@ class SimulatedCameraSettings(Checked):
     exposure_s: Annotated[float, Depending(_exposures, "with this amplifier and speed")] = 1 / 70
     amplifier: Amplifier = "em"
     readout_speed: Annotated[int, Ge(1), Le(3), Doc("Of the EM amplifier; the normal one has speed 1 only")] = 3
-    em_gain: Annotated[float, Ge(1)] = 1.0
+    em_gain: Annotated[float, Ge(1), Le(1e5)] = 1.0
     maximum_em_gain: Annotated[float, Ge(1), Le(1e5)] = 1200.0
     quantum_efficiency: Annotated[float, Gt(0), Le(1), Doc("At 462 nm")] = 0.8
     dark_current_e_per_s: Annotated[float, Ge(0), Le(1e6)] = 0.005
@@ -146,14 +146,14 @@ class SimulatedCameraSettings(Checked):
     full_well_e: Annotated[float, Ge(1), Le(1e9)] = 370e3
     register_full_well_e: Annotated[float, Ge(1), Le(1e9), Doc("Of the multiplication register")] = 800e3
     electrons_per_count: Annotated[float, Ge(1e-4), Le(1e4)] = 5.8
-    offset_counts: Annotated[float, Ge(0)] = 500.0
+    offset_counts: Annotated[float, Ge(0), Le(65535)] = 500.0
     bits: Annotated[int, Ge(8), Le(16)] = 16
     pixel_fill_factor: Annotated[float, Ge(0), Le(1), Doc("Sensitive width over the pitch; 0: the centre")] = 1.0
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
         if self.em_gain > self.maximum_em_gain:
-            yield "em_gain", "must be 1 ... maximum_em_gain"
+            yield "em_gain", f"must be 1 ... {self.maximum_em_gain:g} (maximum_em_gain)"
         if self.em_gain != 1 and self.amplifier != "em":
             yield "em_gain", 'needs amplifier = "em"'
         if self.offset_counts >= 2**self.bits:
@@ -165,10 +165,10 @@ class SimulatedLightSettings(Checked):
     """An LED behind the mask; its light is proportional to its current."""
 
     driver: Literal["simulated"] = "simulated"
-    current_a: Annotated[float, Ge(0)] = 0.35
+    current_a: Annotated[float, Ge(0), Le(1e3)] = 0.35
     maximum_current_a: Annotated[float, Ge(1e-15), Le(1e3)] = 1.0
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
         if self.current_a > self.maximum_current_a:
-            yield "current_a", "must be 0 ... maximum_current_a"
+            yield "current_a", f"must be 0 ... {self.maximum_current_a:g} A (maximum_current_a)"

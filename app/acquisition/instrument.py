@@ -249,8 +249,8 @@ class Instrument:
     def change_settings(self, changes: Iterable[tuple[str, Any]], mask: str | None = None) -> None:
         """Change registration, reconstruction or lattice, and the mask, whose own reference is used again.
 
-        Each change is "section" or "section.key" with its value, or "lenslet" with (row, column) of one to exclude or
-        to use again.
+        Each change is "section" or "section.key" with its value, or "lenslets" with the arguments of
+        `Bench.with_excluded`.
         """
         before = self.bench
         try:
@@ -361,8 +361,8 @@ class Instrument:
 def _changed(bench: Bench, changes: Iterable[tuple[str, Any]]) -> Bench:
     for name, value in changes:
         section, _, key = name.partition(".")
-        if name == "lenslet":
-            bench = bench.with_toggled(value)
+        if name == "lenslets":
+            bench = bench.with_excluded(*value)
         else:
             new = replace(getattr(bench, section), **{key: value}) if key else value
             bench = replace(bench, **{section: new})

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
+from urllib.parse import urlsplit
 
 from app.errors import InputError, RunError
 from app.files import in_words
@@ -19,6 +20,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _CONNECT_S = 20
+_SCHEMES = {"tcp", "tls", "ws", "wss", "ucx"}  # of Dask's addresses
 _LEAST_WAITING = 16  # tasks at the scheduler; more would only delay Ctrl-C
 _CLOSE_S = 30
 _ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
@@ -94,11 +96,12 @@ def workers(count: int | None, scheduler: str | None, *, dashboard: bool = False
     """
     if count is not None and scheduler is not None:
         raise InputError("--workers starts processes here, --scheduler uses those of a cluster: give one of them")
+    if scheduler is not None:
+        _check_address(scheduler)  # a client that finds the fault takes 40 s to close
     os.environ["PYTHONSAFEPATH"] = "1"  # for workers and Python's own helper processes, as in `app.cli.main`
     try:
         import dask
         from distributed import Client, LocalCluster, Security
-        from distributed.comm.addressing import get_address_host_port, normalize_address
 
         security = Security.temporary() if scheduler is None else None
     except ImportError as error:
@@ -117,13 +120,24 @@ def workers(count: int | None, scheduler: str | None, *, dashboard: bool = False
             )
             stack.callback(_close, cluster)
         try:
-            if scheduler is not None:
-                get_address_host_port(normalize_address(scheduler))  # a client that finds the fault takes 40 s to close
             client = Client(cluster if scheduler is None else scheduler, timeout=_CONNECT_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise RunError(f"{scheduler}: no scheduler can be reached there: {in_words(error)}") from error
         stack.callback(_close, client)
         yield Workers(client, dashboard=dashboard)
+
+
+def _check_address(scheduler: str) -> None:
+    """Raise `InputError` unless an address has a host and a port."""
+    try:
+        parts = urlsplit(scheduler if "://" in scheduler else f"tcp://{scheduler}")
+        is_complete = parts.scheme in _SCHEMES and bool(
+            parts.hostname and parts.port
+        )  # a port out of range: ValueError
+    except ValueError:
+        is_complete = False
+    if not is_complete:
+        raise InputError(f"--scheduler {scheduler}: give host and port, as tcp://node1:8786")
 
 
 def _close(opened: Client | LocalCluster) -> None:

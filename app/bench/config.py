@@ -8,7 +8,7 @@ import dataclasses
 import ipaddress
 import sys
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
@@ -93,10 +93,12 @@ class Bench(Checked):
         if self.lattice is not None and self.lattice.arrangement != self.sensor.arrangement:
             yield "lattice.arrangement", f'= "{self.sensor.arrangement}" is missing'
 
-    def with_toggled(self, lenslet: tuple[int, int]) -> Self:
-        """Exclude a lenslet (row, column), or use it again."""
-        excluded = tuple(sorted({*self.registration.excluded} ^ {lenslet}))
-        return dataclasses.replace(self, registration=dataclasses.replace(self.registration, excluded=excluded))
+    def with_excluded(self, lenslets: Iterable[tuple[int, int]], is_excluded: bool | None) -> Self:
+        """Exclude lenslets (row, column), or use them again; None: each the other way than before."""
+        before, given = {*self.registration.excluded}, {*lenslets}
+        after = before ^ given if is_excluded is None else before | given if is_excluded else before - given
+        registration = dataclasses.replace(self.registration, excluded=tuple(sorted(after)))
+        return dataclasses.replace(self, registration=registration)
 
     @property
     def is_simulated(self) -> bool:

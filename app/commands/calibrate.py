@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from app.bench.config import Bench
+    from app.measurement.mask_scale import MaskScale
     from reconstruction.geometry import Lattice
     from reconstruction.lattice.search import Survey
 
@@ -42,8 +43,9 @@ def calibrate(
 ) -> None:
     """Find the lenslet lattice in a reference frame.
 
-    The result is pitch, rotation, centre, and which lenslets are lit. Check the picture of --plot: every lit subimage
-    should lie in the middle of its cell. Without --out the result is only printed.
+    The result is pitch, rotation, centre, which lenslets are lit, and the size of the mask's image: the scale of every
+    wavefront. Check the picture of --plot: every lit subimage should lie in the middle of its cell. Without --out the
+    result is only printed.
 
     Example: svwfs calibrate reference.tif --bench paper_experiment --out bench.toml --plot lattice.png
     """
@@ -75,14 +77,18 @@ class CalibratedBench:
     design: Bench  # as given
     bench: Bench  # with the lattice found
     survey: Survey
+    mask: MaskScale | None  # None: the reference does not show the bench's mask
 
 
 def find_lattice(
     reference: Path, *, dark: Path | None, bench: Bench, progress: Progress = lambda *_: None
 ) -> CalibratedBench:
     """Find the lattice in a reference image file; `InputError` if the files are unusable."""
+    import numpy as np
+
     from app.images import read_image
     from app.measurement.bench_reconstructor import full_scale_of
+    from app.measurement.mask_scale import mask_scale
     from reconstruction.errors import ReconstructionError
     from reconstruction.lattice.search import survey
 
@@ -91,7 +97,9 @@ def find_lattice(
     try:
         most = full_scale_of(image, bench.camera_model.bits)
         found = survey(image, bench.sensor, dark=dark_image, full_scale=most, progress=progress)
-        return CalibratedBench(image, bench, dataclasses.replace(bench, lattice=_rounded(found.lattice)), found)
+        calibrated = dataclasses.replace(bench, lattice=_rounded(found.lattice))
+        light = np.subtract(image, 0 if dark_image is None else dark_image, dtype=np.float32)
+        return CalibratedBench(image, bench, calibrated, found, mask_scale(calibrated, light))
     except ReconstructionError as error:
         raise InputError(f"{dark if error.image == 'dark' else reference}: {error}") from error
     except ValueError as error:  # a pitch far from the design
@@ -110,6 +118,10 @@ def summary(calibrated: CalibratedBench) -> list[str]:
     """Return the result as lines of text."""
     lattice, seen = calibrated.survey.lattice, calibrated.survey
     rows, columns = seen.illuminated.shape
+    mask, source = calibrated.mask, calibrated.design.simulation.source
+    scale = f"unknown: the reference does not show the mask {source.mask} of [simulation.source]"
+    if mask is not None:
+        scale = f"{mask.scale:.5f} +- {mask.sigma:.5f} of what the bench's lengths say, by the mask {mask.mask}"
     return [
         f"pitch        {lattice.pitch_px:.4f} px",
         f"rotation     {lattice.rotation_rad * 1e3:+z.3f} mrad ({math.degrees(lattice.rotation_rad):+z.3f} degrees)",
@@ -117,6 +129,7 @@ def summary(calibrated: CalibratedBench) -> list[str]:
         f"lenslets     {seen.rows} x {seen.columns} lit and whole on the frame; {rows} x {columns} are used",
         f"illuminated  {seen.illuminated.sum()} of {rows * columns} ({100 * seen.illuminated_fraction:.1f} %)",
         f"quality      subimages {seen.residual_px:.3f} px RMS off the lattice, {100 * seen.likeness:.0f} % similar",
+        f"scale        {scale}",
     ]
 
 
@@ -141,12 +154,12 @@ def differences(calibrated: CalibratedBench) -> list[str]:
             f"the bench's own lattice lies {moved_px:.3f} px away; the one found is turned from it by"
             f" {turned_mrad:+z.3f} mrad, and its pitch differs by {seen.lattice.pitch_px - before.pitch_px:+z.4f} px"
         )
-    return sentences
+    return sentences + ([] if calibrated.mask is None else calibrated.mask.faults)
 
 
-def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | str | list[str]]:
+def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | str | list[str] | None]:
     """Return the result for JSON, with the names of the bench's TOML keys."""
-    seen = calibrated.survey
+    seen, mask = calibrated.survey, calibrated.mask
     return {
         **dataclasses.asdict(seen.lattice),
         "whole_rows": seen.rows,
@@ -155,6 +168,8 @@ def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | str | lis
         "illuminated": int(seen.illuminated.sum()),
         "residual_px": seen.residual_px,
         "likeness": seen.likeness,
+        "scale": None if mask is None else mask.scale,
+        "scale_sigma": None if mask is None else mask.sigma,
         "differences": differences(calibrated),
     }
 

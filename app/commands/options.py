@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
@@ -117,17 +118,36 @@ def check_files(
 
 
 class OnceCommand(TyperCommand):
-    """Command that refuses a repeated option, and a folder's name for a file."""
+    """Command that refuses a repeated option, no number, an empty name, and a folder's name for a file."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments; a repeated option would else replace itself, and a final slash be ignored."""
+        """Parse the arguments; a repeated option would else replace itself, an empty name be this folder's.
+
+        A final slash would be ignored, and NaN fail long after.
+        """
         values, _, order = self.make_parser(ctx).parse_args(args=list(args))
         for option, count in Counter(order).items():
+            given = values.get(option.name)
+            texts, name = given if isinstance(given, list | tuple) else [given], option.opts[0]
+            kind = option.type_descriptor.annotation  # type: ignore[attr-defined] # typer's own
+            is_file = kind in {Path, list[Path]}
+            if is_file and "" in texts:
+                ctx.fail(f"{name} is empty: give the name of a file or folder")
+            if kind in {float, list[float]} and not all(map(_is_finite, texts)):
+                ctx.fail(f"{name}: give a finite number")
             if not isinstance(option, TyperOption) or option.multiple or option.is_flag:
                 continue
             if count > 1:
-                ctx.fail(f"{option.opts[0]} is given {count} times: give it once")
-            value = str(values.get(option.name))
-            if value.endswith("/") and option.metavar != FOLDER and not Path(value).is_dir():
-                ctx.fail(f"{option.opts[0]} {value}: no such folder; leave the slash out of a file's name")
+                ctx.fail(f"{name} is given {count} times: give it once")
+            value = str(given)
+            if is_file and value.endswith("/") and option.metavar != FOLDER and not Path(value).is_dir():
+                ctx.fail(f"{name} {value}: no such folder; leave the slash out of a file's name")
         return super().parse_args(ctx, args)
+
+
+def _is_finite(text: object) -> bool:
+    """True unless a text is infinite or NaN; of what is no number, the parser tells more."""
+    try:
+        return math.isfinite(float(str(text)))
+    except ValueError:
+        return True

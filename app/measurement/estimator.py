@@ -171,7 +171,7 @@ def _left_out(reconstructor: Reconstructor, sample: AssumedSample | None) -> str
     if reconstructor.reconstruction.method == "zonal":
         source = "are left out, also of the error bars"
     elif sample is None:
-        source = "follow from layers, or only from the prior"
+        source = "follow from what is assumed of the sample"
     elif sample.ratios:
         source = "follow from the layer" if len(sample.ratios) == 1 else "follow from the layers"
     else:

@@ -15,7 +15,7 @@ from app.images import MOST_COUNTS
 from app.measurement.averages import AVERAGED_FRAMES, Average
 from app.measurement.calibration import Calibration
 from app.run_facts import write_record
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, reading_npy
 from reconstruction.geometry import require
 
 # RuntimeError: the archive is encrypted
@@ -74,7 +74,8 @@ def read_array(path: Path) -> Floats:
     """Read an array; `InputError` if it is missing or damaged."""
     check_readable(path)
     try:
-        values: Floats = np.load(path, allow_pickle=False)
+        with reading_npy():
+            values: Floats = np.load(path, allow_pickle=False)
         if not isinstance(values, np.ndarray) or values.dtype.kind != "f":
             raise ValueError("it holds no array of numbers")  # noqa: TRY301 - one way out
     except (OSError, ValueError, EOFError, MemoryError, BadZipFile) as error:
@@ -94,7 +95,7 @@ def _read_average(path: Path) -> Average:
         with ZipFile(path) as archive:
             if any(member.compress_type != ZIP_STORED for member in archive.infolist()):
                 raise ValueError("it is compressed, which no program of svwfs writes")
-        with np.load(path, allow_pickle=False) as stored:
+        with reading_npy(), np.load(path, allow_pickle=False) as stored:
             arrays = {field.name: stored[field.name] for field in fields(Average)}
         average = Average(**{name: array if array.ndim else array.item() for name, array in arrays.items()})
         _check(average)

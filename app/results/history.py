@@ -1,6 +1,7 @@
 """History of a running measurement: named series on a common time axis, bounded in memory."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -29,6 +30,51 @@ class Drift:
         """Take the statistics of values (time,), without the gaps."""
         known = values[np.isfinite(values)]
         return cls(*(float(f(known)) for f in (np.mean, np.std, np.ptp))) if known.size else cls(*[math.nan] * 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Lowest and highest allowed value of a series; NaN where there is none."""
+
+    lowest: float = math.nan
+    highest: float = math.nan
+
+    @property
+    def is_set(self) -> bool:
+        """True if there is one, and a value can be within them."""
+        has_one = not (math.isnan(self.lowest) and math.isnan(self.highest))
+        return has_one and not self.lowest > self.highest
+
+    def broken_by(self, value: float) -> str:
+        """Return "below" or "above" if a value is beyond one of them; empty if not, or if it is NaN."""
+        return "below" if value < self.lowest else "above" if value > self.highest else ""
+
+
+class LimitWatch:
+    """Tells once when a series crosses its limits, and once when it is back.
+
+    It is back when it has been within for `calm_s`, so that noise at a limit is one crossing.
+    """
+
+    def __init__(self, calm_s: float = 2.0) -> None:
+        self._calm_s = calm_s
+        self.beyond: dict[str, float] = {}  # series, and when it was last seen beyond, s
+
+    def follow(
+        self, time_s: float, values: Mapping[str, float], limits: Mapping[str, Limits]
+    ) -> tuple[list[str], list[str]]:
+        """Compare the values of a time; return the series that have crossed, and those that are back."""
+        self.beyond = {name: last_s for name, last_s in self.beyond.items() if name in limits}
+        crossed, back = [], []
+        for name, limit in limits.items():
+            value = values.get(name, math.nan)
+            if limit.broken_by(value):
+                crossed += [name] * (name not in self.beyond)
+                self.beyond[name] = time_s
+            elif math.isfinite(value) and abs(time_s - self.beyond.get(name, time_s)) >= self._calm_s:
+                del self.beyond[name]
+                back.append(name)
+        return crossed, back
 
 
 class History:

@@ -9,6 +9,7 @@ import contourpy
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from reconstruction.arrays import Floats
 from reconstruction.frame.pixels import is_piled_up
@@ -76,6 +77,29 @@ def _clip_level(by_count: NDArray[np.intp], peak: int, full_scale: int) -> int:
     piled, below = by_count[lowest : peak + 1].sum(), by_count[max(2 * lowest - peak - 1, 0) : lowest].sum()
     is_full_well = is_piled_up(int(piled), int(below)) and _LEAST_SHARE < piled / by_count.sum() < _MOST_SHARE
     return lowest if is_full_well else full_scale
+
+
+def profile(
+    pixels: NDArray[np.integer[Any]], start_px: tuple[float, float], end_px: tuple[float, float]
+) -> tuple[Floats, Floats]:
+    """Return distances along a line between two points (x, y), at most 1 px apart, and the counts there.
+
+    Counts are interpolated linearly between the pixels (row, column); NaN outside them.
+    """
+    length_px = math.dist(start_px, end_px)
+    along = np.linspace(0, 1, math.ceil(length_px) + 1)
+    x, y = (first + along * (last - first) for first, last in zip(start_px, end_px, strict=True))
+    counts = map_coordinates(pixels, [y, x], output=np.float64, order=1, mode="constant", cval=np.nan)
+    return along * length_px, counts
+
+
+def pixels_within(
+    pixels: NDArray[np.integer[Any]], x_px: tuple[float, float], y_px: tuple[float, float]
+) -> NDArray[np.integer[Any]] | None:
+    """Return the pixels (row, column) whose centres lie in the rectangle, edges included; None if there are none."""
+    first_row, first_column = (max(math.ceil(low), 0) for low, _ in (y_px, x_px))
+    inside = pixels[first_row : max(math.floor(y_px[1]) + 1, 0), first_column : max(math.floor(x_px[1]) + 1, 0)]
+    return inside if inside.size else None
 
 
 Pixels: TypeAlias = NDArray[np.uint32]  # 0xAARRGGBB; 0 is transparent

@@ -17,15 +17,22 @@ class GenicamSettings:
 
     driver: Literal["genicam"] = "genicam"
     device: Annotated[str, Doc("Name in `svwfs devices`, serial number or address; empty takes the only one")] = ""
-    pixel_pitch_m: Annotated[float, Gt(0), Doc("Of the sensor, if the camera does not report it")] | None = None
+    pixel_pitch_m: Annotated[float, Gt(0), Le(1e-3), Doc("Of the sensor, if the camera does not report it")] | None = (
+        None
+    )
     pixel_format: Annotated[str, Doc('For example "Mono12"; empty takes the deepest without padding')] = ""
     full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel; omitted: found in frames")] | None = (
         None
     )
     byte_order: Annotated[Literal["", "little", "big"], Doc("Of 16-bit pixels; empty takes that of the model")] = ""
-    exposure_s: Annotated[float, Gt(0)] | None = None
-    gain: Annotated[float, Doc("Analogue, in the camera's unit, mostly dB; no electron multiplication")] | None = None
-    frame_rate_hz: Annotated[float, Gt(0), Doc("Omitted: as fast as exposure and readout allow")] | None = None
+    exposure_s: Annotated[float, Gt(0), Le(3600)] | None = None
+    gain: (
+        Annotated[
+            float, Ge(-1000), Le(10_000), Doc("Analogue, in the camera's unit, mostly dB; no electron multiplication")
+        ]
+        | None
+    ) = None
+    frame_rate_hz: Annotated[float, Gt(0), Le(1e6), Doc("Omitted: as fast as exposure and readout allow")] | None = None
     binning: Annotated[int, Ge(1), Le(64)] = 1
     region: Annotated[Region, Doc("Omitted: the whole sensor")] | None = None
     trigger: Annotated[str, Doc('"internal", or one of the camera\'s sources, for example "Line0"')] = "internal"

@@ -15,7 +15,7 @@ class SerialLightSettings:
     driver: str
     port: Annotated[str, Doc("Such as /dev/ttyUSB0, /dev/ttyACM0 or COM3")] = ""
     serial_number: Annotated[str, Doc("Of its USB adapter, instead of the port")] = ""
-    current_a: Annotated[float, Ge(0), Doc("Omitted: it keeps its value")] | None = None
+    current_a: Annotated[float, Ge(0), Le(100), Doc("Omitted: it keeps its value")] | None = None
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""

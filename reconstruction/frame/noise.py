@@ -77,7 +77,8 @@ class TransferCurve:
         `averaged` times as much, since their scatter stays.
         """
         (here, error), (there, other_error) = self._bend, other._bend  # noqa: SLF001 - of the same class
-        beyond = here - np.clip(here, *sorted((there, there / averaged)))
+        least, most = sorted((there, there / averaged))
+        beyond = here - min(max(here, least), most)
         brightest = min(np.max(self.light), np.max(other.light))
         return float(max(abs(beyond) - _CHANCE_OF_TWO * math.hypot(error, other_error), 0.0) * brightest)
 

@@ -93,6 +93,8 @@ class ReferenceSubimages:
         dark = ~(self.contrast > DARK_CONTRAST * _typical(self.contrast[~self.off_camera])) | spoilt
         self.excluded = self._at(excluded)  # (L,)
         self.lit = ~dark & ~self.off_camera & ~self.excluded
+        if self.excluded.all():
+            raise ReconstructionError("all lenslets are excluded by hand: use some of them again")
         if not self.lit.any() or self._smoothness() < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
 

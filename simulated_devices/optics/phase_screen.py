@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage, optimize, sparse
 from scipy.interpolate import BSpline, RectBivariateSpline
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, reading_npy
 from reconstruction.geometry import centered_steps, require
 
 _CUBIC = 3
@@ -159,7 +159,8 @@ def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float, e
 def read_screen(path: Path, setting: str = "file", content: str = "phases in rad") -> Floats:
     """Values (row, column) from a .npy or .tif file; a bad file raises a `ValueError` that names the setting."""
     try:
-        values = np.load(path, allow_pickle=False) if path.suffix == ".npy" else tifffile.imread(path)
+        with reading_npy():
+            values = np.load(path, allow_pickle=False) if path.suffix == ".npy" else tifffile.imread(path)
         samples_rad = np.asarray(values, np.float64)
     except (OSError, ValueError, EOFError, TypeError, tifffile.TiffFileError) as error:
         raise ValueError(f"{setting} = {str(path)!r} is not a readable .npy or .tif array: {error}") from error

@@ -17,7 +17,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, reading_npy
 from reconstruction.geometry import centered_steps
 from simulated_devices.settings import Source
 
@@ -142,7 +142,8 @@ def read_grey_image(path: Path) -> Floats:
 def _decoded(path: Path) -> NDArray[Any] | None:
     suffix = path.suffix.lower()
     if suffix == ".npy":
-        return np.asarray(np.load(path, allow_pickle=False))
+        with reading_npy():
+            return np.asarray(np.load(path, allow_pickle=False))
     if suffix in {".tif", ".tiff"}:
         return np.asarray(tifffile.imread(path))
     content = np.frombuffer(path.read_bytes(), np.uint8)

@@ -4,14 +4,24 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-import pyqtgraph as pg
 from PyQt6.QtCore import QPoint, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtWidgets import QApplication, QMenu
 
 from app.acquisition.instrument import Status
 from app.gui.panels.panel import Entries, Panel, Shown
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Choice, ElidedLabel, Toggle, colour_text, column, label, row_of, timer, unfocused
+from app.gui.widgets.basics import (
+    Choice,
+    ElidedLabel,
+    Toggle,
+    colour_text,
+    column,
+    label,
+    row,
+    row_of,
+    timer,
+    unfocused,
+)
 from app.gui.widgets.camera_image import (
     CameraImage,
     ClippedPixels,
@@ -24,10 +34,12 @@ from app.gui.widgets.camera_image import (
     lenslet_at,
     lost_boxes,
 )
+from app.gui.widgets.camera_tools import DrawingView, Measuring, rectangle
 from app.gui.widgets.copies import add_copy_menu, as_table
 from app.gui.widgets.presentation import percent
 from app.gui.widgets.scales import MAGNIFICATIONS, AdaptiveScale
 from app.measurement.measurement import Measurement
+from app.progress import counted
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
@@ -41,8 +53,16 @@ _CLOSEST_PX = 8  # side of the smallest area that fills the view
 _FARTHEST = 2.0  # widths and heights of the frame that the view shows at most
 _HINT = (
     "Wheel: zoom; drag: move; double click or 0: whole frame\n"
-    "Click: inspect the lenslet; right click: exclude it, copy picture or displacements"
+    "Click: inspect the lenslet; right click: exclude it, copy picture or displacements\n"
+    "M: measure along a line; Shift+M: in an area"
 )
+_TOOLS = {  # what to drag over the picture
+    "inspect": "",
+    "line": "a line, then its ends to change it",
+    "area": "a rectangle, then its corner to change it",
+    "exclude": "a rectangle around the lenslets to leave out",
+    "use again": "a rectangle around the lenslets to use again",
+}
 _DIMMED = 0.5  # opacity of a picture that may be over
 _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
 
@@ -55,7 +75,8 @@ class CameraPanel(Panel):
     title, place = "Camera", "left"
     about = (
         "Its picture with the lattice of the lenslets (G) and their mean displacement (A). The wheel zooms,"
-        " a double click shows the whole picture, a click on a lenslet inspects it."
+        " a double click shows the whole picture, a click on a lenslet inspects it. The tools below it measure and"
+        " exclude."
     )
     lenslet_clicked = pyqtSignal(int, int)  # row and column
     levels_changed = pyqtSignal(float, float)  # counts that are black and white
@@ -89,8 +110,14 @@ class CameraPanel(Panel):
             "Colours of the camera image", ("grey", "inferno"), self._show_colours, key="camera/colours"
         )
 
+        self.tool = Choice(
+            "What a drag over the picture does: move it, measure along a line (M) or in an area (Shift+M),\n"
+            "exclude all lenslets in a rectangle, or use them again. Esc ends it; the middle button always moves.",
+            list(_TOOLS.items()),
+            self._use_tool,
+        )
         self._graphics = Picture(self._zoom_out, self._point_at)
-        self._view = pg.ViewBox(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
+        self._view = DrawingView(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
         self._graphics.setCentralItem(self._view)
         self._graphics.setMinimumSize(220, 70)
         unfocused(self._graphics)
@@ -101,7 +128,10 @@ class CameraPanel(Panel):
         self._proposed_boxes = Segments(self._view, theme.AMBER_ON_IMAGE, width=2)  # lenslets without light
         self._arrows = Segments(self._view, theme.AMBER_ON_IMAGE, shadow=3)  # visible on black and on white
         self._inspected_box = Segments(self._view, theme.ACCENT_ON_IMAGE, width=2)
+        self._drawn = Segments(self._view, theme.AMBER_ON_IMAGE, width=2)  # around lenslets to exclude
         self._clipped = ClippedPixels(self._view)
+        self.measuring = Measuring(self._view)
+        self._view.drawn.connect(self._draw_with_tool)
         self._view.sigRangeChanged.connect(self._keep_in_sight)
         self._view.sigResized.connect(self._keep_in_sight)
         self._graphics.scene().sigMouseMoved.connect(self._point_at)
@@ -115,7 +145,7 @@ class CameraPanel(Panel):
         self.header = row_of(
             (label("Camera", "title"), 1), self.lattice_toggle, self.arrows_toggle, self.contrast, self.colours
         )
-        column(self.header, (self._graphics, 1), self.caption, parent=self)
+        column(self.header, (self._graphics, 1), self.measuring, row((self.caption, 1), self.tool), parent=self)
         self.badge, self._placeholder = label("", "badge"), label("no frame yet", "dim")
         self.badge.hide()
         over = column(self.badge, (self._placeholder, 1), parent=self._graphics)
@@ -123,12 +153,16 @@ class CameraPanel(Panel):
         over.setAlignment(self._placeholder, Qt.AlignmentFlag.AlignCenter)
 
     def menu_entries(self) -> Mapping[str, Entries]:
-        """Return what is drawn over the picture, and the zoom."""
+        """Return what is drawn over the picture, the zoom and the tools."""
         return {
             "&View": (
                 ("Lattice", "G", self.lattice_toggle),
                 ("Arrows", "A", self.arrows_toggle),
                 ("Whole camera image", "0", self.reset_zoom),
+                ("Measure along a line", "M", lambda: self.use_tool("line")),
+                ("Measure in an area", "Shift+M", lambda: self.use_tool("area")),
+                ("Exclude lenslets in a rectangle", "", lambda: self.use_tool("exclude")),
+                ("Use lenslets in a rectangle again", "", lambda: self.use_tool("use again")),
                 None,
             )
         }
@@ -145,6 +179,7 @@ class CameraPanel(Panel):
     def show_status(self, status: Status) -> None:
         """Use lattice and full scale for the next frames."""
         self.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)
+        self.measuring.show_bench(status.bench.sensor, status.bench.field)
 
     def show_bench(self, sensor: Sensor, lattice: Lattice | None, full_scale: int) -> None:
         """Set the lattice and the full scale of the next frames."""
@@ -153,7 +188,8 @@ class CameraPanel(Panel):
             self._show_overlay()
 
     def forget_bench(self) -> None:
-        """Forget the lattice, the inspected lenslet and the arrows."""
+        """Forget the lattice, the inspected lenslet and the arrows; put the tool away."""
+        self.put_tool_away()
         self._lattice = self._sensor = self._displacement = self._inspected = None
         self._show_overlay()
 
@@ -216,6 +252,7 @@ class CameraPanel(Panel):
         """Show the brightness, and the pixel under the pointer or how long the arrows are."""
         if self._frame is None:
             return
+        self.measuring.show_frame(self._frame, self.shown.statistics)
         parts, colour = ["+x \N{RIGHTWARDS ARROW}  +y \N{DOWNWARDS ARROW}"], theme.DIM
         found = self.shown.statistics
         if found is not None and self.full_scale:
@@ -231,9 +268,54 @@ class CameraPanel(Panel):
         length = f"arrows \N{MULTIPLICATION SIGN} {self._magnification:g}" if has_arrows else ""
         self.caption.setText("    ".join([*parts, self._pointed_at() or length]))
 
+    def use_tool(self, name: str) -> None:
+        """Use a tool for the next drags; the one in use is put away."""
+        self.tool.setCurrentText("inspect" if self.tool.currentText() == name else name)
+
+    def put_tool_away(self) -> None:
+        """Let drags move the picture again, and remove what was measured."""
+        self.tool.setCurrentIndex(0)
+        self._use_tool()
+
+    def _use_tool(self) -> None:
+        """Follow the choice of the tool."""
+        self._view.draws = bool(self.tool.currentData())
+        self._drawn.draw(np.zeros((0, 2)))
+        self.measuring.use(self.tool.currentText())
+        if self._view.draws:
+            self.informed.emit(f"drag over the camera picture: {self.tool.currentData()}; Esc ends it")
+            self._graphics.setCursor(Qt.CursorShape.CrossCursor)
+        else:
+            self._graphics.unsetCursor()
+
+    def _draw_with_tool(self, start: QPointF, end: QPointF, is_finished: bool) -> None:
+        """Place the line or the area, or draw the rectangle around lenslets, which count when it is finished."""
+        tool = self.tool.currentText()
+        if tool in {"line", "area"}:
+            self.measuring.place(tool, start, end)
+            return
+        self._drawn.draw(np.zeros((0, 2)) if is_finished else rectangle(start, end))
+        if is_finished:
+            lenslets = self._lenslets_between(start, end)
+            if lenslets:
+                self.shown.exclusion_requested.emit(lenslets, tool == "exclude")
+                undo = '"use again"' if tool == "exclude" else '"exclude"'
+                self.informed.emit(f"{tool}: {counted(len(lenslets), 'lenslet')}; the same with {undo} undoes it")
+            else:
+                self.warned.emit("no centre of a lenslet lies in the rectangle")
+
+    def _lenslets_between(self, start: QPointF, end: QPointF) -> list[Lenslet]:
+        """Return the lenslets whose centres lie in the rectangle between two corners."""
+        if self._lattice is None or self._sensor is None:
+            return []
+        at = self._lattice.lenslet_centers_px(self._sensor.lenslet_rows, self._sensor.lenslet_columns)
+        corners = np.sort([[start.x(), start.y()], [end.x(), end.y()]], axis=0)
+        inside = np.all((at >= corners[0]) & (at <= corners[1]), axis=-1)
+        return [(int(row), int(column)) for row, column in np.argwhere(inside)]
+
     def _click(self, event: object) -> None:
-        """Inspect a lenslet at a click of the left button, unless another click follows."""
-        if event.button() != Qt.MouseButton.LeftButton:  # type: ignore[attr-defined] # pyqtgraph's event
+        """Inspect a lenslet at a click of the left button, unless another click follows or a tool is in use."""
+        if event.button() != Qt.MouseButton.LeftButton or self._view.draws:  # type: ignore[attr-defined] # pyqtgraph's
             return
         self._click_timer.stop()
         if not event.double():  # type: ignore[attr-defined] # pyqtgraph's event
@@ -246,7 +328,7 @@ class CameraPanel(Panel):
             return
         name = "lenslet row {}, column {}".format(*lenslet)
         menu.addAction(f"Inspect {name}", lambda: self.inspect(lenslet))
-        menu.addAction(f"Exclude {name}, or use it again", lambda: self.shown.exclusion_requested.emit(*lenslet))
+        menu.addAction(f"Exclude {name}, or use it again", lambda: self.shown.exclusion_requested.emit([lenslet], None))
         menu.addSeparator()
 
     def _lenslet_at(self, position: QPointF) -> Lenslet | None:

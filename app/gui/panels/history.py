@@ -1,20 +1,25 @@
 """Strip charts of the recent minutes, one above the other on a common time axis."""
 
+import math
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QShowEvent
-from PyQt6.QtWidgets import QScrollArea, QWidget
+from PyQt6.QtWidgets import QApplication, QScrollArea, QWidget
 
 from app.errors import RunError
-from app.gui.panels.panel import Entries, Panel, Shown
+from app.gui.panels.limits import LimitsForm
+from app.gui.panels.panel import Entries, Panel, Shown, Verdict
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, column, row, unfocused
+from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, colour_text, column, row, unfocused
 from app.gui.widgets.copies import ask_file
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import NOTHING, number
 from app.measurement.measurement import Measurement
-from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, Drift, History, sample
+from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, Drift, History, Limits, LimitWatch, sample
 from reconstruction.arrays import Floats
 
 _MINUTES = (1, 2, 5, 10, 20)
@@ -29,6 +34,7 @@ _ABOUT = {
 _WIDEST = "\N{MINUS SIGN}00.00"  # number on an axis
 _NAME = "000.0 % of full scale"  # its width is that of all names and values
 _LEAST_LINES = 2  # height of a chart
+_NEAR = 1.0  # ranges of the curve: a limit that is nearer to it is shown
 _TICK_LINES = 1.1  # height between two numbers of an axis
 _DRIFT = "mean \N{MINUS SIGN}0.0000  \N{GREEK SMALL LETTER SIGMA} 0.0000"  # the width of the statistics
 
@@ -45,6 +51,10 @@ class StripChart(QWidget):
         self.plot = _plot(None)
         self.plot.graphics.setMinimumHeight(_LEAST_LINES * self.fontMetrics().height() + 9)
         self.curve = self.plot.add_curve(theme.ACCENT, 1)
+        self.limit_lines = [pg.InfiniteLine(angle=0) for _ in range(2)]
+        for line in self.limit_lines:
+            theme.follow(self, partial(_colour_limit, line))
+            self.plot.view.addItem(line, ignoreBounds=True)
         self.drift = [ElidedLabel("dim") for _ in range(2)]
         drift = QWidget()
         column(*self.drift, spacing=0, parent=drift).addStretch()
@@ -52,11 +62,22 @@ class StripChart(QWidget):
         row(labels, (self.plot, 1), drift, parent=self)
         labels.setFixedWidth(_name_width(self))
 
-    def show_series(self, time_min: Floats, values: Floats, span_min: float, unit: str) -> None:
-        """Show values (time,) over the minutes before now; NaN in gaps."""
+    def show_series(self, time_min: Floats, values: Floats, span_min: float, unit: str, limits: Limits) -> None:
+        """Show values (time,) over the minutes before now, NaN in gaps, and the limits that are crossed or near."""
         known = np.isfinite(values)
         self.curve.setData(time_min, values, connect="finite")
-        low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 1.0)
+        low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 1.0)
+        near_low, near_high = low - _NEAR * (high - low), high + _NEAR * (high - low)
+        for line, limit, is_near in zip(
+            self.limit_lines,
+            (limits.lowest, limits.highest),
+            (limits.lowest >= near_low, limits.highest <= near_high),
+            strict=True,
+        ):
+            line.setVisible(is_near)
+            if is_near:
+                line.setValue(limit)
+                low, high = min(low, limit), max(high, limit)
         margin = max(0.2 * (high - low), 1e-3 * abs(high), 1e-6)
         self.plot.set_ranges((-span_min, 0), (low - margin, high + margin))
         ticks = [(float(end), number(float(end))) for end in (low, high)] if known.any() else []
@@ -65,6 +86,7 @@ class StripChart(QWidget):
         self.plot.axes["left"].setTicks([ticks[: 1 + has_room]])
         is_known = bool(known.size and known[-1])
         self.value.setText(f"{number(float(values[-1]))} {unit}" if is_known else NOTHING)
+        colour_text(self.value, theme.RED if is_known and limits.broken_by(float(values[-1])) else theme.TEXT)
 
     def show_drift(self, found: Drift, samples: int) -> None:
         """Show the statistics of the last samples."""
@@ -82,8 +104,9 @@ class HistoryPanel(Panel):
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
-        self.history = History()
+        self.history, self._watch = History(), LimitWatch()
         self._measurement: Measurement | None = None  # the last one of the history
+        self._newest: tuple[float, dict[str, float]] | None = None  # time and values of the newest sample
         self._pinned = ""  # name of a coefficient
         self.toggles = {
             name: Toggle(name, about, is_on=name == RMS, key=f"history/chart {index}")
@@ -101,6 +124,9 @@ class HistoryPanel(Panel):
         for choice in (self.minutes, self.samples):
             choice.setCurrentIndex(1)
             choice.currentIndexChanged.connect(self.refresh)
+        self.form = LimitsForm(shown, tuple(_ABOUT), self)
+        self.form.changed.connect(self.refresh)
+        self.limits = Button("Limits", "Set limits: what crosses one is told, and red here", self.form.show)
         self.export = Button("Export", "Save all series as CSV", self.export_csv)
         self._hint = ElidedLabel("dim", _HINT)
         self.charts: dict[str, StripChart] = {}
@@ -115,7 +141,7 @@ class HistoryPanel(Panel):
         self.time_axis.axes["left"].setTicks([[]])
         self.time_axis.graphics.setFixedHeight(2 * self.fontMetrics().height() + 16)
         beside, after = QWidget(), QWidget()
-        row(self.export, (QWidget(), 1), parent=beside)
+        row(self.export, self.limits, (QWidget(), 1), parent=beside)
         column(self.samples, parent=after).addStretch()
         beside.setFixedWidth(_name_width(self))
         after.setFixedWidth(_drift_width(self))
@@ -124,8 +150,11 @@ class HistoryPanel(Panel):
         self._arrange()
 
     def menu_entries(self) -> Mapping[str, Entries]:
-        """Return the export."""
-        return {"&File": (("Export the history", "", self.export_csv),)}
+        """Return export and limits."""
+        return {
+            "&File": (("Export the history", "", self.export_csv),),
+            "&View": (("Limits of the history", "", self.form.show),),
+        }
 
     def export_csv(self) -> None:
         """Ask for a name, and write the history as CSV."""
@@ -141,13 +170,51 @@ class HistoryPanel(Panel):
 
     def forget_bench(self) -> None:
         """Begin again."""
-        self.history, self._measurement = History(), None
+        self.history, self._watch = History(), LimitWatch()
+        self._measurement = self._newest = None
 
     def show_numbers(self) -> None:
-        """Add the newest measurement."""
+        """Add the newest measurement, and compare it with the limits."""
         measurement, status = self.shown.measurement, self.shown.status
         if measurement is not None and status is not None and measurement is not self._measurement:
             self.record(measurement, status.capabilities.full_scale, status.temperature_c)
+        self.shown.verdict = self._judge(self.form.limits())
+
+    def _judge(self, limits: Mapping[str, Limits]) -> Verdict:
+        """Tell what has crossed a limit, once; return whether all values are within theirs."""
+        if not limits:
+            return Verdict()
+        if self.shown.liveness.is_grey or self._newest is None:
+            return Verdict(NOTHING, "The frame is not live")
+        time_s, values = self._newest
+        crossed, back = self._watch.follow(time_s, values, limits)
+        if crossed:
+            self.warned.emit("; ".join(self._in_words(name, values[name], limits[name]) for name in crossed))
+            if self.form.beep.isChecked():
+                QApplication.beep()
+        elif back:
+            self.informed.emit(f"within the limits again: {', '.join(back)}")
+        lines = [self._in_words(name, values.get(name, math.nan), limit) for name, limit in limits.items()]
+        is_known = all(math.isfinite(values.get(name, math.nan)) for name in limits)
+        return Verdict("fail" if self._watch.beyond else "pass" if is_known else NOTHING, "\n".join(lines))
+
+    def _in_words(self, name: str, value: float, limits: Limits) -> str:
+        """Say how a value relates to its limits, phases in the unit of the display."""
+        unit, factor = self._unit_of(name)
+        lowest, highest = (number(limit * factor) for limit in (limits.lowest, limits.highest))
+        relation = limits.broken_by(value)
+        if relation:
+            end = lowest if relation == "below" else highest
+            return f"{name} {number(value * factor)} {unit} is {relation} its limit of {end} {unit}"
+        if not math.isfinite(value):
+            return f"{name} is unknown"
+        allowed = f"at most {highest}" if lowest == NOTHING else f"at least {lowest}"
+        both = f"{lowest} ... {highest}" if NOTHING not in {lowest, highest} else allowed
+        return f"{name} {number(value * factor)} {unit} is within its limits: {both} {unit}"
+
+    def _unit_of(self, name: str) -> tuple[str, float]:
+        """Return the unit in which a series is shown, and the factor of its values."""
+        return (UNITS[name], 1.0) if name in UNITS else (self.shown.unit, self.shown.per_rad)
 
     def record(self, measurement: Measurement, full_scale: float, temperature_c: float | None) -> None:
         """Add a measurement."""
@@ -164,12 +231,14 @@ class HistoryPanel(Panel):
         if self._pinned and self._pinned != name:
             self.history.forget(self._pinned)
         self._pinned = name
+        self.form.use_pinned(name)
         self._hint.setText("" if name else _HINT)
         self._arrange()
 
     def add(self, time_s: float, values: dict[str, float]) -> None:
         """Add one sample of all series."""
         self.history.add(time_s, values)
+        self._newest = time_s, values
         self.refresh()
 
     def refresh(self) -> None:
@@ -178,11 +247,14 @@ class HistoryPanel(Panel):
             return
         span_min = float(self.minutes.currentData())
         self.time_axis.set_ranges((-span_min, 0), (0, 1))
+        limits = self.form.limits()
         for name, chart in self.charts.items():
             time_s, values = self.history.series(name)
-            recent = time_s >= -60 * span_min
-            values *= 1.0 if name in UNITS else self.shown.per_rad
-            chart.show_series(time_s[recent] / 60, values[recent], span_min, UNITS.get(name, self.shown.unit))
+            recent, (unit, factor) = time_s >= -60 * span_min, self._unit_of(name)
+            values *= factor
+            limit = limits.get(name, Limits())
+            scaled = Limits(limit.lowest * factor, limit.highest * factor)
+            chart.show_series(time_s[recent] / 60, values[recent], span_min, unit, scaled)
             samples = self.samples.currentData()
             chart.show_drift(Drift.of(values[-samples:]), samples)
 
@@ -203,6 +275,10 @@ class HistoryPanel(Panel):
             self.charts[name] = self.charts.pop(name) if name in self.charts else StripChart(name)  # in this order
             self._rows.insertWidget(index, self.charts[name], 1)
         self.refresh()
+
+
+def _colour_limit(line: pg.InfiniteLine) -> None:
+    line.setPen(pg.mkPen(theme.RED, width=1, style=Qt.PenStyle.DashLine))
 
 
 def _name_width(widget: QWidget) -> int:

@@ -136,7 +136,7 @@ class LensletPanel(Panel):
 
     def _exclude(self) -> None:
         if self.lenslet is not None:
-            self.shown.exclusion_requested.emit(*self.lenslet)
+            self.shown.exclusion_requested.emit([self.lenslet], None)
 
     def _show_state(self, state: str) -> None:
         """Show the lenslet and its state; without a lenslet only that."""

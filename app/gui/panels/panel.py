@@ -27,11 +27,18 @@ class Liveness(NamedTuple):
     is_grey: bool = False  # whether the bench may differ from what is shown by now
 
 
+class Verdict(NamedTuple):
+    """Whether the newest frame is within the limits of the history; empty without limits."""
+
+    text: str = ""  # pass, fail, or a dash
+    reason: str = ""  # a line for each limited quantity
+
+
 class Shown(QObject):
     """State shared by the panels: the newest measurement, the chosen view and unit, and whether that is live."""
 
     view_chosen = pyqtSignal()
-    exclusion_requested = pyqtSignal(int, int)  # of a lenslet (row, column) from the wavefront, or its end
+    exclusion_requested = pyqtSignal(object, object)  # of lenslets (row, column): whether, or None to change each
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -42,9 +49,10 @@ class Shown(QObject):
         self.measurement: Measurement | None = None
         self.statistics: FrameStatistics | None = None  # of a frame at most 0.2 s old
         self.wavefront: Wavefront | None = None  # of the measurement, with the display options applied to its views
-        self.unit, self._wavelength_m = Unit.RAD, float("nan")
+        self.unit, self.wavelength_m = Unit.RAD, float("nan")
         self.pinned_rad: float | None = None  # present value of the pinned coefficient
         self.liveness, self.problem = Liveness(), ""  # the problem: why there may be no wavefront
+        self.verdict = Verdict()
         self.has_open_tabs = True
         self._view: tuple[int, int] | None = None  # as chosen; None: the middle one
 
@@ -52,12 +60,12 @@ class Shown(QObject):
         """Replace the shown wavefront."""
         self.wavefront = wavefront
         if wavefront is not None:
-            self._wavelength_m = wavefront.sensor.wavelength_m
+            self.wavelength_m = wavefront.sensor.wavelength_m
 
     @property
     def per_rad(self) -> float:
         """One radian in the unit."""
-        return self.unit.per_rad(self._wavelength_m)
+        return self.unit.per_rad(self.wavelength_m)
 
     @property
     def view(self) -> tuple[int, int] | None:

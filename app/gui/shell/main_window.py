@@ -140,7 +140,8 @@ class MainWindow(BaseWindow):
         self.controls.requested.connect(
             lambda name, value: acts[name](value) if name in acts else self.settings.want(name, value)
         )
-        self.shown.exclusion_requested.connect(lambda row, column: self.settings.change(("lenslet", (row, column))))
+        self.shown.exclusion_requested.connect(lambda *which: self.settings.change(("lenslets", which)))
+        self.messages.cancel_requested.connect(self.panels.camera.put_tool_away)
         self.messages.reconnect_requested.connect(self._reconnect)
         self.messages.dismissed.connect(self.errors.restart)
         for panel in self.panels:
@@ -328,6 +329,7 @@ class MainWindow(BaseWindow):
             panel.show_liveness()
         self.recording_bar.refresh()
         self.status_line.update_text(status, acquisition.timings if acquisition else None)
+        self.status_line.show_verdict(shown.verdict)
         self.messages.show_state(
             failure=self._failure,
             way_out=way_out(status),

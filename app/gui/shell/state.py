@@ -1,10 +1,19 @@
-"""State kept between two starts: geometry, panels, choices and toggles; theme and size of texts."""
+"""State kept between two starts: geometry, panels, choices, toggles and limits; theme and size of texts."""
 
 from collections.abc import Mapping
 
 from PyQt6.QtCore import QByteArray, QObject, QRect, QSettings
 from PyQt6.QtGui import QAction, QActionGroup
-from PyQt6.QtWidgets import QAbstractButton, QApplication, QComboBox, QDialog, QFormLayout, QMainWindow, QWidget
+from PyQt6.QtWidgets import (
+    QAbstractButton,
+    QApplication,
+    QComboBox,
+    QDialog,
+    QFormLayout,
+    QLineEdit,
+    QMainWindow,
+    QWidget,
+)
 
 from app.gui.widgets import theme
 from app.gui.widgets.basics import FRAME, Button, Choice, column, label, row, within_screen
@@ -62,6 +71,8 @@ def _state(part: QObject) -> object:
             return "" if (chosen := part.checkedAction()) is None else chosen.text()
         case QComboBox():
             return part.currentText()
+        case QLineEdit():
+            return part.text()
         case QAction() | QAbstractButton():
             return int(part.isChecked())
         case QWidget():
@@ -78,6 +89,8 @@ def _restore(part: QObject, value: str) -> None:
                     action.trigger()
         case QComboBox():
             part.setCurrentText(value)  # ignored if there is no such item
+        case QLineEdit():
+            part.setText(value)
         case QAction() | QAbstractButton():
             part.setChecked(is_on)
         case QWidget():

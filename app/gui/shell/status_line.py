@@ -12,6 +12,7 @@ from PyQt6.QtWidgets import QGridLayout, QLabel, QWidget
 
 from app.acquisition.instrument import Status
 from app.acquisition.worker import Measurement
+from app.gui.panels.panel import Verdict
 from app.gui.shell.wording import as_sentence, is_replay, lenslet_summary
 from app.gui.widgets import theme
 from app.gui.widgets.basics import ElidedLabel, colour_text, column, label, row, row_of
@@ -24,6 +25,7 @@ from reconstruction.layers.layered_wavefront import FREE
 _VALID = "Lenslets whose subimage matches the reference"
 _CORRECTION = "Age of the correction of systematic errors by the model of the bench"
 _ASSUMED = "What is assumed of the sample, and what the mask shows"
+_LIMITS = "Whether the newest frame is within the limits of the history (View > Limits of the history)"
 _LOST = "Frames that the camera overwrote before they were read; red while they become more"
 _DELAY = "Processing delay: from the end of the exposure to the result, median over the last second"
 _OLD_S = 30.0  # age of a correction; the next one takes some seconds at most
@@ -49,7 +51,7 @@ class StatusLine(QWidget):
         self.simulated.setToolTip("No real device: camera, light and sample are computed")
         self.simulated.hide()
         self.rate, self.delay, self.lost = label(NOTHING), label(NOTHING), label("0")
-        self.valid, self.correction = label(NOTHING), label("off")
+        self.valid, self.correction, self.limits = label(NOTHING), label("off"), label("")
         self.assumed = ElidedLabel("dim")
         parts = (
             ("frames/s", self.rate, "", "00.0"),
@@ -57,6 +59,7 @@ class StatusLine(QWidget):
             ("lost", self.lost, _LOST, "000"),
             ("valid", self.valid, _VALID, "000 of 000"),
             ("correction", self.correction, _CORRECTION, "computing"),
+            ("limits", self.limits, _LIMITS, "pass"),
         )
         named = []
         for name, value, tool_tip, widest in parts:
@@ -64,7 +67,8 @@ class StatusLine(QWidget):
             named.append(row_of(label(name, "dim"), value))
             named[-1].setToolTip(tool_tip)
         self.devices.setMinimumWidth(max(map(self.devices.fontMetrics().horizontalAdvance, ("running", "stopped"))))
-        self._counted, self._of_correction = named[0], named[-1]
+        self._counted, self._of_correction, self._of_limits = named[0], named[-2], named[-1]
+        self._of_limits.hide()
         line = row(*named, (self.assumed, 1), self.simulated, self.devices, spacing=_GAP)
         column(self.timing_row, line, spacing=2, parent=self).setContentsMargins(10, 0, 10, 2)
 
@@ -121,6 +125,13 @@ class StatusLine(QWidget):
         self._show_valid(None if last.wavefront is None else last.wavefront.displacement)
         self._show_assumed(last, "" if status is None else status.mask_note)
         self._show_correction(last.assumed.refinement)
+
+    def show_verdict(self, verdict: Verdict) -> None:
+        """Show whether the newest frame is within the limits, if there are any."""
+        self._of_limits.setVisible(bool(verdict.text))
+        _write(self.limits, verdict.text)
+        self._of_limits.setToolTip("\n".join([_LIMITS, *filter(None, [verdict.reason])]))
+        colour_text(self.limits, {"pass": theme.GREEN, "fail": theme.RED}.get(verdict.text, theme.TEXT))
 
     def _show_valid(self, displacement: Displacement | None) -> None:
         text, tool_tip, colour = NOTHING, _VALID, theme.TEXT

@@ -355,8 +355,18 @@ def test_missing_scheduler_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> N
 def test_wrong_address_is_refused_before_a_client_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     """Otherwise the client waits 40 s for its end, and prints a traceback."""
     monkeypatch.setattr("distributed.Client", None)
-    for address in ("garbage://x", "", "node1"):
-        with pytest.raises(RunError, match=f"{address}: no scheduler can be reached there"), workers(None, address):
+    for address in (
+        "garbage://x:1",
+        "",
+        "node1",
+        "tcp://",
+        "tcp://:8786",
+        "tcp://node1:99999",
+        "tcp://node1:x",
+        "[::1:1",
+    ):
+        sentence = f"--scheduler {address}: give host and port, as tcp://node1:8786"
+        with pytest.raises(InputError, match=re.escape(sentence)), workers(None, address):
             pass
 
 

@@ -276,9 +276,11 @@ def test_nothing_in_the_working_directory_replaces_a_preset(tmp_path: Path, monk
 
 
 def test_excluded_lenslets_are_written_and_must_exist() -> None:
-    bench = parse_bench(MINIMAL, "b").with_toggled((14, 3)).with_toggled((2, 5))
+    bench = parse_bench(MINIMAL, "b").with_excluded([(14, 3), (2, 5)], True)
     assert bench.registration.excluded == ((2, 5), (14, 3))
     assert parse_bench(write_bench(bench), "again") == bench
-    assert bench.with_toggled((2, 5)).registration.excluded == ((14, 3),)
+    assert bench.with_excluded([(2, 5), (0, 1)], None).registration.excluded == ((0, 1), (14, 3))
+    assert bench.with_excluded([(2, 5), (0, 1)], True).registration.excluded == ((0, 1), (2, 5), (14, 3))
+    assert bench.with_excluded([(2, 5), (0, 1)], False).registration.excluded == ((14, 3),)
     with pytest.raises(BenchError, match=r"no lenslet \[15, 3\] among 15 x 15"):
         parse_bench(MINIMAL.replace("[registration]", "[registration]\nexcluded = [[15, 3]]"), "b")

@@ -115,7 +115,7 @@ def test_wrong_bench_names_its_field(form: SettingsForm, path: str, text: str, s
         ("lattice.pitch_px", "", "Pitch is missing"),
         ("lattice.pitch_px", "20", "Pitch = 20 is far from Lenslet pitch (sensor) / Pixel pitch = 31.25"),
         ("simulation.seed", "-1", "Seed must be 0 ... 9223372036854775807"),
-        ("camera.em_gain", "2e9", "EM gain must be 1 ... Maximum EM gain"),
+        ("camera.em_gain", "5000", "EM gain must be 1 ... 1200 (Maximum EM gain)"),
     ],
 )
 def test_error_has_labels_and_units_of_the_form(form: SettingsForm, path: str, text: str, words: str) -> None:

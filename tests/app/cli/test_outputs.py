@@ -105,14 +105,16 @@ def test_no_input_is_overwritten(
     assert contents(folder) == before
 
 
-@pytest.mark.parametrize("image", ["", "."])
+@pytest.mark.parametrize(
+    ("image", "told"), [("", " is empty: give the name of a file or folder"), (".", "svwfs: .: not a file")]
+)
 def test_empty_name_or_folder_is_no_image(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, image: str
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, image: str, told: str
 ) -> None:
     assert folder.is_dir()
     for command in (("reconstruct", image, "--reference", "frame.tif"), ("calibrate", image)):
         assert run(monkeypatch, *command, "--bench", "small_demo", "--out", "o.nc") == 2
-        assert "svwfs: .: not a file" in capsys.readouterr().err
+        assert told in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", OF_ANOTHER_RECORDING)
@@ -140,6 +142,10 @@ def test_no_part_of_another_recording_is_overwritten(
         ("export run --to psf --out r.nc", "end it with .tif"),
         ("deconvolve frame.tif --with run --out r.nc", "end it with .tif"),
         ("paper table1 --out a --out b", "--out is given 2 times: give it once"),
+        ("layers run --out=", "--out is empty: give the name of a file or folder"),
+        ("layers run --out r.nc --distance 0.1 --distance nan", "--distance: give a finite number"),
+        ("corrector run --out r.nc --distance=-inf", "--distance: give a finite number"),
+        ("layers run --out r.nc --distance far", "--distance"),
     ],
 )
 def test_output_that_cannot_be_meant_is_refused(

@@ -60,7 +60,7 @@ def test_hidden_displacements_are_counted(
     for sample, others in (
         (FREE, "are known only by the prior"),
         (AssumedSample((-0.5,)), "follow from the layer"),
-        (None, "follow from layers, or only from the prior"),
+        (None, "follow from what is assumed of the sample"),
     ):
         assert mask_sentence(blind, sample) == f"{shown} {others}{'; ' + BIAS if rotation else ''}"
     if not rotation:

@@ -236,6 +236,19 @@ def test_bad_file_raises_one_sentence(tmp_path: Path) -> None:
             read_screen(tmp_path / name)
     with pytest.raises(ValueError, match=r"^file = .* is not a readable"):
         read_screen(tmp_path / "absent.npy")
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (3, 5%s), }"
+    for name, rest in (
+        ("unclosed.npy", b"("),
+        ("syntax.npy", b" 1"),
+        ("large.npy", b"9" * 30),
+        ("escape.npy", b"'\\:'"),
+    ):
+        text = (header % rest).ljust(117) + b"\n"
+        (tmp_path / name).write_bytes(b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + bytes(120))
+        with pytest.raises(
+            ValueError, match=r"^file = .* is not a readable"
+        ):  # without a warning, which would be an error
+            read_screen(tmp_path / name)
     for name, array in (("1d.npy", np.zeros(5)), ("nan.npy", np.full((5, 5), np.nan))):
         np.save(tmp_path / name, array)
         with pytest.raises(ValueError, match=r"^file = .* must hold a 2-D array"):

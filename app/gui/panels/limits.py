@@ -1,0 +1,106 @@
+"""Form of the limits of the history: the lowest and the highest allowed value of each series."""
+
+import math
+
+from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtWidgets import QDialog, QGridLayout, QLabel, QWidget
+
+from app.bench.settings_form import typed_number
+from app.gui.panels.panel import Shown
+from app.gui.widgets.basics import Button, Toggle, column, label, mark_refused, row
+from app.gui.widgets.fields import NumberLine
+from app.results.history import UNITS, Limits
+from app.results.shown_wavefront import Unit
+
+_PINNED = "Pinned coefficient"
+_WIDTH = 110  # px of a line
+_ABOUT = (
+    "Empty: no limit. Phases are in the unit of Display, or in the one that you type: 0.5 rad, 0.1 waves, 40 nm.\n"
+    "The newest frame is compared five times a second; a crossing is over after two seconds within."
+)
+
+
+class LimitLine(NumberLine):
+    """A number with its unit; empty if there is no limit, red if it is no number."""
+
+    def __init__(self, shown: Shown, series: str, key: str) -> None:
+        super().__init__()
+        self.setObjectName(key)  # under which its text is kept between two starts
+        self.setMinimumWidth(_WIDTH)
+        self._shown, self._unit = shown, UNITS.get(series, "").partition(" ")[0]
+        self.editingFinished.connect(self._add_unit)
+
+    @property
+    def value(self) -> float:
+        """The limit, phases in rad; NaN if it is none."""
+        value, unit = self.typed()
+        return value if self._unit else value / Unit(unit).per_rad(self._shown.wavelength_m)
+
+    def typed(self) -> tuple[float, str]:
+        """Return the number, NaN if it is none, and its unit."""
+        text = self.text().strip()
+        units = [self._unit] if self._unit else [self._shown.unit, *Unit]
+        unit = next((one for one in units if text.endswith(one)), "")
+        number = typed_number(text.removesuffix(unit), "", 1.0)
+        return math.nan if number is None else number, unit or units[0]
+
+    def _add_unit(self) -> None:
+        """Write the unit after the number, so that it still means the same in another unit of the display."""
+        value, unit = self.typed()
+        if math.isfinite(value) and not self.text().strip().endswith(unit):
+            self.setText(f"{self.text().strip()} {unit}")
+
+
+class LimitsForm(QDialog):
+    """One row for each series, and whether a crossing beeps."""
+
+    changed = pyqtSignal()
+
+    def __init__(self, shown: Shown, series: tuple[str, ...], parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Limits of the history")
+        self._shown, self._pinned, self._pinned_label = shown, "", label(_PINNED)
+        self.beep = Toggle("Beep", "Beep when a value crosses a limit", key="history/beep")
+        self.lines: dict[str, tuple[LimitLine, LimitLine]] = {}
+        grid = QGridLayout()
+        for at, text in enumerate(("", "at least", "at most")):
+            grid.addWidget(label(text, "dim"), 0, at)
+        for name in series:
+            self._add_row(grid, name, label(name))
+        self._add_row(grid, "", self._pinned_label)
+        self.use_pinned("")
+        about = label(_ABOUT, "dim")
+        ends = row(self.beep, (QWidget(), 1), Button("Close", "Close (Esc)", self.close))
+        column(grid, about, ends, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
+
+    def _add_row(self, grid: QGridLayout, name: str, shown_name: QLabel) -> None:
+        at = grid.rowCount()
+        grid.addWidget(shown_name, at, 0)
+        keys = [f"history/{end} {name}" if name else "" for end in ("lowest", "highest")]
+        self.lines[name] = LimitLine(self._shown, name, keys[0]), LimitLine(self._shown, name, keys[1])
+        for side, line in enumerate(self.lines[name], 1):
+            line.textChanged.connect(lambda _, name=name: self._change(name))
+            grid.addWidget(line, at, side)
+
+    def _change(self, name: str) -> None:
+        """Mark what is no limit."""
+        low, high = (line.value for line in self.lines[name])
+        for line in self.lines[name]:
+            is_number = math.isfinite(line.typed()[0]) or not line.text().strip()
+            why = "This is no number with its unit" * (not is_number) or "No value can be within" * (low > high)
+            line.setToolTip(why)
+            mark_refused(line, is_refused=bool(why))
+        self.changed.emit()
+
+    def limits(self) -> dict[str, Limits]:
+        """Return the limits by series, phases in rad."""
+        found = {name or self._pinned: Limits(*(line.value for line in lines)) for name, lines in self.lines.items()}
+        return {name: limits for name, limits in found.items() if name and limits.is_set}
+
+    def use_pinned(self, name: str) -> None:
+        """Show the name of the pinned coefficient, which has no limits yet, or that there is none."""
+        self._pinned = name
+        self._pinned_label.setText(name or _PINNED)
+        for line in self.lines[""]:
+            line.setEnabled(bool(name))
+            line.clear()

@@ -1,0 +1,135 @@
+"""The mask as a ruler: its image in a reference, against its known size, gives the scale of every wavefront.
+
+A subimage is as large as the mask times the distance of the camera from the lenslets over the collimator's focal
+length. A camera 4 % out of focus, or a wrong focal length in the bench, scales every wavefront as much, and no
+residual shows it. The mean subimage is compared with that of the bench's mask (`[simulation.source]`), enlarged, turned
+and mirrored; its light, position and a further blur are fitted with it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage, optimize
+
+from reconstruction.registration.response import mean_subimage
+from reconstruction.registration.subimages import ReferenceSubimages
+from simulated_devices.optics.lenslet_image import LensletImage
+from simulated_devices.optics.source import SourcePoints, source_points
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from app.bench.config import Bench
+    from reconstruction.arrays import Floats, Image
+
+_RANGE = (0.9, 1.1)  # of the scale that is searched
+_STEP = 1e-3  # of the scale, for its derivative
+_LIKE = 0.1  # residual over the contrast below which a reference shows the mask
+_BETTER = 0.7  # residual of another orientation over that of the bench's
+_TOLERANCE = 0.01
+_ORIENTATIONS = {  # how the mask lies in the image, and its points' matrix
+    "": ((1, 0), (0, 1)),
+    "mirrored left to right": ((-1, 0), (0, 1)),
+    "mirrored top to bottom": ((1, 0), (0, -1)),
+    "turned by 180 degrees": ((-1, 0), (0, -1)),
+    "turned by 90 degrees": ((0, -1), (1, 0)),
+    "turned by -90 degrees": ((0, 1), (-1, 0)),
+    "mirrored across its diagonal": ((0, 1), (1, 0)),
+    "mirrored across its other diagonal": ((0, -1), (-1, 0)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class MaskScale:
+    """Size and orientation of the mask's image in a reference."""
+
+    mask: str
+    scale: float  # of the image, over half_width_m * lenslet_focal_length_m / collimator_focal_length_m
+    sigma: float  # standard error of the scale
+    orientation: str  # empty as the bench has it
+
+    @property
+    def faults(self) -> list[str]:
+        """Sentences on what is wrong with the bench."""
+        sentences = []
+        if abs(self.scale - 1) > max(_TOLERANCE, 3 * self.sigma):
+            off = f"{100 * abs(self.scale - 1):.1f} % {'larger' if self.scale > 1 else 'smaller'}"
+            sentences.append(
+                f"the image of the mask {self.mask} is {off} than the bench's lengths say, which scales every"
+                " wavefront: check the focus, lenslet_focal_length_m, collimator_focal_length_m, and half_width_m"
+            )
+        if self.orientation:
+            sentences.append(
+                f"the mask {self.mask} is {self.orientation}: mount it, or the camera, as the bench has it"
+            )
+        return sentences
+
+
+def mask_scale(bench: Bench, reference: Image) -> MaskScale | None:
+    """Measure the image of the bench's mask in a reference (row, column), counts; None if it does not show it.
+
+    The bench has the lattice of the reference. `ReconstructionError` if that shows nothing.
+    """
+    if bench.lattice is None:
+        raise ValueError("the bench needs a lattice")
+    source, field = bench.simulation.source, bench.field
+    points = source_points(source.mask, source, object_samples=bench.simulation.object_samples)
+    subimage, _ = mean_subimage(ReferenceSubimages(reference, sensor=bench.sensor, lattice=bench.lattice, field=field))
+    orientation, best, seen = "", (math.inf, 1.0, 0.0), set[bytes]()
+    for name, matrix in _ORIENTATIONS.items():
+        turned = _turned(points, matrix)
+        if (shape := np.round(turned.area_m2 / points.area_m2.max(), 6).tobytes()) in seen:
+            continue
+        seen.add(shape)
+        found = _fitted(partial(_modelled, bench, turned, len(subimage)), subimage)
+        if found[0] < (best[0] * _BETTER if name else best[0]):
+            orientation, best = name, found
+    misfit, scale, sigma = best
+    return MaskScale(source.mask, scale, sigma, orientation) if misfit < _LIKE else None
+
+
+def _turned(points: SourcePoints, matrix: tuple[tuple[int, int], tuple[int, int]]) -> SourcePoints:
+    """Points mirrored or turned by multiples of 90 degrees, in the order of their new positions."""
+    position_m = points.position_m @ np.array(matrix, np.float64).T
+    order = np.lexsort(np.round(position_m, 12).T)
+    return SourcePoints(position_m=position_m[order], area_m2=points.area_m2[order])
+
+
+def _modelled(bench: Bench, points: SourcePoints, width: int, scale: float) -> Floats:
+    """Subimage of points enlarged by a scale, (width, width)."""
+    enlarged = replace(points, position_m=points.position_m * scale)
+    fill, samples = bench.camera_model.pixel_fill_factor, 2 * math.ceil(width / bench.sensor.blur_px / 2 + 1)
+    return LensletImage(
+        bench.sensor, bench.field, enlarged, width=width, pupil_samples=samples, pixel_fill_factor=fill
+    ).image()
+
+
+def _fitted(model: Callable[[float], Floats], subimage: Floats) -> tuple[float, float, float]:
+    """Residual over the contrast, scale, and its standard error, of the model that fits a subimage best."""
+    data = subimage.ravel() / np.std(subimage)
+
+    def residual(scale: float, along: Floats | None = None) -> Floats:
+        """What is left of the data, or of another vector, beyond light, background, shift and blur of the model."""
+        image = model(scale)
+        dy, dx = np.gradient(image)
+        nuisance = np.stack([image, np.ones_like(image), dx, dy, ndimage.laplace(image)]).reshape(5, -1).T
+        basis, _ = np.linalg.qr(nuisance / np.linalg.norm(nuisance, axis=0))
+        vector = data if along is None else along
+        return np.asarray(vector - basis @ (basis.T @ vector))
+
+    found = optimize.minimize_scalar(
+        lambda scale: float(np.sum(residual(scale) ** 2)),
+        bounds=_RANGE,
+        method="bounded",
+        options={"xatol": _STEP / 10},
+    )
+    scale = float(found.x)
+    ahead, behind = residual(scale + _STEP), residual(scale - _STEP)
+    slope = np.linalg.norm(ahead - behind) / (2 * _STEP)
+    left = float(found.fun)
+    return math.sqrt(left / data.size), scale, math.sqrt(left / data.size) / max(float(slope), np.finfo(float).tiny)
