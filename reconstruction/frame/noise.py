@@ -67,34 +67,39 @@ class TransferCurve:
 
         Saturation or a gamma below 1 compress bright counts, and their noise more.
         """
+        if self._bend is None:
+            return 0.0
         bend, error = self._bend
         return float(np.clip(-(bend + _CHANCE * error) * np.max(self.light), 0, 1))
 
     def difference(self, other: "TransferCurve", averaged: float) -> float:
-        """Share of the variance per count by which two images of one camera differ, beyond chance.
+        """Share of the variance per count by which two images of one camera differ, beyond chance; 0 if unknown.
 
         The other one is the mean of `averaged` frames. Uneven pixels bend both curves alike, the other one's up to
         `averaged` times as much, since their scatter stays.
         """
-        (here, error), (there, other_error) = self._bend, other._bend  # noqa: SLF001 - of the same class
+        mine, others = self._bend, other._bend  # noqa: SLF001 - of the same class
+        if mine is None or others is None:
+            return 0.0
+        (here, error), (there, other_error) = mine, others
         least, most = sorted((there, there / averaged))
         beyond = here - min(max(here, least), most)
         brightest = min(np.max(self.light), np.max(other.light))
         return float(max(abs(beyond) - _CHANCE_OF_TWO * math.hypot(error, other_error), 0.0) * brightest)
 
     @property
-    def _bend(self) -> tuple[float, float]:
-        """Relative change of the variance per count of light with light, and its standard error, 1/count."""
+    def _bend(self) -> tuple[float, float] | None:
+        """Relative change of the variance per count with light, and its standard error, 1/count; None if unknown."""
         light, variance = self._bright
         if len(light) <= _TERMS or np.min(variance) <= self.read_variance:
-            return 0.0, 0.0
+            return None
         share = light / np.max(light)
         terms = np.stack([share, share**2], axis=-1) / variance[:, None]
         shot = 1 - self.read_variance / variance
         inverse = np.linalg.pinv(terms)
         slope, bend = inverse @ shot
         if slope <= 0:
-            return 0.0, 0.0
+            return None
         scatter = np.sum((shot - terms @ (slope, bend)) ** 2) / (len(terms) - _TERMS)
         whole = slope * np.max(light)
         return float(bend / whole), float(math.sqrt(scatter * np.sum(inverse[1] ** 2)) / whole)

@@ -138,6 +138,11 @@ def test_uneven_pixels_bend_the_curve_of_an_average_more() -> None:
     assert bent(0.1).difference(average, 1) == pytest.approx(0.7)
 
 
+def test_curve_without_noise_is_like_any_other() -> None:
+    flat = TransferCurve(np.linspace(100, 1000, 20), np.full(20, 9.0), 9.0)
+    assert flat.loss == flat.difference(bent(-0.9), 1) == bent(-0.9).difference(flat, 1) == 0
+
+
 def test_difference_of_scattered_curves_is_no_difference() -> None:
     assert bent(0.1, scatter=0.05).difference(bent(0.1), 1) == 0
     assert bent(0.1, scatter=0.005).difference(bent(-0.5), 1) == pytest.approx(0.6, abs=0.1)
