@@ -27,7 +27,7 @@ class DcamSettings:
     readout_speed: Annotated[int, Ge(1), Le(100), Doc("1 is the slowest, the normal amplifier's only one")] | None = (
         None
     )
-    exposure_s: Annotated[float, Gt(0), Le(3600)] | None = None
+    exposure_s: Annotated[float, Gt(0), Le(86_400)] | None = None
     em_gain: Annotated[float, Ge(0), Le(1e5)] | None = None
     em_gain_protection: Annotated[bool, Doc("Black frames instead of light that would age the EM register")] = True
     em_gain_protection_frames: Annotated[int, Ge(1), Le(255), Doc("With too much light, before it acts")] | None = None
@@ -37,7 +37,7 @@ class DcamSettings:
     trigger: Literal["internal", "external", "software"] = "internal"
     trigger_active: Literal["edge", "level", "synchronous"] | None = None
     trigger_polarity: Literal["negative", "positive"] | None = None
-    trigger_delay_s: Annotated[float, Ge(0), Le(3600)] | None = None
+    trigger_delay_s: Annotated[float, Ge(0), Le(86_400)] | None = None
     output: (
         Annotated[Literal["low", "exposure", "programmable", "trigger ready", "high"], Doc("Of the first connector")]
         | None

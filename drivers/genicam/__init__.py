@@ -25,10 +25,10 @@ class GenicamSettings:
         None
     )
     byte_order: Annotated[Literal["", "little", "big"], Doc("Of 16-bit pixels; empty takes that of the model")] = ""
-    exposure_s: Annotated[float, Gt(0), Le(3600)] | None = None
+    exposure_s: Annotated[float, Gt(0), Le(86_400)] | None = None
     gain: (
         Annotated[
-            float, Ge(-1000), Le(10_000), Doc("Analogue, in the camera's unit, mostly dB; no electron multiplication")
+            float, Ge(-1e5), Le(1e5), Doc("Analogue, in the camera's unit, mostly dB; no electron multiplication")
         ]
         | None
     ) = None

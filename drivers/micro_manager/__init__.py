@@ -25,7 +25,7 @@ class MicroManagerSettings:
     properties: Annotated[dict[str, str], Doc("Set at open, by the adapter's names")] = field(default_factory=dict)
     pixel_pitch_m: Annotated[float, Gt(0), Le(1e-3), Doc("Of the sensor; Micro-Manager does not know it")] | None = None
     full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel, if not 2**bits - 1")] | None = None
-    exposure_s: Annotated[float, Gt(0), Le(3600)] | None = None
+    exposure_s: Annotated[float, Gt(0), Le(86_400)] | None = None
     binning: Annotated[int, Ge(1), Le(64)] = 1
     region: Annotated[Region, Doc("Omitted: the whole sensor")] | None = None
     ring_frames: Annotated[int, Ge(4), Le(10000), Doc("Buffered before the oldest are overwritten")] = 64

@@ -200,7 +200,7 @@ def test_invalid_arguments_are_refused(small_bench: SmallBench, reference: Refer
         Centroids(reference, star_x=STAR_X, star_y=STAR_X)
     with pytest.raises(ValueError, match="star_rows must be"):
         RegistrationSettings(star_rows=0)
-    with pytest.raises(ValueError, match="star_spacing_m must be positive"):
+    with pytest.raises(ValueError, match="star_spacing_m must be above 0 and at most 0.1"):
         RegistrationSettings(star_spacing_m=-1.0)
 
 
