@@ -328,7 +328,15 @@ def deconvolve(
     from app.results.deconvolution import correct
 
     phase_at, bench = _phase_at(source, bench), as_bench(bench)
-    made = correct(as_image(image, "image"), phase_at, bench, method, iterations, lambda *_: None, name="image")
+    made = correct(
+        as_image(image, "image"),
+        phase_at,
+        bench,
+        method=method,
+        iterations=iterations,
+        progress=lambda *_: None,
+        name="image",
+    )
     return made["image"].rename(None).assign_coords(inside=made["inside"]).assign_attrs(units="counts", **made.attrs)
 
 

@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
 """Camera frame as read from a camera or a file, (row, column)."""
-Mask = NDArray[np.bool_]
+Booleans = NDArray[np.bool_]
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.modes.field_modes import FieldModes
 
 # Error of each coefficient without noise, taken as uncorrelated. On the screens of docs/estimator.md it is 0.001 px and
@@ -49,7 +49,7 @@ _REASONS = {
 class CovarianceSource(Protocol):
     """A covariance that is computed when it is first needed; NaN where not converged."""
 
-    def kept(self, lenslets: Mask) -> Self:
+    def kept(self, lenslets: Booleans) -> Self:
         """The same, lost for all but some lenslets (L,)."""
         ...
 
@@ -88,7 +88,7 @@ class Displacement:
     range_used: Floats  # share of the dynamic range used by the field's edge; above 1 only where LEFT_CELL
 
     @cached_property
-    def valid(self) -> Mask:
+    def valid(self) -> Booleans:
         """True for converged lenslets, (lenslet_row, lenslet_column); read-only."""
         valid = np.asarray(self.outcome == Outcome.CONVERGED)
         valid.flags.writeable = False
@@ -139,7 +139,7 @@ def diagonal_covariance(variance: Floats) -> Floats:
 class RegistrationMethod(Protocol):
     """A registration method, prepared for one reference."""
 
-    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:
+    def __call__(self, light: Image, *, saturated: Booleans, start: Displacement | None = None) -> Displacement:
         """Register a frame, counts above the dark, (row, column), against the reference.
 
         `saturated` (row, column) marks pixels at full scale. `start`, from an earlier frame, may save time; it

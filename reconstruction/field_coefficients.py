@@ -11,7 +11,7 @@ import numpy as np
 from numpy.polynomial import legendre as series
 from numpy.typing import ArrayLike
 
-from reconstruction.arrays import Floats, Mask
+from reconstruction.arrays import Booleans, Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import FieldModes, SampledModes
@@ -33,7 +33,7 @@ class ModalFit:
     field_modes: FieldModes
     rad: Floats  # (pupil_mode, field_mode); zero for the piston
     root_covariance: Floats  # rad, (pupil_mode - 1, field_mode, n)
-    known: Mask  # where the wavefront is known, (lenslet_row, lenslet_column)
+    known: Booleans  # where the wavefront is known, (lenslet_row, lenslet_column)
 
     @classmethod
     def of(cls, wavefront: Wavefront) -> Self:

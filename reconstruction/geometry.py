@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from typing_extensions import Doc
 
 from reconstruction.annotated_settings import Checked
-from reconstruction.arrays import Floats, Mask
+from reconstruction.arrays import Booleans, Floats
 
 Arrangement: TypeAlias = Literal["square", "hexagonal"]
 """Of the lenslets: in a hexagonal one, rows lie sqrt(3)/2 pitches apart and odd rows half a pitch to the right."""
@@ -150,7 +150,7 @@ class Lattice(Checked):
 
     def cells_at(
         self, position_px: Floats, lenslet_rows: int, lenslet_columns: int
-    ) -> tuple[NDArray[np.intp], Floats, Mask]:
+    ) -> tuple[NDArray[np.intp], Floats, Booleans]:
         """Cells of camera positions (..., xy), also beyond the lattice.
 
         Returns

@@ -13,7 +13,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
@@ -129,7 +129,7 @@ class Refinement:
         return field
 
 
-def _known(displacement: Displacement, *biases: Bias) -> Mask:
+def _known(displacement: Displacement, *biases: Bias) -> Booleans:
     """Lenslets whose measured and modelled displacements are all known, (lenslet_row, lenslet_column)."""
     known = displacement.valid
     for bias in biases:
@@ -137,7 +137,7 @@ def _known(displacement: Displacement, *biases: Bias) -> Mask:
     return known
 
 
-def _misfit_px(displacement: Displacement, bias: Bias, lenslets: Mask) -> float:
+def _misfit_px(displacement: Displacement, bias: Bias, lenslets: Booleans) -> float:
     """RMS difference of measured and modelled displacements over some lenslets; infinite over none."""
     misfit = (displacement.coefficients - bias.modelled)[lenslets]
     return float(np.sqrt(np.mean(misfit**2))) if misfit.size else np.inf

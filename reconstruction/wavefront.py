@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from reconstruction.arrays import Floats, Mask
+from reconstruction.arrays import Booleans, Floats
 from reconstruction.displacement import Displacement
 from reconstruction.geometry import Arrangement, Field, Sensor, lenslet_centers
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
@@ -117,7 +117,7 @@ def _at_views(field: Field, displacement: Displacement, evaluate: Callable[[Floa
 
 
 @lru_cache(maxsize=16)
-def _modes_at_views(field: Field, modes: FieldModes) -> tuple[Floats, Mask]:
+def _modes_at_views(field: Field, modes: FieldModes) -> tuple[Floats, Booleans]:
     """Field modes at the views (view_row, view_column, field_mode), and the views inside the field."""
     x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
     return np.moveaxis(modes.values(x, y[:, None]), 0, -1).copy(), field.contains(x, y[:, None])

@@ -20,7 +20,7 @@ from app.errors import RunError
 from app.measurement.bench_reconstructor import whole_number
 from app.measurement.measurement import SKIPPED, Measurement
 from app.progress import Progress, counted
-from app.recording.recorder import Limit, RecordingState
+from app.recording.recorder import RecordingLimit, RecordingState
 from drivers.interface import WrongState
 
 T = TypeVar("T")
@@ -224,7 +224,11 @@ class LiveBench:
         RunError
             If the recording ended early; the frames so far are kept.
         """
-        acquisition, status, limit = self._acquisition, self._status(), Limit(frames=whole_number(frames, "frames"))
+        acquisition, status, limit = (
+            self._acquisition,
+            self._status(),
+            RecordingLimit(frames=whole_number(frames, "frames")),
+        )
         begin = partial(acquisition.start_recording, Path(folder), command=command, limit=limit)
         is_played = isinstance(self._bench.camera, RecordingSettings)  # each of its frames counts
         if not status.is_running and (is_played or not status.prepares):

@@ -24,7 +24,7 @@ from app.errors import InputError, RunError
 from app.measurement.measurement import FrameTotals, LightState, Measurement
 from app.measurement.routines import WAIT_SLICE_S, Cancelled, Watch
 from app.measurement.sensor_region import SensorArea
-from app.recording.recorder import Limit, Recorder, RecordingState
+from app.recording.recorder import Recorder, RecordingLimit, RecordingState
 from app.timing import Timings, short_turns
 from drivers.interface import DeviceError, Devices, Frame, WrongState
 from reconstruction.runtime.threads import one_blas_thread
@@ -148,7 +148,7 @@ class Acquisition:
         folder: Path,
         *,
         command: str = "live",
-        limit: Limit = Limit(),  # noqa: B008 - immutable
+        limit: RecordingLimit = RecordingLimit(),  # noqa: B008 - immutable
         may_rename: bool = False,
     ) -> Future[None]:
         """Record every frame from now on into a folder, until `stop_recording` or the `limit`.
@@ -163,7 +163,7 @@ class Acquisition:
             )
         )
 
-    def limit_recording(self, limit: Limit) -> None:
+    def limit_recording(self, limit: RecordingLimit) -> None:
         """Replace the limit of the current recording, if any."""
         self._recorder.limit(limit)
 

@@ -77,7 +77,7 @@ class CalibratedBench:
     design: Bench  # as given
     bench: Bench  # with the lattice found
     survey: Survey
-    mask: MaskScale | None  # None: the reference does not show the bench's mask
+    mask_scale: MaskScale | None  # None: the reference does not show the bench's mask
 
 
 def find_lattice(
@@ -118,10 +118,10 @@ def summary(calibrated: CalibratedBench) -> list[str]:
     """Return the result as lines of text."""
     lattice, seen = calibrated.survey.lattice, calibrated.survey
     rows, columns = seen.illuminated.shape
-    mask, source = calibrated.mask, calibrated.design.simulation.source
+    size, source = calibrated.mask_scale, calibrated.design.simulation.source
     scale = f"unknown: the reference does not show the mask {source.mask} of [simulation.source]"
-    if mask is not None:
-        scale = f"{mask.scale:.5f} +- {mask.sigma:.5f} of what the bench's lengths say, by the mask {mask.mask}"
+    if size is not None:
+        scale = f"{size.scale:.5f} +- {size.sigma:.5f} of what the bench's lengths say, by the mask {size.mask}"
     return [
         f"pitch        {lattice.pitch_px:.4f} px",
         f"rotation     {lattice.rotation_rad * 1e3:+z.3f} mrad ({math.degrees(lattice.rotation_rad):+z.3f} degrees)",
@@ -154,12 +154,12 @@ def differences(calibrated: CalibratedBench) -> list[str]:
             f"the bench's own lattice lies {moved_px:.3f} px away; the one found is turned from it by"
             f" {turned_mrad:+z.3f} mrad, and its pitch differs by {seen.lattice.pitch_px - before.pitch_px:+z.4f} px"
         )
-    return sentences + ([] if calibrated.mask is None else calibrated.mask.faults)
+    return sentences + ([] if calibrated.mask_scale is None else calibrated.mask_scale.faults)
 
 
 def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | str | list[str] | None]:
     """Return the result for JSON, with the names of the bench's TOML keys."""
-    seen, mask = calibrated.survey, calibrated.mask
+    seen, size = calibrated.survey, calibrated.mask_scale
     return {
         **dataclasses.asdict(seen.lattice),
         "whole_rows": seen.rows,
@@ -168,8 +168,8 @@ def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | str | lis
         "illuminated": int(seen.illuminated.sum()),
         "residual_px": seen.residual_px,
         "likeness": seen.likeness,
-        "scale": None if mask is None else mask.scale,
-        "scale_sigma": None if mask is None else mask.sigma,
+        "scale": None if size is None else size.scale,
+        "scale_sigma": None if size is None else size.sigma,
         "differences": differences(calibrated),
     }
 

@@ -16,7 +16,7 @@ from app.bench.config import Bench, as_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration, KnownNoise
 from app.measurement.estimator import Estimator, mask_sentence
-from reconstruction.arrays import Counts, Mask
+from reconstruction.arrays import Booleans, Counts
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import TransferCurve, image_transfer
 from reconstruction.frame.pixels import AboveDark, find_bad_pixels, repaired
@@ -239,7 +239,7 @@ class BenchReconstructor:
         return image_transfer(repaired(light, bad) if light.shape == bad.shape else light, self.bench.sensor.blur_px)
 
     @cached_property
-    def _bad(self) -> Mask:
+    def _bad(self) -> Booleans:
         reference = self._calibration.reference.mean
         return find_bad_pixels(reference, self._dark_of(reference))
 

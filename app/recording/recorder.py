@@ -32,7 +32,7 @@ Stage = Literal["recording", "finishing", "finished", "ended early"]
 
 
 @dataclass(frozen=True, slots=True)
-class Limit:
+class RecordingLimit:
     """When a recording ends by itself: after some frames, or this long after its first; None: not."""
 
     frames: int | None = None
@@ -66,7 +66,7 @@ class BackgroundRecording:
         timings: Timings,
         *,
         records: Sequence[Record] = (),
-        limit: Limit = Limit(),
+        limit: RecordingLimit = RecordingLimit(),
     ) -> None:
         self._folder, self._facts, self._timings = folder, facts, timings
         self._waiting = deque(records)
@@ -216,7 +216,12 @@ class Recorder:
                 self._recording.take(record)
 
     def start(
-        self, folder: Path, facts: Mapping[str, Any], *, limit: Limit = Limit(), may_rename: bool = False
+        self,
+        folder: Path,
+        facts: Mapping[str, Any],
+        *,
+        limit: RecordingLimit = RecordingLimit(),
+        may_rename: bool = False,
     ) -> None:
         """Record from the next measurement on, until `stop` or a `limit`.
 
@@ -233,7 +238,7 @@ class Recorder:
             folder = new_folder(folder) if may_rename else folder
             self._recording = BackgroundRecording(folder, facts, self._timings, limit=limit)
 
-    def limit(self, limit: Limit) -> None:
+    def limit(self, limit: RecordingLimit) -> None:
         """Replace the limit of the recording, if one is on."""
         if self._recording is not None:
             self._recording.limit = limit

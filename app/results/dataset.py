@@ -107,9 +107,9 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
     variables |= rotation_variables(wavefront) | sample_variables(wavefront.sample, wavefront.field)
     if quality is not None:  # as CF flags, one bit each
         name = "faults that make the wavefront doubtful; 0 if none was found"
-        masks = np.array([int(fault) for fault in Fault], np.int32)
+        bits = np.array([int(fault) for fault in Fault], np.int32)
         meanings = " ".join(fault.name.lower() for fault in Fault if fault.name)
-        flags = {**about("1", name), "flag_masks": masks, "flag_meanings": meanings}
+        flags = {**about("1", name), "flag_masks": bits, "flag_meanings": meanings}
         variables["quality"] = (), np.array(int(quality.faults), np.int32), flags
     variables |= transfer(wavefront) | structure(wavefront)
     if with_psf:

@@ -84,7 +84,9 @@ class Deconvolution(Analysis):
         bench, pixels = self.bench(source), read_image(self.image)
         phase_at = mean_wavefront(source, bench, self.frames, between(progress, 0, _READING))
         more = between(progress, _READING, 1)
-        return bench, correct(pixels, phase_at, bench, self.method, self.iterations, more, name=str(self.image))
+        return bench, correct(
+            pixels, phase_at, bench, method=self.method, iterations=self.iterations, progress=more, name=str(self.image)
+        )
 
     def sentences(self, found: xr.Dataset) -> list[str]:
         """Say how well the image fits, and how much of it is corrected."""
@@ -113,10 +115,10 @@ def correct(
     image: Counts,
     phase_at: PhaseAt,
     bench: Bench,
+    *,
     method: RestorationMethod,
     iterations: int,
     progress: Progress,
-    *,
     name: str,
 ) -> xr.Dataset:
     """Correct an image with the geometry of a bench; `name` stands for the image in errors.

@@ -33,7 +33,7 @@ class Drift:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class SeriesLimits:
     """Lowest and highest allowed value of a series; NaN where there is none."""
 
     lowest: float = math.nan
@@ -61,7 +61,7 @@ class LimitWatch:
         self.beyond: dict[str, float] = {}  # series, and when it was last seen beyond, s
 
     def follow(
-        self, time_s: float, values: Mapping[str, float], limits: Mapping[str, Limits]
+        self, time_s: float, values: Mapping[str, float], limits: Mapping[str, SeriesLimits]
     ) -> tuple[list[str], list[str]]:
         """Compare the values of a time; return the series that have crossed, and those that are back."""
         self.beyond = {name: last_s for name, last_s in self.beyond.items() if name in limits}

@@ -15,7 +15,7 @@ from app.measurement.measurement import Measurement
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.pixels import find_bad_pixels
+from reconstruction.frame.pixels import BACKGROUND_PERCENT, find_bad_pixels
 from reconstruction.frame.spline import sample
 from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
@@ -23,8 +23,6 @@ from reconstruction.quality.image_quality import psf, psf_angles_rad, psf_reach_
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import PupilBasis, ReconstructionSettings
 from reconstruction.wavefront import Wavefront, slope_fit
-
-_BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +103,7 @@ def _light(calibration: Calibration, pixels: NDArray[Any]) -> Image:
     """Counts above the dark, or above the background."""
     light = pixels.astype(np.float32)
     dark = calibration.dark
-    light -= np.float32(np.percentile(light, _BACKGROUND_PERCENT)) if dark is None else dark.mean.astype(np.float32)
+    light -= np.float32(np.percentile(light, BACKGROUND_PERCENT)) if dark is None else dark.mean.astype(np.float32)
     return light
 
 

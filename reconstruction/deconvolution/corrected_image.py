@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from scipy import ndimage
 
-from reconstruction.arrays import Counts, Floats, Image, Mask
+from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.deconvolution.blur import PsfOptics, SpaceVariantBlur, Values, reach_px
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.frame.noise import CameraNoise, image_transfer
@@ -43,7 +43,7 @@ def richardson_lucy(
     blur: SpaceVariantBlur,
     *,
     noise: CameraNoise | None,
-    counted: Mask,
+    counted: Booleans,
     iterations: int,
     progress: OnIteration = lambda *_: None,
 ) -> Restored:
@@ -89,7 +89,7 @@ def wiener(
     blur: SpaceVariantBlur,
     *,
     noise: CameraNoise | None,
-    counted: Mask,
+    counted: Booleans,
     iterations: int,
     progress: OnIteration = lambda *_: None,
 ) -> Restored:
@@ -146,7 +146,7 @@ def _stiffness(scene: Values) -> Values:
     return result
 
 
-def _chi_square(difference: Values, variance: Values | float, counted: Mask) -> float:
+def _chi_square(difference: Values, variance: Values | float, counted: Booleans) -> float:
     return float(np.mean(difference**2 / variance, where=counted, dtype=np.float64))
 
 
@@ -171,7 +171,7 @@ class CorrectedImage:
     """An image without aberration within the measured field."""
 
     image: Image  # counts, (row, column); as measured outside the field
-    inside: Mask  # pixels within the field
+    inside: Booleans  # pixels within the field
     iterations: int
     chi_square: float  # reduced, of the image's difference to the blurred result; NaN if the noise is unknown
 
@@ -270,7 +270,7 @@ def corrected_image(
     return CorrectedImage(result, inside, restored.iterations, restored.chi_square)
 
 
-def _span(inside: Mask) -> tuple[tuple[int, int], tuple[int, int]]:
+def _span(inside: Booleans) -> tuple[tuple[int, int], tuple[int, int]]:
     """First row and column with a pixel inside, and the first after the last one; zeros if there is none."""
     at = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)]
     rows, columns = ((int(each[0]), int(each[-1]) + 1) if len(each) else (0, 0) for each in at)

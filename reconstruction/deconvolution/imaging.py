@@ -10,7 +10,7 @@ from annotated_types import Ge, Le
 from typing_extensions import Doc
 
 from reconstruction.annotated_settings import Checked
-from reconstruction.arrays import Floats, Mask
+from reconstruction.arrays import Booleans, Floats
 from reconstruction.geometry import Field, Sensor
 
 
@@ -79,7 +79,7 @@ class Imaging(Checked):
         at_m = self.pixel_m * np.einsum("ij,j...->i...", self.to_field, np.stack([columns, rows]))
         return at_m[0], at_m[1]
 
-    def inside(self, shape: tuple[int, ...], field: Field) -> Mask:
+    def inside(self, shape: tuple[int, ...], field: Field) -> Booleans:
         """True for the pixels (row, column) of an image that lie within the measured field."""
         rows, columns = (np.arange(count, dtype=np.float64) for count in shape)
         x_m, y_m = self.field_m(columns, rows[:, None], shape)

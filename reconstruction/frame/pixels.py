@@ -7,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from reconstruction.arrays import Counts, Floats, Image, Mask
+from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.runtime.compilation import compiled
 
 _SATURATED_FRACTION = 0.01  # of the image's pixels; with more, it is rejected
-_BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
+CLIPPED = 0.01  # share of the pixels, piled up at one highest count, from which on an image is clipped
+BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
 
 
 class AboveDark:
@@ -29,7 +30,7 @@ class AboveDark:
             self._dark = _finite(dark, "dark")
             self._of_camera(np.zeros(shape, np.uint16), self._dark)  # compile now instead of at the first frame
 
-    def __call__(self, image: Counts, name: str) -> tuple[Image, Mask]:
+    def __call__(self, image: Counts, name: str) -> tuple[Image, Booleans]:
         """Light of an image (row, column), counts, and its saturated pixels, the same shape.
 
         Raises
@@ -42,7 +43,7 @@ class AboveDark:
             light, saturated, full = self._of_camera(image, self._dark)
         else:
             light = _finite(image, name)
-            light -= self._dark if self._dark is not None else np.float32(np.percentile(light, _BACKGROUND_PERCENT))
+            light -= self._dark if self._dark is not None else np.float32(np.percentile(light, BACKGROUND_PERCENT))
             is_integer = np.issubdtype(image.dtype, np.integer) and math.isfinite(self._full_scale)
             # Comparing integers with a float takes seven times as long.
             saturated = np.asarray(image >= (math.ceil(self._full_scale) if is_integer else self._full_scale))
@@ -53,7 +54,7 @@ class AboveDark:
             )
         return light, saturated
 
-    def _of_camera(self, image: Counts, dark: Image) -> tuple[Image, Mask, int]:
+    def _of_camera(self, image: Counts, dark: Image) -> tuple[Image, Booleans, int]:
         """Light, saturated pixels and their number of an image of few bits, four times as fast as with NumPy."""
         light, saturated = np.empty(image.shape, np.float32), np.empty(image.shape, np.bool_)
         pixels: NDArray[Any] = np.ascontiguousarray(image).view()
@@ -72,7 +73,7 @@ class AboveDark:
 
 
 @compiled
-def _subtract(image: Counts, dark: Image, least: np.float32, light: Image, saturated: Mask) -> int:
+def _subtract(image: Counts, dark: Image, least: np.float32, light: Image, saturated: Booleans) -> int:
     """Subtract the dark, mark the pixels of at least so many counts, and return their number."""
     full: int = 0
     for row in range(image.shape[0]):
@@ -151,13 +152,13 @@ _NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.bool_)
 _FURTHER = np.pad(np.zeros((3, 3), np.bool_), 1, constant_values=True)  # the 16 pixels around the neighbours
 
 
-def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | None = None) -> Mask:
+def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | None = None) -> Booleans:
     """Find dead and hot pixels in a reference and optionally its dark (row, column), counts: bool (row, column).
 
     Conservative: a pixel is bad only if neither a diffraction-limited image nor noise can explain it.
     """
     light = np.asarray(reference, np.float64) - (0 if dark is None else np.asarray(dark, np.float64))
-    background, peak = np.percentile(light, (_BACKGROUND_PERCENT, _PEAK_PERCENT))
+    background, peak = np.percentile(light, (BACKGROUND_PERCENT, _PEAK_PERCENT))
     light, peak = light - background, peak - background
     if not peak > 0:
         return np.zeros(light.shape, np.bool_)
@@ -174,7 +175,7 @@ def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | 
     return np.asarray(bad)
 
 
-def _stands_out(image: Floats) -> Mask:
+def _stands_out(image: Floats) -> Booleans:
     """True for pixels that differ from their neighbours' mean far more than the pixels around them do."""
     cross = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
     difference = image - ndimage.correlate(image, cross, mode="mirror")
@@ -182,7 +183,7 @@ def _stands_out(image: Floats) -> Mask:
     return np.asarray(np.abs(difference) > _SIGNIFICANT * np.sqrt(np.maximum(usual, 0)))
 
 
-def repaired(light: NDArray[Any], bad: Mask) -> Image:
+def repaired(light: NDArray[Any], bad: Booleans) -> Image:
     """Copy of an image (row, column), its bad pixels replaced by good neighbours; a spline would spread them."""
     row, column = np.nonzero(bad)
     if not row.size:

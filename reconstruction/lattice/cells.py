@@ -8,7 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.geometry import Lattice, centered_steps
 
 _FEWEST_SAMPLES = 16  # across a cell
@@ -99,7 +99,7 @@ class CellMatch:
 
     typical: Floats  # light of a lit cell, its mean 0, (S, S)
     brightness: Floats  # of each cell over the typical one's, (N,)
-    is_lit: Mask  # (N,)
+    is_lit: Booleans  # (N,)
     likeness: Floats  # correlation with the typical cell, (N,)
     displacement: Floats  # from the light of the typical cell, in pitches, (N, xy)
 
@@ -128,7 +128,7 @@ def match_cells(cells: Cells, *, lit_fraction: float, brightest: int) -> CellMat
     return CellMatch(np.asarray(typical.reshape(shape), np.float64), brightness, is_lit, likeness, displacement)
 
 
-def _matched(flat: Image, typical: Image, lit_fraction: float, brightest: int) -> tuple[Floats, Mask, Floats]:
+def _matched(flat: Image, typical: Image, lit_fraction: float, brightest: int) -> tuple[Floats, Booleans, Floats]:
     """Brightness of cells (N, S S) over the typical one, which are lit, and their correlation with it."""
     power = max(float(typical @ typical), float(np.finfo(np.float32).tiny))
     brightness = np.asarray(flat @ typical / power, np.float64)

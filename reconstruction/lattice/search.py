@@ -11,7 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
-from reconstruction.arrays import Counts, Floats, Image, Mask
+from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.pixels import find_bad_pixels, repaired
 from reconstruction.geometry import Arrangement, Lattice, Sensor, lenslet_centers, nominal_lattice
@@ -44,7 +44,7 @@ class Survey:
     lattice: Lattice  # centred on the sensor's lenslets
     rows: int  # of lit lenslets that lie entirely on the frame, also beyond the sensor's
     columns: int
-    illuminated: Mask  # the sensor's lit lenslets, (lenslet_row, lenslet_column)
+    illuminated: Booleans  # the sensor's lit lenslets, (lenslet_row, lenslet_column)
     displacement_px: Floats  # of their light from the lattice, NaN where not lit, (lenslet_row, lenslet_column, xy)
     brightness: Floats  # of each lenslet over the typical one's, (lenslet_row, lenslet_column)
     typical: Floats  # light of a lit lenslet over its cell, mean 0, (sample_row, sample_column)
@@ -270,7 +270,7 @@ class _Grid:
         return _Block(self, slices, center_px[best], float(light[best]), float(away_px[best]))
 
 
-def _extent(lit: Mask) -> tuple[slice, slice]:
+def _extent(lit: Booleans) -> tuple[slice, slice]:
     """Rows and columns of the largest connected patch of lit cells."""
     patches, count = ndimage.label(lit, np.ones((3, 3)))
     sizes = np.bincount(patches.ravel(), minlength=count + 1)[1:]
@@ -283,7 +283,7 @@ def _is_cut(lit: slice, whole: int, wanted: int) -> bool:
     return bool(lit.stop - lit.start < wanted < whole and (lit.start == 0) != (lit.stop == whole))
 
 
-def _occupied(lit: Mask, axis: int, wanted: int) -> Floats:
+def _occupied(lit: Booleans, axis: int, wanted: int) -> Floats:
     """Number of lit rows (or columns) in each block of `wanted`; one that is half lit counts fully, (block,)."""
     count = lit.sum(axis=axis)
     usual = np.median(np.sort(count)[-wanted:])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.polynomial import legendre as series
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats, Mask
+from reconstruction.arrays import Booleans, Floats
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Sensor
@@ -109,7 +109,7 @@ class LayerModes:
         self.pupil_modes: PupilModes = pupil_modes(sensor, "legendre", len(self._orders) + 1)
         # A layer's polynomial of degree k has no product of a higher degree in pupil and field together.
         within = self._orders.sum(axis=1)[:, None] + field_modes.degree <= degree
-        self.columns: Mask = np.asarray(within)  # (pupil_mode - 1, field_mode)
+        self.columns: Booleans = np.asarray(within)  # (pupil_mode - 1, field_mode)
 
     def __call__(self, ratio: float) -> Floats:
         """Coefficients of every polynomial at `columns`, rad, (column, k)."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import legendre as series
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Arrangement, Sensor
 from reconstruction.modes.polynomials import (
@@ -31,7 +31,7 @@ class PupilModes:
 
     values: Floats  # at the lenslet centres, (pupil_mode, lenslet_row, lenslet_column)
     gradients: Floats  # mean over each lenslet, 1/m, (pupil_mode, lenslet_row, lenslet_column, xy)
-    inside: Mask  # lenslets inside the pupil, (lenslet_row, lenslet_column)
+    inside: Booleans  # lenslets inside the pupil, (lenslet_row, lenslet_column)
     degree: Floats  # of the polynomial, (pupil_mode,)
     products: Floats  # R_p as a sum of products P_m(xi) P_n(eta): (pupil_mode, n, m), xi, eta over the whole lattice
 
@@ -90,7 +90,7 @@ def aperture_rule(arrangement: Arrangement) -> tuple[Floats, Floats]:
     return position, share / share.sum()
 
 
-def polynomial_modes(sensor: Sensor, products: Floats, inside: Mask | None = None) -> PupilModes:
+def polynomial_modes(sensor: Sensor, products: Floats, inside: Booleans | None = None) -> PupilModes:
     """Make pupil modes of any polynomials; their gradients are means over the lenslets.
 
     Parameters

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reconstruction.arrays import Counts, Floats, Mask
+from reconstruction.arrays import Booleans, Counts, Floats
 from reconstruction.displacement import Displacement, Outcome
-from reconstruction.frame.pixels import clipped_fraction
+from reconstruction.frame.pixels import BACKGROUND_PERCENT, CLIPPED, clipped_fraction
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.polynomials import number_up_to
@@ -57,8 +57,6 @@ _BLOCKED = 0.1  # share of the reference's lit lenslets that are dark
 _UNEVEN = 2.0  # factor by which the light of a lenslet, over that of most, may differ from the reference's
 _DIM = 0.01  # of the reference's light; below, what remains may be stray light
 _STRAY = 0.006  # rise of stray light from lenslet to lenslet, over the brightest; it adds 0.03 rad
-_CLIPPED = 0.01  # of the pixels
-_BACKGROUND_PERCENT = 1.0  # of the pixels, without a dark
 _STEP_PX = 2  # between the pixels that are looked at, along each axis; 1 where a point's image is narrower
 _ACROSS = np.linspace(-0.8, 0.8, 5)  # normalised field positions at which deformation is taken
 _MODES_SHARE, _MOST_DEGREE = 0.36, 16  # modes of a smooth wavefront over the number of slopes, and their degree
@@ -114,7 +112,7 @@ class FrameJudge:
         self._noise_slopes = _NOISE_SLOPES * (1 + 1 / reference.reference_frames)  # its noise is not in the variance
         self._dark = None if dark is None else np.asarray(dark, np.float64).ravel()[self._sampled]
         level = 0.0 if self._dark is None else self._dark
-        self._stray = StrayLight(sensor, self._lit, light, self._sampled, is_good, level)
+        self._stray = StrayLight(sensor, lit=self._lit, light=light, sampled=self._sampled, is_good=is_good, dark=level)
 
     def __call__(self, frame: Counts, displacement: Displacement) -> Quality:
         """Judge a frame (row, column), counts, by its displacements."""
@@ -155,7 +153,7 @@ class FrameJudge:
     def _of_pixels(self, frame: Counts, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
         """Faults seen in some pixels of a frame (pixel,), counts, with these displacements."""
         counts = frame.take(self._sampled)
-        above = counts - (np.percentile(counts, _BACKGROUND_PERCENT) if self._dark is None else self._dark)
+        above = counts - (np.percentile(counts, BACKGROUND_PERCENT) if self._dark is None else self._dark)
         brightest = above.max(initial=-np.inf)
         if self._is_good is not None:
             above, counts = np.where(self._is_good, above, 0.0), counts[self._is_good]
@@ -182,7 +180,7 @@ class FrameJudge:
             scatter = math.sqrt(self._noise.variance(np.array(brightest)).item())
             read_noise = self._noise.read_noise_counts
         clipped = clipped_fraction(counts, scatter, read_noise)
-        if clipped > _CLIPPED:
+        if clipped > CLIPPED:
             advice = "shorten the exposure or lower the current"
             yield Fault.CLIPPED, f"{100 * clipped:.0f} % of the pixels are clipped: {advice}"
 
@@ -265,7 +263,7 @@ def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
 def _gradients(sensor: Sensor, rows: int, columns: int, valid_bytes: bytes) -> Floats:
     """Orthonormal basis of the mean gradients of smooth wavefronts on rows x columns lenslets, (2 * valid, n)."""
     part = replace(sensor, lenslet_rows=rows, lenslet_columns=columns)
-    valid: Mask = np.frombuffer(valid_bytes, np.bool_).reshape(rows, columns)
+    valid: Booleans = np.frombuffer(valid_bytes, np.bool_).reshape(rows, columns)
     most = _MODES_SHARE * 2 * valid.size
     degree = max(n for n in range(1, _MOST_DEGREE + 1) if n == 1 or number_up_to(n) <= most)
     gradients = pupil_modes(part, "legendre", number_up_to(degree)).gradients[1:, valid]  # (mode, lenslet, xy)
@@ -283,7 +281,7 @@ _NEGLECTED = "the paper's simulation: set field.neglect_propagation = true, or i
 
 
 def propagation_faults(
-    displacement: Displacement, lit: Mask, light: Floats, half_width_px: float, *, neglect_propagation: bool
+    displacement: Displacement, lit: Booleans, light: Floats, half_width_px: float, *, neglect_propagation: bool
 ) -> Iterator[tuple[Fault, str]]:
     """Yield a fault if the frame's light is surely of the other world than is assumed.
 

@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.interpolate import make_interp_spline
 from scipy.sparse.linalg import SuperLU, splu
 
-from reconstruction.arrays import Floats, Mask
+from reconstruction.arrays import Booleans, Floats
 from reconstruction.geometry import Arrangement, Sensor, centered_steps, lenslet_centers
 
 _SAMPLES = 6  # along each side of a lenslet
@@ -185,7 +185,7 @@ def extrapolate(phase: Floats) -> Floats:
 @lru_cache(maxsize=16)
 def _equations(known_bytes: bytes, rows: int, columns: int) -> tuple[SuperLU, sparse.csr_array]:
     """Least squares of all differences: factors (unknown, unknown) and coupling (unknown, known)."""
-    known: Mask = np.frombuffer(known_bytes, np.bool_)
+    known: Booleans = np.frombuffer(known_bytes, np.bool_)
     energy = sum(
         (weight * _energy(directions, rows, columns) for weight, directions in _THIRD),
         start=_STIFFNESS * (_energy("x", rows, columns) + _energy("y", rows, columns)),

@@ -11,7 +11,7 @@ import numpy as np
 
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.frame.noise import CameraNoise, TransferCurve
-from reconstruction.frame.pixels import clipped_fraction
+from reconstruction.frame.pixels import CLIPPED, clipped_fraction
 from reconstruction.frame.spline import sample
 from reconstruction.geometry import Lattice, Sensor, centered_steps, lenslet_centers
 from reconstruction.quality.verdict import Fault, Quality
@@ -22,7 +22,6 @@ _DARK = 0.25  # of the typical lenslet's contrast
 _MISSING = 0.25  # of the shorter side of the lattice; as many lenslets more lie elsewhere
 _SAMPLES = 16  # across a cell
 _LEAK = 0.01  # of the light in the dark; 0.2 changes a wavefront of 4 rad RMS by 0.9 rad
-_CLIPPED = 0.01  # of the pixels
 _LOST = 0.25  # of the variance per count; good sensors lose 0.1 near their full well
 _DIFFERENT = 0.03  # of the variance per count, between images of one camera
 
@@ -86,7 +85,7 @@ def reference_quality(
         scatter = float(np.sqrt(noise.variance(np.max(light, keepdims=True)).item() / frames))
         read_noise = noise.read_noise_counts / math.sqrt(frames)
     clipped = clipped_fraction(reference, scatter, read_noise)
-    if clipped > _CLIPPED:
+    if clipped > CLIPPED:
         reasons[Fault.CLIPPED] = (
             f"{100 * clipped:.0f} % of the reference's pixels are clipped below the camera's full scale:"
             " shorten the exposure or lower the current"

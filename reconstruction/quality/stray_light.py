@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Counts, Floats, Mask
+from reconstruction.arrays import Booleans, Counts, Floats
 from reconstruction.geometry import Sensor, lenslet_centers
 
 _GAP = 0.1  # of the brightest; darker samples lie between the openings
@@ -22,7 +22,14 @@ class StrayLight:
     """Measures the rise of stray light from lenslet to lenslet, against one reference."""
 
     def __init__(
-        self, sensor: Sensor, lit: Mask, light: Floats, sampled: NDArray[np.intp], is_good: Mask, dark: Floats | float
+        self,
+        sensor: Sensor,
+        *,
+        lit: Booleans,
+        light: Floats,
+        sampled: NDArray[np.intp],
+        is_good: Booleans,
+        dark: Floats | float,
     ) -> None:
         """Prepare.
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement, Outcome, RegistrationMethod, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, centered_steps, require
@@ -85,7 +85,7 @@ class Centroids:
             raise ReconstructionError("the reference shows no stars where they are expected: is the pinhole mask in?")
         self._contrast = self._stars.window.std(axis=-1)  # (L, S)
 
-    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
+    def __call__(self, light: Image, *, saturated: Booleans, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         """Register a frame; see `displacement.RegistrationMethod`. A lenslet is lost with any of its stars."""
         reference, before = self._reference, self._stars
         window = reference.cut(light)
@@ -144,7 +144,7 @@ class Centroids:
         x, y = np.moveaxis(camera_px, -1, 0)
         return ndimage.map_coordinates(coefficients, [y, x], np.float64, order=3, mode="mirror", prefilter=False)
 
-    def _are_stars(self, stars: _Stars, start_px: Floats) -> Mask:
+    def _are_stars(self, stars: _Stars, start_px: Floats) -> Booleans:
         """True for stars that are bright, near start_px (L, S, xy), inside the cell and converged: (L, S)."""
         strayed = np.abs(stars.position_px - start_px).max(axis=-1) > self._half_px
         left = np.abs(stars.position_px).max(axis=-1) > self._reference.reach_px
@@ -159,7 +159,7 @@ class Centroids:
         return np.asarray(noise * arm / np.maximum(weight.sum(axis=-1), 1e-30) ** 2)
 
 
-def _window(half_px: float) -> tuple[Floats, Mask]:
+def _window(half_px: float) -> tuple[Floats, Booleans]:
     """Positions of a square window, whole pixels apart (N, xy), and its border (N,)."""
     steps = np.arange(-int(half_px), int(half_px) + 1, dtype=np.float64)
     y, x = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement, Outcome, RegistrationMethod, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, require
@@ -43,7 +43,7 @@ class Correlation:
         self._light = normalised(reference.light.reshape(-1, reference.width, reference.width))
         self._spectrum = correlation_spectrum(self._light)
 
-    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
+    def __call__(self, light: Image, *, saturated: Booleans, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         """Register a frame; see `displacement.RegistrationMethod`."""
         reference = self._reference
         window = reference.cut(light)
@@ -103,7 +103,7 @@ def cross_correlation(spectrum: NDArray[np.complex128], window: Floats, search: 
     return np.asarray(products[:, shifts[:, None], shifts])
 
 
-def _quadratic_minimum(mismatch: Floats) -> tuple[Floats, Floats, Floats, Mask]:
+def _quadratic_minimum(mismatch: Floats) -> tuple[Floats, Floats, Floats, Booleans]:
     """Minimum of a quadratic about the least of the mismatches (L, shift_y, shift_x).
 
     Returns its position in samples (L, xy), the position's variance (L, xy) per variance of a pixel, the mismatch there

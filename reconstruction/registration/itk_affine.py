@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement, Outcome, RegistrationMethod
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
@@ -60,7 +60,7 @@ class ItkAffine:
         )
         self._covariance = coefficient_covariance(template.per_pixel.covariance, np.eye(2 * self._modes.count))
 
-    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
+    def __call__(self, light: Image, *, saturated: Booleans, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         """Register a frame; see `displacement.RegistrationMethod`."""
         reference = self._reference
         subimages = reference.cut(light)
@@ -92,7 +92,7 @@ class ItkAffine:
         return np.column_stack([affine.GetTranslation(), matrix * self._reference.half_width_px])
 
 
-def misfit(reference: ReferenceSubimages, subimages: Floats, flow: Floats) -> tuple[Floats, Mask]:
+def misfit(reference: ReferenceSubimages, subimages: Floats, flow: Floats) -> tuple[Floats, Booleans]:
     """RMS of I0(x) - gain I1(x + d(x)) - offset over each window, counts, (L,), with the best gain and offset.
 
     subimages (L, width, width); flow (L, N, xy), px, NaN where lost, as is the RMS. Also the lenslets that match, (L,).

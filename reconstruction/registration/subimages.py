@@ -6,7 +6,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import CovarianceSource, Displacement, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
@@ -38,7 +38,7 @@ class ReferenceSubimages:
         field: Field,
         noise: CameraNoise | None = None,
         reference_frames: float = np.inf,
-        bad: Mask | None = None,
+        bad: Booleans | None = None,
         excluded: Iterable[tuple[int, int]] = (),
     ) -> None:
         """Cut `reference` (row, column), counts above the dark; raise `ReconstructionError` if it shows nothing.
@@ -100,7 +100,7 @@ class ReferenceSubimages:
         if not self.lit.any() or self._smoothness() < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
 
-    def spline(self, light: Image, *, saturated: Mask | None = None, threads: int = 1) -> Image:
+    def spline(self, light: Image, *, saturated: Booleans | None = None, threads: int = 1) -> Image:
         """Spline coefficients of a frame (row, column), bad and saturated pixels repaired."""
         bad = self.bad if saturated is None or not saturated.any() else self.bad | saturated
         return spline_coefficients(repaired(light, bad) if bad.any() else light, threads=threads)
@@ -110,13 +110,13 @@ class ReferenceSubimages:
         values, _ = sample(self.spline(light), self.position_px)
         return values.reshape(-1, self.width, self.width)
 
-    def touched(self, pixels: Mask) -> Mask:
+    def touched(self, pixels: Booleans) -> Booleans:
         """True for lenslets with one of the pixels (row, column) in their window, (L,)."""
         if not pixels.any():
             return np.zeros(len(self.center_px), np.bool_)
         return np.asarray(pixels[self._nearest].any(axis=1))
 
-    def near(self, pixels: Mask) -> Mask:
+    def near(self, pixels: Booleans) -> Booleans:
         """True for lenslets with one of the pixels (row, column) in or next to their cell, (L,)."""
         if not pixels.any():
             return np.zeros(len(self.center_px), np.bool_)
@@ -138,7 +138,7 @@ class ReferenceSubimages:
         allowed_px = max(self.reach_px - self.half_width_px, np.finfo(np.float32).tiny)
         return np.asarray(np.maximum(farthest_px - self.half_width_px, 0) / allowed_px)
 
-    def _usable(self) -> Mask:
+    def _usable(self) -> Booleans:
         """True for window positions without a bad pixel among the four around them, (L, N)."""
         usable = np.ones(self.position_px.shape[:2], np.bool_)
         if self.bad.any():
@@ -171,7 +171,7 @@ def classify_lenslets(
     residual_rms: Floats,
     chi_square: Floats | None = None,
     contrast: NDArray[np.floating[Any]],
-    faults: dict[Outcome, Mask],
+    faults: dict[Outcome, Booleans],
 ) -> Displacement:
     """Classify L lenslets and arrange the results on the lattice, NaN where lost.
 
@@ -194,7 +194,7 @@ def classify_lenslets(
     lost = outcome != Outcome.CONVERGED
     far = outcome == Outcome.LEFT_CELL
 
-    def arrange(values: Floats, keep: Mask) -> Floats:
+    def arrange(values: Floats, keep: Booleans) -> Floats:
         kept = values
         if not keep.all():
             kept = np.full_like(values, np.nan)

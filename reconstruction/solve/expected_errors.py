@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import legendre as series
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats, Mask
+from reconstruction.arrays import Booleans, Floats
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement
 from reconstruction.geometry import Sensor
 from reconstruction.modes.polynomials import legendre_slopes
@@ -103,7 +103,7 @@ class ExpectedErrors:
         Lenslets to use.
     """
 
-    def __init__(self, sensitivity: Sensitivity, parameters: Floats, covariance: Floats, inside: Mask) -> None:
+    def __init__(self, sensitivity: Sensitivity, parameters: Floats, covariance: Floats, inside: Booleans) -> None:
         field_modes = parameters.shape[1] // 2
         self._sensitivity = sensitivity
         # From displacements (field_mode, xy).
@@ -149,7 +149,7 @@ class ExpectedErrors:
         return np.asarray(rows.reshape(-1, rows.shape[2]))
 
 
-def _expected_covariance(covariance: Floats, to_parameters: Floats) -> tuple[Floats, Mask, float]:
+def _expected_covariance(covariance: Floats, to_parameters: Floats) -> tuple[Floats, Booleans, float]:
     """Covariance of the parameters, (lenslet, K, K), the lenslets where it is known, and the share of the noise.
 
     It is that of the noise, enlarged by the systematic error; if the noise is unknown, that error alone, shared among

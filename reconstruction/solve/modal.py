@@ -23,7 +23,7 @@ from typing import Self
 import numpy as np
 from scipy import ndimage
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement
 from reconstruction.errors import TooManyModes
 from reconstruction.modes.pupil_modes import PupilModes
@@ -37,11 +37,11 @@ class KnownModes:
     """Pupil modes where the wavefront is known."""
 
     modes: PupilModes
-    lenslets: Mask  # (lenslet_row, lenslet_column)
+    lenslets: Booleans  # (lenslet_row, lenslet_column)
     values: Floats  # of the modes there, minus their means, (pupil_mode - 1, known lenslet)
 
 
-def known_modes(modes: PupilModes, used: Mask, *, extrapolate: bool) -> KnownModes:
+def known_modes(modes: PupilModes, used: Booleans, *, extrapolate: bool) -> KnownModes:
     """Modes at the lenslets used, and if a prior bridges lost ones at their neighbours, too."""
     if extrapolate:
         used = modes.inside & ndimage.binary_dilation(used, structure=np.ones((3, 3), np.bool_))
@@ -78,7 +78,7 @@ class ModalSolution:
         return self._known.modes
 
     @property
-    def known(self) -> Mask:
+    def known(self) -> Booleans:
         """Lenslets at which the wavefront is known, (lenslet_row, lenslet_column)."""
         return self._known.lenslets
 

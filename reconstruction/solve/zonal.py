@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
-from reconstruction.arrays import Floats, Mask
+from reconstruction.arrays import Booleans, Floats
 from reconstruction.geometry import Arrangement, lenslet_centers
 
 
@@ -24,7 +24,7 @@ class ZonalSolution:
     """Slopes that are integrated to a wavefront on request."""
 
     slopes: Floats  # of every field mode, rad/m, (lenslet_row, lenslet_column, field_mode, xy)
-    valid: Mask  # (lenslet_row, lenslet_column)
+    valid: Booleans  # (lenslet_row, lenslet_column)
     pitch_m: float
     weights: Floats | None = None  # in any unit, (lenslet_row, lenslet_column)
     slope_covariance: Floats | None = None  # (rad/m)^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)
@@ -71,7 +71,12 @@ class _Southwell:
 
 
 def zonal_wavefront(
-    slopes: Floats, valid: Mask, *, pitch_m: float, weights: Floats | None = None, arrangement: Arrangement = "square"
+    slopes: Floats,
+    valid: Booleans,
+    *,
+    pitch_m: float,
+    weights: Floats | None = None,
+    arrangement: Arrangement = "square",
 ) -> Floats:
     """Integrate slopes to wavefronts without piston, all leading axes at once.
 
@@ -100,7 +105,7 @@ def zonal_wavefront(
     return wavefront.reshape(*slopes.shape[:-3], *valid.shape)
 
 
-def _equations(valid: Mask, weights: Floats | None, arrangement: Arrangement) -> _Southwell | None:
+def _equations(valid: Booleans, weights: Floats | None, arrangement: Arrangement) -> _Southwell | None:
     weights = np.ones(valid.shape) if weights is None else np.asarray(weights, np.float64)
     return _southwell(valid.tobytes(), weights.tobytes(), *valid.shape, arrangement)
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.interpolate import make_interp_spline
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
 from reconstruction.geometry import Field, centered_steps
 from reconstruction.modes.field_modes import SampledModes
@@ -63,7 +63,7 @@ class _NonRigid(ABC):
             pixel = np.where(reference.lit[:, None], len(reference.offset_px) / strength, 0.0)
         self._variance = pixel[:, None] * np.sum(self._at_views**2, axis=1)[:, None]  # (L, view, xy)
 
-    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
+    def __call__(self, light: Image, *, saturated: Booleans, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         reference = self._reference
         subimages = reference.cut(light)
         flow = self._flow(subimages)

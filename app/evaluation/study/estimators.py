@@ -17,7 +17,7 @@ from app.bench.config import Bench
 from app.evaluation.studies import CaseResult, Position
 from app.measurement.calibration import Calibration, KnownNoise
 from app.measurement.estimator import Estimator
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
@@ -129,7 +129,7 @@ def compared(
     truth: Floats,
     *,
     views: NDArray[np.bool_] | None = None,
-    lenslets: Mask | None = None,
+    lenslets: Booleans | None = None,
     seconds: float = math.nan,
 ) -> CaseResult:
     """Compare a wavefront with the truth (view_row, view_column, lenslet_row, lenslet_column), rad.
@@ -161,7 +161,7 @@ def with_rms(
     return CaseResult(at={"curve": curve, "at": at}, values=values)
 
 
-def mean_rms(difference: Floats, lenslets: Mask, views: NDArray[np.bool_] | None = None) -> float:
+def mean_rms(difference: Floats, lenslets: Booleans, views: NDArray[np.bool_] | None = None) -> float:
     """Mean over the views of the RMS over the lenslets without piston; NaN if no view is known."""
     of_views = rms(np.where(lenslets, difference, np.nan))
     of_views = of_views[np.isfinite(of_views) & (True if views is None else views)]

@@ -19,7 +19,7 @@ from app.gui.widgets.copies import ask_file
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import NOTHING, number
 from app.measurement.measurement import Measurement
-from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, Drift, History, Limits, LimitWatch, sample
+from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, Drift, History, LimitWatch, SeriesLimits, sample
 from reconstruction.arrays import Floats
 
 _MINUTES = (1, 2, 5, 10, 20)
@@ -62,7 +62,7 @@ class StripChart(QWidget):
         row(labels, (self.plot, 1), drift, parent=self)
         labels.setFixedWidth(_name_width(self))
 
-    def show_series(self, time_min: Floats, values: Floats, span_min: float, unit: str, limits: Limits) -> None:
+    def show_series(self, time_min: Floats, values: Floats, span_min: float, unit: str, limits: SeriesLimits) -> None:
         """Show values (time,) over the minutes before now, NaN in gaps, and the limits that are crossed or near."""
         known = np.isfinite(values)
         self.curve.setData(time_min, values, connect="finite")
@@ -180,7 +180,7 @@ class HistoryPanel(Panel):
             self.record(measurement, status.capabilities.full_scale, status.temperature_c)
         self.shown.verdict = self._judge(self.form.limits())
 
-    def _judge(self, limits: Mapping[str, Limits]) -> Verdict:
+    def _judge(self, limits: Mapping[str, SeriesLimits]) -> Verdict:
         """Tell what has crossed a limit, once; return whether all values are within theirs."""
         if not limits:
             return Verdict()
@@ -198,7 +198,7 @@ class HistoryPanel(Panel):
         is_known = all(math.isfinite(values.get(name, math.nan)) for name in limits)
         return Verdict("fail" if self._watch.beyond else "pass" if is_known else NOTHING, "\n".join(lines))
 
-    def _in_words(self, name: str, value: float, limits: Limits) -> str:
+    def _in_words(self, name: str, value: float, limits: SeriesLimits) -> str:
         """Say how a value relates to its limits, phases in the unit of the display."""
         unit, factor = self._unit_of(name)
         lowest, highest = (number(limit * factor) for limit in (limits.lowest, limits.highest))
@@ -252,8 +252,8 @@ class HistoryPanel(Panel):
             time_s, values = self.history.series(name)
             recent, (unit, factor) = time_s >= -60 * span_min, self._unit_of(name)
             values *= factor
-            limit = limits.get(name, Limits())
-            scaled = Limits(limit.lowest * factor, limit.highest * factor)
+            limit = limits.get(name, SeriesLimits())
+            scaled = SeriesLimits(limit.lowest * factor, limit.highest * factor)
             chart.show_series(time_s[recent] / 60, values[recent], span_min, unit, scaled)
             samples = self.samples.currentData()
             chart.show_drift(Drift.of(values[-samples:]), samples)

@@ -9,7 +9,7 @@ from app.bench.settings_form import typed_number
 from app.gui.panels.panel import Shown
 from app.gui.widgets.basics import Button, Toggle, column, label, mark_refused, row
 from app.gui.widgets.fields import NumberLine
-from app.results.history import UNITS, Limits
+from app.results.history import UNITS, SeriesLimits
 from app.results.shown_wavefront import Unit
 
 _PINNED = "Pinned coefficient"
@@ -92,9 +92,11 @@ class LimitsForm(QDialog):
             mark_refused(line, is_refused=bool(why))
         self.changed.emit()
 
-    def limits(self) -> dict[str, Limits]:
+    def limits(self) -> dict[str, SeriesLimits]:
         """Return the limits by series, phases in rad."""
-        found = {name or self._pinned: Limits(*(line.value for line in lines)) for name, lines in self.lines.items()}
+        found = {
+            name or self._pinned: SeriesLimits(*(line.value for line in lines)) for name, lines in self.lines.items()
+        }
         return {name: limits for name, limits in found.items() if name and limits.is_set}
 
     def use_pinned(self, name: str) -> None:

@@ -22,7 +22,7 @@ from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberField, TextField
 from app.progress import counted
 from app.recording.folder import describe, name_problem
-from app.recording.recorder import RECENT_S, Limit, RecordingState
+from app.recording.recorder import RECENT_S, RecordingLimit, RecordingState
 from drivers.interface import Range
 
 _WIDEST = "000000 frames   00:00   disk space for 000 min"  # of more, only the tool tip has the disk space
@@ -153,12 +153,14 @@ class RecordingBar(QFrame):
         self.hide()
 
     @property
-    def limit(self) -> Limit:
+    def limit(self) -> RecordingLimit:
         """When the next recording ends by itself."""
         value = self.stop_after.value()
         if not value:
-            return Limit()
-        return Limit(frames=round(value)) if self.unit.currentText() == _FRAMES else Limit(seconds=value)
+            return RecordingLimit()
+        return (
+            RecordingLimit(frames=round(value)) if self.unit.currentText() == _FRAMES else RecordingLimit(seconds=value)
+        )
 
     def prepare(self) -> None:
         """Open for the next recording."""

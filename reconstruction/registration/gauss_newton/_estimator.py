@@ -20,7 +20,7 @@ from typing import Self
 
 import numpy as np
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement, Outcome, RegistrationMethod
 from reconstruction.frame.spline import noise_power, noise_power_polynomial
 from reconstruction.geometry import Field
@@ -51,7 +51,7 @@ class FitCovariance:
     per_light: Propagated  # for one that is the light
     basis: Floats  # coefficients (x modes, y modes) of the parameters, (P, 2Q)
 
-    def kept(self, lenslets: Mask) -> Self:
+    def kept(self, lenslets: Booleans) -> Self:
         """The same, lost for all but some lenslets (L,)."""
         return replace(self, variance=np.where(lenslets.reshape(*self.variance.shape[:2], 1), self.variance, np.nan))
 
@@ -72,7 +72,7 @@ class FitCovariance:
 class ErrorPropagation:
     """Propagates noise through the fits against one reference."""
 
-    def __init__(self, reference: ReferenceSubimages, template: Template, pixels: Mask) -> None:
+    def __init__(self, reference: ReferenceSubimages, template: Template, pixels: Booleans) -> None:
         """Prepare for a template on some pixels (N,) of the reference's windows."""
         noise, self._template, self._lattice = reference.noise, template, reference.lenslets
         # Variance per count of light, counts, and of every pixel, counts^2.
@@ -226,7 +226,7 @@ class GaussNewton:
         # Compile now instead of at the first frame.
         self._fit(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.bool_), None)
 
-    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:
+    def __call__(self, light: Image, *, saturated: Booleans, start: Displacement | None = None) -> Displacement:
         """Register a frame; see `displacement.RegistrationMethod`."""
         reference, warp = self._reference, self._warp
         coefficients = reference.spline(light, saturated=saturated, threads=self._threads)
@@ -273,7 +273,7 @@ class GaussNewton:
         """
         return respond(self._reference, self.modes, self._warp, image, changes)
 
-    def _fit(self, coefficients: Image, bad: Mask, start: Displacement | None) -> Fits:
+    def _fit(self, coefficients: Image, bad: Booleans, start: Displacement | None) -> Fits:
         """Fit all lenslets, shared among threads, to a frame given by its spline coefficients."""
         reference, grid = self._reference, self._warp.grid
         lenslets, pixels = grid.light.shape
@@ -317,7 +317,7 @@ class GaussNewton:
         return np.asarray(coefficients @ self._basis.T, np.float32)
 
 
-def _stands_out(unexplained: Floats, square: Floats, at_most: Floats, found: Mask) -> Mask:
+def _stands_out(unexplained: Floats, square: Floats, at_most: Floats, found: Booleans) -> Booleans:
     """Flag lenslets (L,) with outlying residuals, e.g. partly covered ones.
 
     `unexplained` (L,) is the residual's `square` (L,) minus its noise, counts^2, `at_most` (L,) its limit; `found` (L,)

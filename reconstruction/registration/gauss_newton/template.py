@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.spline import mean_interpolation, sample, spline_coefficients
 from reconstruction.geometry import require
@@ -62,12 +62,12 @@ class Template:
     """The reference prepared for one warp: L lenslets, N pixels, Q field modes, P parameters."""
 
     grid: Grid
-    pixels: Mask  # of the windows that are used, (width, width)
+    pixels: Booleans  # of the windows that are used, (width, width)
     contrast: Floats  # standard deviation of the light in them, counts, (L,)
     per_pixel: Propagated  # of noise with variance 1 in every pixel
     per_light: Propagated  # of shot noise, whose variance is the light
 
-    def without(self, lenslets: NDArray[np.intp], excluded: Mask) -> tuple[Propagated, Propagated, Floats]:
+    def without(self, lenslets: NDArray[np.intp], excluded: Booleans) -> tuple[Propagated, Propagated, Floats]:
         """`per_pixel` and `per_light` of some lenslets (K,) with pixels `excluded` (K, N).
 
         Also the share of the information about the parameters that remains, (K,).
@@ -94,7 +94,13 @@ class SteepestDescent:
     """
 
     def __init__(
-        self, reference: ReferenceSubimages, modes: PolynomialModes, pixels: Mask, basis: Floats, *, conserve_flux: bool
+        self,
+        reference: ReferenceSubimages,
+        modes: PolynomialModes,
+        pixels: Booleans,
+        basis: Floats,
+        *,
+        conserve_flux: bool,
     ) -> None:
         """Prepare displacements (x modes, y modes), the rows of `basis` (P - 2, 2Q), on pixels (width, width)."""
         self.u, self.v = reference.offset_px[pixels.ravel()].T / reference.half_width_px
@@ -159,7 +165,7 @@ def respond(
 def prepare_template(
     reference: ReferenceSubimages,
     modes: PolynomialModes,
-    pixels: Mask,
+    pixels: Booleans,
     *,
     conserve_flux: bool,
     basis: Floats,
@@ -267,8 +273,8 @@ def _smooth_light(reference: ReferenceSubimages) -> Floats:
 
 
 def visible_warp(
-    reference: ReferenceSubimages, modes: PolynomialModes, pixels: Mask, *, conserve_flux: bool, rotation: bool
-) -> tuple[Floats, Floats, Mask]:
+    reference: ReferenceSubimages, modes: PolynomialModes, pixels: Booleans, *, conserve_flux: bool, rotation: bool
+) -> tuple[Floats, Floats, Booleans]:
     """Find what the mean subimage shows of a warp with some field modes on some pixels (width, width).
 
     Without `rotation` the displacement is the gradient of a potential over the field. Of displacements that look
@@ -306,7 +312,7 @@ def visible_warp(
     return combined @ possible, alike @ possible, chosen
 
 
-def _informative(descent: Floats, weight: Floats) -> Mask:
+def _informative(descent: Floats, weight: Floats) -> Booleans:
     """Fewest pixels (N,), those with most leverage, that let the standard errors grow by `_SCATTER` at most."""
     scale = np.sqrt(np.sum(descent**2 * weight, axis=1, keepdims=True))
     scaled = descent / scale

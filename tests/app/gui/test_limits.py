@@ -17,7 +17,7 @@ from app.gui.panels.history import HistoryPanel
 from app.gui.panels.panel import Liveness
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
-from app.results.history import DELAY, FILL, RMS, TEMPERATURE, Limits
+from app.results.history import DELAY, FILL, RMS, TEMPERATURE, SeriesLimits
 from app.results.shown_wavefront import Unit
 
 
@@ -81,7 +81,7 @@ def test_each_end_and_several_series(window: MainWindow) -> None:
     set_limits(panel, FILL, "20", "80,5 %")
     set_limits(panel, TEMPERATURE, highest="-60 \N{DEGREE SIGN}C")
     limits = panel.form.limits()
-    assert limits[FILL] == Limits(20, 80.5)
+    assert limits[FILL] == SeriesLimits(20, 80.5)
     assert limits[TEMPERATURE].highest == -60
     assert np.isnan(limits[TEMPERATURE].lowest)
     panel.add(0.0, {FILL: 10.0, TEMPERATURE: -55.0})

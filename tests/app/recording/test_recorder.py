@@ -18,7 +18,7 @@ from app.errors import InputError, RunError
 from app.measurement.measurement import FrameTotals, Measurement
 from app.recording import recorder, writer
 from app.recording.reader import Recording
-from app.recording.recorder import BackgroundRecording, Limit, Recorder
+from app.recording.recorder import BackgroundRecording, Recorder, RecordingLimit
 from app.recording.writer import RecordingWriter
 from app.timing import Timings
 
@@ -31,7 +31,7 @@ def measurement(index: int, *, host_time_s: float, lost: int = 0) -> Measurement
 def test_recording_ends_after_the_requested_frames(tmp_path: Path) -> None:
     recorder_ = Recorder(Timings())
     recorder_.take(measurement(0, host_time_s=0.0, lost=2))
-    recorder_.start(tmp_path / "r", FACTS, limit=Limit(frames=3))
+    recorder_.start(tmp_path / "r", FACTS, limit=RecordingLimit(frames=3))
     for index in range(1, 9):
         recorder_.take(measurement(index, host_time_s=index / 10, lost=2 if index == 2 else 0))
     assert wait(recorder_, {"finished"}).frames == 3
@@ -48,7 +48,7 @@ def test_recording_ends_after_the_requested_frames(tmp_path: Path) -> None:
 def test_recording_ends_after_the_requested_time(tmp_path: Path) -> None:
     """Frames at 0.1 ... 0.6 s; 0.3 s after the first is the fourth."""
     recorder_ = Recorder(Timings())
-    recorder_.start(tmp_path / "r", FACTS, limit=Limit(seconds=0.3 + 1e-6))
+    recorder_.start(tmp_path / "r", FACTS, limit=RecordingLimit(seconds=0.3 + 1e-6))
     for index in range(1, 7):
         recorder_.take(measurement(index, host_time_s=index / 10))
     assert wait(recorder_, {"finished"}).frames == 4
@@ -57,12 +57,12 @@ def test_recording_ends_after_the_requested_time(tmp_path: Path) -> None:
 
 def test_limit_can_change_during_a_recording(tmp_path: Path) -> None:
     recorder_ = Recorder(Timings())
-    recorder_.start(tmp_path / "r", FACTS, limit=Limit(frames=2))
+    recorder_.start(tmp_path / "r", FACTS, limit=RecordingLimit(frames=2))
     recorder_.take(measurement(1, host_time_s=0.1))
-    recorder_.limit(Limit(frames=5))
+    recorder_.limit(RecordingLimit(frames=5))
     for index in range(2, 5):
         recorder_.take(measurement(index, host_time_s=index / 10))
-    recorder_.limit(Limit(frames=3))  # fewer than there are: no further one
+    recorder_.limit(RecordingLimit(frames=3))  # fewer than there are: no further one
     recorder_.take(measurement(5, host_time_s=0.5))
     assert wait(recorder_, {"finished"}).frames == 4
     assert Recording(tmp_path / "r").run["frames"]["acquired"] == 4
@@ -73,7 +73,7 @@ def test_frames_that_are_written_wait_no_more(tmp_path: Path, monkeypatch: pytes
     taken = [measurement(index, host_time_s=index / 10) for index in range(8)]
     monkeypatch.setattr(recorder, "_QUEUED_BYTES", 3 * taken[0].frame.pixels.nbytes)
     recorder_ = Recorder(Timings())
-    recorder_.start(tmp_path / "r", FACTS, limit=Limit(frames=len(taken)))
+    recorder_.start(tmp_path / "r", FACTS, limit=RecordingLimit(frames=len(taken)))
     for each in taken:
         recorder_.take(each)
         wait_until(lambda: recorder_.state is not None and not recorder_.state.waiting)

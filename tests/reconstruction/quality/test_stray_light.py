@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.optics import SmallBench
 
-from reconstruction.arrays import Floats, Mask
+from reconstruction.arrays import Booleans, Floats
 from reconstruction.geometry import Arrangement, lenslet_centers
 from reconstruction.quality.stray_light import StrayLight
 
@@ -17,14 +17,15 @@ ROWS, COLUMNS, SAMPLES, BRIGHTEST = 5, 6, 8, 1000.0
 DARK = 300.0
 
 
-def prepared(arrangement: Arrangement = "square", lit: Mask | None = None) -> tuple[StrayLight, Floats, Floats]:
+def prepared(arrangement: Arrangement = "square", lit: Booleans | None = None) -> tuple[StrayLight, Floats, Floats]:
     """The measurement, the flattened reference frame, counts, and the place of each of its pixels, (pixel, xy)."""
     sensor = replace(SmallBench(9, 9).sensor, lenslet_rows=ROWS, lenslet_columns=COLUMNS, arrangement=arrangement)
     lit = np.ones((ROWS, COLUMNS), np.bool_) if lit is None else lit
     place = lenslet_centers(arrangement, ROWS, COLUMNS)[lit]
     light = np.tile([BRIGHTEST, 500.0, 20, 10, 5, 0, 30, 40], (len(place), 1))  # two of the samples lie in the opening
     sampled = np.arange(light.size).reshape(light.shape)
-    stray = StrayLight(sensor, lit, light, sampled, np.ones(light.shape, np.bool_), DARK)
+    is_good = np.ones(light.shape, np.bool_)
+    stray = StrayLight(sensor, lit=lit, light=light, sampled=sampled, is_good=is_good, dark=DARK)
     return stray, (light + DARK).ravel(), np.repeat(place, SAMPLES, axis=0)
 
 

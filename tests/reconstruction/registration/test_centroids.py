@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.optics import FIELD, SmallBench
 
-from reconstruction.arrays import Image, Mask
+from reconstruction.arrays import Booleans, Image
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import SampledModes
@@ -39,7 +39,7 @@ def _moved(bench: SmallBench, shift_px: Shift) -> Image:
     return bench.model.irradiance(SOURCE, phase_only(phase)) * np.float32(1e14)
 
 
-def _none(light: Image) -> Mask:
+def _none(light: Image) -> Booleans:
     return np.zeros(light.shape, np.bool_)
 
 
@@ -200,7 +200,7 @@ def test_invalid_arguments_are_refused(small_bench: SmallBench, reference: Refer
         Centroids(reference, star_x=STAR_X, star_y=STAR_X)
     with pytest.raises(ValueError, match="star_rows must be"):
         RegistrationSettings(star_rows=0)
-    with pytest.raises(ValueError, match="star_spacing_m must be above 0 and at most 0.1"):
+    with pytest.raises(ValueError, match=r"star_spacing_m must be above 0 and at most 0.1"):
         RegistrationSettings(star_spacing_m=-1.0)
 
 

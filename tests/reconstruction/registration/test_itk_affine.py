@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.optics import FIELD, SmallBench
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.registration.itk_affine import ItkAffine
@@ -39,7 +39,7 @@ def rendered(bench: SmallBench, tilt: tuple[float, float], growth: tuple[float, 
     return bench.frame(phase), np.array([tilt, growth, (0.0, 0.0)]) / bench.sensor.slope_per_px
 
 
-def unsaturated(light: Image) -> Mask:
+def unsaturated(light: Image) -> Booleans:
     return np.zeros(light.shape, np.bool_)
 
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from support.optics import SmallBench
 
-from reconstruction.arrays import Image, Mask
+from reconstruction.arrays import Booleans, Image
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.registration import prepare_registration
@@ -31,7 +31,7 @@ def electrons(checker_bench: SmallBench) -> tuple[Image, Image]:
     return _electrons(checker_bench)
 
 
-def _pixels(bench: SmallBench, offsets: list[tuple[int, int]]) -> Mask:
+def _pixels(bench: SmallBench, offsets: list[tuple[int, int]]) -> Booleans:
     """True at (x, y) offsets from the middle of the lenslet CENTER."""
     mask = np.zeros(bench.frame_shape, np.bool_)
     x, y = np.rint(bench.lattice.lenslet_centers_px(7, 9)[CENTER]).astype(int)
@@ -45,8 +45,8 @@ def _register(
     reference: Image,
     light: Image,
     *,
-    bad: Mask | None = None,
-    saturated: Mask | None = None,
+    bad: Booleans | None = None,
+    saturated: Booleans | None = None,
     method: Method = "gauss_newton",
 ) -> Displacement:
     subimages = ReferenceSubimages(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.optics import sensor_of
 
-from reconstruction.arrays import Floats, Mask
+from reconstruction.arrays import Booleans, Floats
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
@@ -49,7 +49,7 @@ def made_of(coefficients: Floats, modes: PupilModes = MODES) -> Floats:
     return np.asarray(np.einsum("prcx,pq->rcqx", modes.gradients, coefficients) / SENSOR.slope_per_px)
 
 
-def measured(coefficients: Floats, covariance: Floats, valid: Mask = ALL) -> Displacement:
+def measured(coefficients: Floats, covariance: Floats, valid: Booleans = ALL) -> Displacement:
     outcome = np.where(valid, Outcome.CONVERGED, Outcome.DIVERGED).astype(np.int8)
     coefficients = np.where(valid[..., None, None], coefficients, np.nan)
     covariance = np.where(valid[..., None, None, None, None], covariance, np.nan)
