@@ -170,6 +170,7 @@ def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | str | lis
         "likeness": seen.likeness,
         "scale": None if mask is None else mask.scale,
         "scale_sigma": None if mask is None else mask.sigma,
+        "orientation": None if mask is None else mask.orientation,  # empty as the bench has it
         "differences": differences(calibrated),
     }
 
