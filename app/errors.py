@@ -1,4 +1,4 @@
-"""What ends a command: errors of one sentence each with an exit status for scripts, and signals."""
+"""Errors that end a command, one sentence each with an exit status for scripts; signals."""
 
 import signal
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""The product's source code: every exception from a check of style or types says why."""
+"""The source code of product and tests: every exception from a check of style or types says why."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _EXCEPTION = re.compile(r"# (?:noqa|type: ignore)\b.*")
 _WITH_REASON = re.compile(r"# (?:noqa: [A-Z0-9, ]+ - |type: ignore\[[a-z, -]+\] # (?!noqa))\w")
 
 
-@pytest.mark.parametrize("room", ["app", "drivers", "reconstruction", "simulated_devices"])
+@pytest.mark.parametrize("room", ["app", "drivers", "reconstruction", "simulated_devices", "tests"])
 def test_every_exception_has_a_reason(room: str) -> None:
     found = {
         f"{path.relative_to(ROOT)}:{number}": exception[0]

@@ -170,6 +170,7 @@ def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | str | lis
         "likeness": seen.likeness,
         "scale": None if size is None else size.scale,
         "scale_sigma": None if size is None else size.sigma,
+        "orientation": None if size is None else size.orientation,  # empty as the bench has it
         "differences": differences(calibrated),
     }
 

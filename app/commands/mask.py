@@ -20,7 +20,7 @@ def mask(
     size: Annotated[
         str | None,
         typer.Option(
-            metavar="LENGTH", help="Side of the square that the mask fills, as 1.2mm; the bench's field if omitted."
+            metavar="LENGTH", help="Side of the square that holds the field, as 1.2mm; the bench's field if omitted."
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="File to write: SVG, DXF, GDS (GDSII) or PNG.")],

@@ -176,7 +176,8 @@ def _write_png(drawing: Drawing, path: Path) -> None:
 def raster(drawing: Drawing) -> tuple[NDArray[np.bool_], float]:
     """Return a drawing as pixels (row, column), true where their middle is open, and their side in m.
 
-    Straight edges of openings are edges of pixels. A pixel lies in a polygon if an odd number of edges is right of it.
+    Edges of openings along x and y are edges of pixels. A pixel lies in a polygon if an odd number of edges is right of
+    it.
     """
     mask = drawing.openings
     finest_m = max(min(_PNG_PIXEL_M, mask.size_m / 1000), 2 * drawing.half_y_m / _PNG_MOST_PIXELS)

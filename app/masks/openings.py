@@ -31,7 +31,7 @@ class Openings:
     name: str
     size_m: float  # side of the square that holds the field
     polygons_m: tuple[Floats, ...]
-    grid_m: float  # straight edges lie at multiples of half of it from the square's sides
+    grid_m: float  # edges along x and y lie at multiples of half of it from the square's sides
     width_m: float  # of the narrowest opening; in pictures as of `narrowest_px`
     gap_m: float | None  # None: none is narrower than half the size
     touching: int = 0  # corners where openings only touch; they are no gap

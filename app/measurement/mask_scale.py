@@ -110,7 +110,11 @@ def _modelled(bench: Bench, points: SourcePoints, width: int, scale: float) -> F
 
 
 def _fitted(model: Callable[[float], Floats], subimage: Floats) -> tuple[float, float, float]:
-    """Residual over the contrast, scale, and its standard error, of the model that fits a subimage best."""
+    """Residual over the contrast, scale, and its standard error, of the model that fits a subimage best.
+
+    Variable projection (G. H. Golub and V. Pereyra 1973): light, background, shift and blur of the image are linear
+    and projected out, so that only the scale is searched.
+    """
     data = subimage.ravel() / np.std(subimage)
 
     def residual(scale: float, along: Floats | None = None) -> Floats:

@@ -1,4 +1,4 @@
-"""What one corrector could do, at every distance (docs/layers.md), and its best command."""
+"""Residual that one corrector leaves at every distance (docs/layers.md), and its best command."""
 
 import math
 from collections.abc import Callable, Iterable

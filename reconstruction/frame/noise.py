@@ -21,7 +21,7 @@ _OUTLYING, _INNER_SQUARE = 9.0, 0.9733  # square that only hot pixels exceed, an
 _LEAST_NOISE = 2e-3  # of the light; noise-free images of lenslets seem to have 4e-4, from the borders of cells
 _BRIGHT = 0.1  # of the brightest bin; dimmer ones tell little about shot noise
 _TERMS = 2  # of a bent curve: proportional to light, and to its square
-_CHANCE = 4.0  # standard errors of a bend that are not counted
+_CHANCE = 4.0  # standard errors below which a bend counts as noise
 _CHANCE_OF_TWO = 3.3  # the same of the difference of two bends, whose standard error is rather too large
 
 
@@ -75,8 +75,9 @@ class TransferCurve:
     def difference(self, other: "TransferCurve", averaged: float) -> float:
         """Share of the variance per count by which two images of one camera differ, beyond chance; 0 if unknown.
 
-        The other one is the mean of `averaged` frames. Uneven pixels bend both curves alike, the other one's up to
-        `averaged` times as much, since their scatter stays.
+        A response that is not linear bends the line of variance against light (photon transfer, J. R. Janesick 2007),
+        and images of the same response have the same bend. The other one is the mean of `averaged` frames. Uneven
+        pixels bend both curves alike, the other one's up to `averaged` times as much, since their scatter stays.
         """
         mine, others = self._bend, other._bend  # noqa: SLF001 - of the same class
         if mine is None or others is None:

@@ -1,7 +1,7 @@
 """Stray light that rises across the frame.
 
-The same amount everywhere does no harm, but within a subimage a rise looks like a change of its size, and in all
-lenslets alike like a sample near the source. It shows between the openings, where a wavefront moves little light.
+Uniform stray light does no harm. A rise within a subimage looks like a change of its size; the same rise in all
+lenslets looks like a sample near the source. It is measured between the openings, where a wavefront moves little light.
 """
 
 import math
@@ -53,7 +53,11 @@ class StrayLight:
         self._inverse = np.linalg.pinv(self._plane) if self._is_measured else self._plane.T
 
     def rise(self, frame: Counts) -> float:
-        """Rise per pitch that is beyond chance, over the brightest, of a frame (pixel,), counts; 0 if unknown."""
+        """Rise per pitch that is beyond chance, over the brightest, of a frame (pixel,), counts; 0 if unknown.
+
+        A plane is fitted by least squares to what the gaps of each lenslet have more than in the reference; the scatter
+        about it gives the standard error, as in any linear regression.
+        """
         if not self._is_measured:
             return 0.0
         added = np.bincount(self._lenslet, frame[self._pixels] - self._expected) / self._samples

@@ -55,7 +55,7 @@ class Quality:
 
 
 def sequence_quality(before: Counts, frame: Counts, elapsed_s: float) -> Quality:
-    """Find a camera that repeats itself, from two successive frames and the time between them on the camera's clock."""
+    """Find a camera that repeats itself, from two frames (row, column) and the time between them on its clock."""
     reasons: dict[Fault, str] = {}
     if before.shape == frame.shape and np.array_equal(before, frame):
         reasons[Fault.FROZEN] = "this frame is identical to the one before: the camera repeats itself"
@@ -66,7 +66,10 @@ def sequence_quality(before: Counts, frame: Counts, elapsed_s: float) -> Quality
 
 
 def repeated_reference(frame: Counts, reference: Counts) -> Quality:
-    """Find a frame that is the reference itself, perhaps rounded to whole counts: noise makes two exposures differ."""
+    """Find a frame that is the reference itself, both (row, column), perhaps rounded to whole counts.
+
+    Noise makes two exposures differ.
+    """
     if frame.dtype == reference.dtype:
         is_same = np.array_equal(frame, reference)
     else:

@@ -1,4 +1,4 @@
-"""Where rays meet a thin screen, the light of a sample at the lenslets in either world, and the true wavefronts.
+"""Ray geometry of a thin screen, the light of a sample at the lenslets in either world, and the true wavefronts.
 
 The map of rays is linear: s = pupil_scale * u + field_scale * x_o, with positions u in the pupil (on the lenslets), x_o
 of the object point and s on the screen; all (x, y) in m. Field positions are those of the image. A collimator inverts,

@@ -142,7 +142,7 @@ class Photographer:
             window.docks.show_panel(panel)
             if panel.is_slow:
                 thread = window.analyses.threads[panel]
-                self._wait(lambda panel=panel, thread=thread: panel in thread.requests and not thread.is_busy)  # type: ignore[misc]
+                self._wait(lambda panel=panel, thread=thread: panel in thread.requests and not thread.is_busy)  # type: ignore[misc] # mypy and defaults
             self._save(name.lower(), window)
         window.panels.wavefronts.menu.change(views=9)
         window.status_line.timing_row.toggle()

@@ -28,7 +28,7 @@ def unplug(device: Device) -> None:
             raise gone
         yield
 
-    device._access = access  # type: ignore[method-assign]
+    device._access = access  # type: ignore[method-assign] # injected fault
 
 
 def plug_in(device: Device) -> None:
@@ -64,7 +64,7 @@ def stall(camera: SimulatedCamera) -> None:
         plug_in(camera)
         camera._start()
 
-    camera._read, camera._start = read, start  # type: ignore[method-assign]
+    camera._read, camera._start = read, start  # type: ignore[method-assign] # injected fault
 
 
 def lose_frames(camera: SimulatedCamera, count: int) -> None:

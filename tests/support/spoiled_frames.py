@@ -212,7 +212,7 @@ def _of_the_light() -> Iterator[tuple[str, Spoiled]]:
         yield (
             f"ghost mirrored, both, {share:g}",
             Spoiled(
-                light=lambda it, add=mirrored: replace(it, frame=add(it.frame), reference=add(it.reference))  # type: ignore[misc]
+                light=lambda it, add=mirrored: replace(it, frame=add(it.frame), reference=add(it.reference))  # type: ignore[misc] # mypy and defaults
             ),
         )
     for share in (0.3, 0.7):

@@ -83,7 +83,7 @@ class LimitsForm(QDialog):
             grid.addWidget(line, at, side)
 
     def _change(self, name: str) -> None:
-        """Mark what is no limit."""
+        """Mark texts that are no number, and pairs whose lower limit is above the upper one."""
         low, high = (line.value for line in self.lines[name])
         for line in self.lines[name]:
             is_number = math.isfinite(line.typed()[0]) or not line.text().strip()

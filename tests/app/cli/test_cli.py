@@ -500,7 +500,7 @@ def test_output_that_cannot_be_printed_is_one_line() -> None:
     program = "import sys; from app.cli import main; main()"
     command = [sys.executable, "-c", program, "devices", "--help"]
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)  # noqa: S603
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)  # noqa: S603 - our own command
     assert (done.returncode, done.stderr) == (1, "svwfs: the output cannot be printed: No space left on device\n")
 
 
@@ -527,7 +527,7 @@ def test_ctrl_c_while_the_commands_are_imported_is_one_line() -> None:
     program += "class Interrupting:\n    def find_spec(self, name, *_):\n"
     program += "        if name == 'typer': os.kill(os.getpid(), signal.SIGINT)\n"
     program += "sys.meta_path.insert(0, Interrupting()); main()"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)  # noqa: S603
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)  # noqa: S603 - our own program
     assert (done.returncode, done.stderr) == (130, "svwfs: interrupted\n")
 
 

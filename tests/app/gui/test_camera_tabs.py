@@ -40,7 +40,7 @@ def click_lenslet(panel: CameraPanel, row: int, column: int) -> None:
     x, y = LATTICE.lenslet_centers_px(*LENSLETS)[row, column]
     at = panel._graphics.mapFromScene(panel._view.mapViewToScene(QPointF(x, y)))
     viewport = panel._graphics.viewport()
-    QtBot.mouseClick(viewport, Qt.MouseButton.LeftButton, pos=QPoint(at.x(), at.y()))  # type: ignore[no-untyped-call]
+    QtBot.mouseClick(viewport, Qt.MouseButton.LeftButton, pos=QPoint(at.x(), at.y()))  # type: ignore[no-untyped-call] # pytest-qt declares no types
 
 
 def show_pixels(window: MainWindow, pixels: NDArray[np.uint16]) -> None:
@@ -188,8 +188,8 @@ def test_double_or_right_click_inspects_nothing(window: MainWindow, qtbot: QtBot
     click_lenslet(camera, 4, 7)
     camera._view.setRange(QRectF(100, 100, 50, 50))
     viewport = camera._graphics.viewport()
-    QtBot.mouseDClick(viewport, Qt.MouseButton.LeftButton, pos=viewport.rect().center())  # type: ignore[no-untyped-call]
-    QtBot.mouseClick(viewport, Qt.MouseButton.RightButton, pos=viewport.rect().center())  # type: ignore[no-untyped-call]
+    QtBot.mouseDClick(viewport, Qt.MouseButton.LeftButton, pos=viewport.rect().center())  # type: ignore[no-untyped-call] # pytest-qt declares no types
+    QtBot.mouseClick(viewport, Qt.MouseButton.RightButton, pos=viewport.rect().center())  # type: ignore[no-untyped-call] # pytest-qt declares no types
     qtbot.wait(QApplication.doubleClickInterval() + 200)
     assert panel.lenslet is None
     assert camera._view.viewRect().width() >= 430
@@ -231,7 +231,7 @@ def test_right_click_on_a_view_selects_nothing(window: MainWindow) -> None:
     QApplication.processEvents()
     selected: list[tuple[int, int]] = []
     grid.selected.connect(lambda *view: selected.append(view))
-    QtBot.mouseClick(grid, Qt.MouseButton.RightButton, pos=grid.tile(0, 0).center())  # type: ignore[no-untyped-call]
+    QtBot.mouseClick(grid, Qt.MouseButton.RightButton, pos=grid.tile(0, 0).center())  # type: ignore[no-untyped-call] # pytest-qt declares no types
     assert not selected
 
 

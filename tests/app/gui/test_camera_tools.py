@@ -98,7 +98,7 @@ def test_area_counts_its_pixels(window: MainWindow, qtbot: QtBot) -> None:
     pixels = dim_frame()
     pixels[100:140, 200:240] = np.random.default_rng(3).integers(900, 1100, (40, 40))
     pixels[100, 200:205] = FULL_SCALE
-    qtbot.keyClick(window, Qt.Key.Key_M, Qt.KeyboardModifier.ShiftModifier)  # type: ignore[no-untyped-call]
+    qtbot.keyClick(window, Qt.Key.Key_M, Qt.KeyboardModifier.ShiftModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
     window.show_measurement(make_measurement(pixels, views()))
     window.update_text()
     drag(panel, (240, 140), (199, 99))  # from the lower right corner
@@ -133,7 +133,7 @@ def test_click_with_a_tool_inspects_no_lenslet(window: MainWindow, qtbot: QtBot)
     panel.use_tool("line")
     QApplication.processEvents()
     at = panel._graphics.mapFromScene(panel._view.mapViewToScene(QPointF(215, 150)))
-    qtbot.mouseClick(panel._graphics.viewport(), Qt.MouseButton.LeftButton, pos=at)  # type: ignore[no-untyped-call]
+    qtbot.mouseClick(panel._graphics.viewport(), Qt.MouseButton.LeftButton, pos=at)  # type: ignore[no-untyped-call] # pytest-qt declares no types
     assert not panel._click_timer.isActive()
     assert not clicked
 

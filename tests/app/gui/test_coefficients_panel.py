@@ -30,7 +30,7 @@ def measurement(defocus: float) -> Measurement:
 
 def open_tab(window: MainWindow, title: str) -> None:
     bar, at = tab(window, title)
-    QtBot.mouseClick(bar, Qt.MouseButton.LeftButton, pos=at)  # type: ignore[no-untyped-call]
+    QtBot.mouseClick(bar, Qt.MouseButton.LeftButton, pos=at)  # type: ignore[no-untyped-call] # pytest-qt declares no types
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def click_bar(panel: CoefficientsPanel, mode: int) -> None:
     QApplication.processEvents()
     scene = panel.plot.view.mapViewToScene(QPointF(mode, 0.0))
     at = panel.plot.graphics.mapFromScene(scene)
-    QtBot.mouseClick(panel.plot.graphics.viewport(), Qt.MouseButton.LeftButton, pos=QPoint(at.x(), at.y()))  # type: ignore[no-untyped-call]
+    QtBot.mouseClick(panel.plot.graphics.viewport(), Qt.MouseButton.LeftButton, pos=QPoint(at.x(), at.y()))  # type: ignore[no-untyped-call] # pytest-qt declares no types
 
 
 def test_bars_are_the_coefficients_of_the_selected_view(window: MainWindow, qtbot: QtBot) -> None:
@@ -164,7 +164,7 @@ def test_table_copies_all_rows_or_the_selected_ones(window: MainWindow, qtbot: Q
     window.show_measurement(measurement(-0.5))
     qtbot.waitUntil(lambda: panel.plot.title.text().startswith("Coefficients (nm)"))
     click(qtbot, panel.table_toggle, panel.table_toggle.rect().center())
-    QtBot.keyClick(panel.table, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call]
+    QtBot.keyClick(panel.table, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
     clipboard = QApplication.clipboard()
     assert clipboard is not None
     lines = [line.split("\t") for line in clipboard.text().splitlines()]
@@ -173,7 +173,7 @@ def test_table_copies_all_rows_or_the_selected_ones(window: MainWindow, qtbot: Q
     assert float(lines[3][1]) == pytest.approx(-0.5 * 462 / (2 * np.pi), abs=0.05)
     assert len(lines) == panel.table.rowCount() + 1
     panel.table.selectRow(2)
-    QtBot.keyClick(panel.table, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call]
+    QtBot.keyClick(panel.table, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
     assert len(clipboard.text().splitlines()) == 2
 
 

@@ -117,7 +117,7 @@ def test_double_click_opens_the_enlarged_view(window: MainWindow, qtbot: QtBot) 
     panel = window.panels.wavefronts
     corner = panel.grid.tile(2, 0).center()
     click(qtbot, panel.grid, corner)
-    qtbot.mouseDClick(panel.grid, Qt.MouseButton.LeftButton, pos=corner)  # type: ignore[no-untyped-call]
+    qtbot.mouseDClick(panel.grid, Qt.MouseButton.LeftButton, pos=corner)  # type: ignore[no-untyped-call] # pytest-qt declares no types
     enlarged = window.findChild(EnlargedView)
     assert enlarged is not None
     assert enlarged.isVisible()
@@ -156,8 +156,8 @@ def test_enlarged_view_paints_contours_and_a_surface_that_turns(window: MainWind
     assert 0.01 < changed.mean() < 0.3
     before = picture(enlarged.surface).astype(int)
     assert (np.ptp(before, axis=2) > 30).mean() > 0.02  # coloured faces
-    qtbot.mousePress(enlarged.surface, Qt.MouseButton.LeftButton, pos=QPoint(80, 80))  # type: ignore[no-untyped-call]
-    qtbot.mouseMove(enlarged.surface, QPoint(120, 80))  # type: ignore[no-untyped-call]
+    qtbot.mousePress(enlarged.surface, Qt.MouseButton.LeftButton, pos=QPoint(80, 80))  # type: ignore[no-untyped-call] # pytest-qt declares no types
+    qtbot.mouseMove(enlarged.surface, QPoint(120, 80))  # type: ignore[no-untyped-call] # pytest-qt declares no types
     assert enlarged.surface.azimuth_rad == pytest.approx(0.2)
     assert (np.abs(picture(enlarged.surface).astype(int) - before).max(axis=2) > 30).any()
 

@@ -118,7 +118,7 @@ def test_frame_is_reconstructed_until_the_camera_starts(
     assert abs(newest.latency_s) < 60
     qtbot.waitUntil(lambda: window.controls.start.text() == "Start")
     press(qtbot, window, Qt.Key.Key_Space)
-    qtbot.waitUntil(lambda: window.controller.acquisition.newest is not newest)  # type: ignore[union-attr]
+    qtbot.waitUntil(lambda: window.controller.acquisition.newest is not newest)  # type: ignore[union-attr] # it is live
 
 
 @pytest.mark.slow

@@ -97,7 +97,7 @@ def test_light_key_works_in_every_dialog(live: tuple[MainWindow, FakeCamera], qt
         activate(dialog, qtbot)
         press(qtbot, focused(dialog), Qt.Key.Key_L)
         qtbot.waitUntil(lambda before=before: camera.light.shines != before)  # type: ignore[misc] # mypy and defaults
-        qtbot.waitUntil(lambda before=before: window.controls.light.text() == f"Light {'off' if before else 'on'}")  # type: ignore[misc]
+        qtbot.waitUntil(lambda before=before: window.controls.light.text() == f"Light {'off' if before else 'on'}")  # type: ignore[misc] # mypy and defaults
         dialog.close()
         activate(window, qtbot)
         assert focused(window) is window, name
@@ -113,7 +113,7 @@ def test_light_key_is_never_swallowed(
     activate(window, qtbot)
     for stage in ("recording", "finished"):
         press(qtbot, window, Qt.Key.Key_W)
-        qtbot.waitUntil(lambda stage=stage: window.recording_bar._stage == stage)  # type: ignore[misc]
+        qtbot.waitUntil(lambda stage=stage: window.recording_bar._stage == stage)  # type: ignore[misc] # mypy and defaults
     if field == "name":
         window.recording_bar.name.setFocus()  # as by a click
     else:
@@ -320,7 +320,7 @@ def text_of(field: QWidget) -> str:
 def test_name_is_typed_in_the_dark_after_its_key(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     switch_off(window, qtbot)
-    qtbot.keyClick(window, Qt.Key.Key_W, Qt.KeyboardModifier.ShiftModifier)  # type: ignore[no-untyped-call]
+    qtbot.keyClick(window, Qt.Key.Key_W, Qt.KeyboardModifier.ShiftModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
     for letter in "MOLE":
         press(qtbot, focused(window), Qt.Key(ord(letter)))
     assert window.recording_bar.name.text() == "mole"

@@ -83,7 +83,7 @@ def test_open_window_follows_the_desktop(
     desktop.change(Qt.ColorScheme.Light)
     for panel in (*tabs(window).values(), window.panels.camera, window.panels.wavefronts):
         window.docks.show_panel(panel)
-        qtbot.waitUntil(lambda panel=panel: share(panel, theme.BACKGROUND.name()) > 3000)  # type: ignore[misc]
+        qtbot.waitUntil(lambda panel=panel: share(panel, theme.BACKGROUND.name()) > 3000)  # type: ignore[misc] # mypy and defaults
         assert theme.BACKGROUND.name() == "#eef0f3"
         for colour in (theme.BACKGROUND, theme.SURFACE, theme.LINE):
             assert share(panel, dark[id(colour)]) < 30, (type(panel).__name__, dark[id(colour)])

@@ -132,7 +132,7 @@ def test_camera_picture_cannot_be_lost(make_window: MakeWindow, qtbot: QtBot) ->
         zoomed(window, 2)
     assert seen(panel).width() <= 2.5 * whole.width()
     zoomed(window, 0.3)
-    qtbot.mouseDClick(panel._graphics.viewport(), Qt.MouseButton.LeftButton, pos=QPoint(100, 80))  # type: ignore[no-untyped-call]
+    qtbot.mouseDClick(panel._graphics.viewport(), Qt.MouseButton.LeftButton, pos=QPoint(100, 80))  # type: ignore[no-untyped-call] # pytest-qt declares no types
     assert seen(panel) == whole
 
 
@@ -149,4 +149,4 @@ def test_screenshot_makes_a_missing_picture_folder(
 
 
 def press_with_control(qtbot: QtBot, window: MainWindow) -> None:
-    qtbot.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call]
+    qtbot.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -150,3 +151,15 @@ def test_calibrate_tells_the_scale(monkeypatch: pytest.MonkeyPatch, capsys: pyte
     assert "scales every wavefront" not in right
     assert "3.8 % larger than the bench's lengths say" in calibrate("sensor.lenslet_focal_length_m=0.045")
     assert "unknown: the reference does not show the mask circle" in calibrate("simulation.source.mask=circle")
+
+
+@pytest.mark.parametrize("found", [MaskScale("image", 1.02, 1e-3, "turned by 90 degrees"), None])
+def test_json_has_scale_and_orientation(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], found: MaskScale | None
+) -> None:
+    monkeypatch.setattr("app.measurement.mask_scale.mask_scale", lambda *_: found)
+    images = (REAL_LIGHT / "square_reference.tif", "--bench", REAL_LIGHT / "bench.toml")
+    assert run(monkeypatch, "calibrate", *images, "--json") == 0
+    figures = json.loads(capsys.readouterr().out)
+    expected = (None, None, None) if found is None else (found.scale, found.sigma, found.orientation)
+    assert (figures["scale"], figures["scale_sigma"], figures["orientation"]) == expected

@@ -85,7 +85,7 @@ def test_hdf_file_keeps_what_the_disk_refuses(tmp_path: Path, room: int) -> None
     path, values = tmp_path / "file.nc", np.random.default_rng(0).normal(size=(40, 60))
     path.touch()
     file = HdfFile(path)
-    file._file = Filling(file._file, room)  # type: ignore[assignment]
+    file._file = Filling(file._file, room)  # type: ignore[assignment] # it acts like one
     with h5netcdf.File(file, "w") as written:
         written.dimensions = {"y": None, "x": 60}
         written.create_variable("a", ("y", "x"), float)
@@ -108,7 +108,7 @@ def test_hdf_file_changes_its_length(tmp_path: Path, room: int) -> None:
     path = tmp_path / "file.nc"
     path.write_bytes(b"abcdefgh")
     file = HdfFile(path)
-    file._file = Filling(file._file, room)  # type: ignore[assignment]
+    file._file = Filling(file._file, room)  # type: ignore[assignment] # it acts like one
     file.seek(4)
     file.write(b"EF")
     assert (file.truncate(7), file.tell(), file.seek(0, os.SEEK_END)) == (7, 6, 7)
@@ -131,8 +131,8 @@ def test_length_that_the_disk_refuses_fails_on_closing(tmp_path: Path) -> None:
     path = tmp_path / "file.nc"
     path.write_bytes(b"abcdefgh")
     file = HdfFile(path)
-    file._file = Filling(file._file, 10**6)  # type: ignore[assignment]
-    file._file.truncate = _refuse  # type: ignore[assignment,method-assign]
+    file._file = Filling(file._file, 10**6)  # type: ignore[assignment] # it acts like one
+    file._file.truncate = _refuse  # type: ignore[assignment,method-assign] # as on a full disk
     assert file.truncate(12) == 12
     assert file.read() == b"abcdefgh\0\0\0\0"
     file.seek(0)

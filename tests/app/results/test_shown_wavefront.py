@@ -77,7 +77,7 @@ def test_lenslet_lost_in_one_frame_keeps_the_mean_of_the_others() -> None:
     first, second = bowl(), bowl(1000.0)
     valid = np.ones(U.shape, np.bool_)
     valid[2, 0] = False
-    lossy = replace(second, solution=replace(second.solution, valid=valid))  # type: ignore[arg-type]
+    lossy = replace(second, solution=replace(second.solution, valid=valid))  # type: ignore[arg-type] # its solution has one
     shown = show(DisplayOptions(averaged=2, without_tilt=True, without_defocus=True), first, lossy)
     assert np.isfinite(shown).all()
 

@@ -242,7 +242,7 @@ def test_lack_of_memory_is_reported(faults: DemoCamera, camera: MicroManagerCame
     def lack(_: int) -> None:
         raise MemoryError
 
-    faults.faulty.setCircularBufferMemoryFootprint = lack  # type: ignore[attr-defined]
+    faults.faulty.setCircularBufferMemoryFootprint = lack  # type: ignore[attr-defined] # injected fault
     with pytest.raises(DeviceError, match=r"lower camera\.ring_frames"):
         camera.start()
     assert camera.state == "stopped"
@@ -372,7 +372,7 @@ def test_binning_texts(camera: MicroManagerCamera, texts: tuple[str, ...], binni
     def answer(name: str, *_: str) -> tuple[str, ...]:
         return {"getDevicePropertyNames": ("Binning",), "getAllowedPropertyValues": texts}[name]
 
-    camera._line.call = answer  # type: ignore[method-assign]
+    camera._line.call = answer  # type: ignore[method-assign] # stands in for the camera
     found = camera._find_binnings()
     del camera._line.call
     assert found == binnings
