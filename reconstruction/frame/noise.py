@@ -22,7 +22,6 @@ _LEAST_NOISE = 2e-3  # of the light; noise-free images of lenslets seem to have 
 _BRIGHT = 0.1  # of the brightest bin; dimmer ones tell little about shot noise
 _TERMS = 2  # of a bent curve: proportional to light, and to its square
 _CHANCE = 4.0  # standard errors below which a bend counts as noise
-_CHANCE_OF_TWO = 3.3  # the same of the difference of two bends, whose standard error is rather too large
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +49,7 @@ class TransferCurve:
     light: Floats  # counts, rising
     variance: Floats  # counts^2
     read_variance: float  # without light, counts^2
+    relative_error: float = 0.0  # of each variance, at least
 
     @property
     def noise(self) -> CameraNoise | None:
@@ -86,7 +86,7 @@ class TransferCurve:
         least, most = sorted((there, there / averaged))
         beyond = here - min(max(here, least), most)
         brightest = min(np.max(self.light), np.max(other.light))
-        return float(max(abs(beyond) - _CHANCE_OF_TWO * math.hypot(error, other_error), 0.0) * brightest)
+        return float(max(abs(beyond) - _CHANCE * math.hypot(error, other_error), 0.0) * brightest)
 
     @property
     def _bend(self) -> tuple[float, float] | None:
@@ -102,6 +102,7 @@ class TransferCurve:
         if slope <= 0:
             return None
         scatter = np.sum((shot - terms @ (slope, bend)) ** 2) / (len(terms) - _TERMS)
+        scatter = max(scatter, self.relative_error**2)  # a few bins may agree by chance
         whole = slope * np.max(light)
         return float(bend / whole), float(math.sqrt(scatter * np.sum(inverse[1] ** 2)) / whole)
 
@@ -173,7 +174,13 @@ def image_transfer(light: Image, blur_px: float) -> TransferCurve | None:
     if variance[-1] < (_LEAST_NOISE * levels[-1]) ** 2:
         return None
     darkest = int(np.argmin(variance))
-    return TransferCurve(levels - levels[darkest], variance, float(variance[darkest]))  # stray light is not read noise
+    independent = np.mean(is_noise) * light.size / _BINS  # pixels of a bin
+    return TransferCurve(
+        levels - levels[darkest],  # stray light is not read noise
+        variance,
+        float(variance[darkest]),
+        relative_error=math.sqrt(2 / independent),
+    )
 
 
 def _typical_square(deviations: Floats) -> float:

@@ -57,6 +57,7 @@ _BLOCKED = 0.1  # share of the reference's lit lenslets that are dark
 _UNEVEN = 2.0  # factor by which the light of a lenslet, over that of most, may differ from the reference's
 _DIM = 0.01  # of the reference's light; below, what remains may be stray light
 _STRAY = 0.006  # rise of stray light from lenslet to lenslet, over the brightest; it adds 0.03 rad
+_STRAY_SHARE = 0.03  # the same per px of deformation: subimages that grow across the pupil fill their gaps
 _STEP_PX = 2  # between the pixels that are looked at, along each axis; 1 where a point's image is narrower
 _ACROSS = np.linspace(-0.8, 0.8, 5)  # normalised field positions at which deformation is taken
 _MODES_SHARE, _MOST_DEGREE = 0.36, 16  # modes of a smooth wavefront over the number of slopes, and their degree
@@ -168,7 +169,9 @@ class FrameJudge:
         elif uneven > _BLOCKED * ratio.size:
             change = f"relative to the others, by more than a factor of {_UNEVEN:g} since the reference"
             yield Fault.ILLUMINATION, f"the light of {uneven} lenslets has changed, {change}"
-        elif (rise := self._stray.rise(frame)) > _STRAY:
+        elif (rise := self._stray.rise(frame)) > _STRAY and rise > math.hypot(
+            _STRAY, _STRAY_SHARE * self._sizes_px(displacement)[0]
+        ):
             change = f"by {100 * rise:.1f} % of the brightest pixels from lenslet to lenslet"
             yield Fault.ILLUMINATION, f"stray light rises across the frame, {change}: keep it off the camera"
         else:

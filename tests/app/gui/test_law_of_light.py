@@ -343,16 +343,21 @@ def test_menu_switches_the_light_on_although_a_field_has_the_focus(
 
 
 @pytest.mark.slow
-def test_reconnecting_leaves_the_light_off(make_window: MakeWindow, qtbot: QtBot) -> None:
+@pytest.mark.parametrize("is_late", [False, True])
+def test_reconnecting_leaves_the_light_off(make_window: MakeWindow, qtbot: QtBot, *, is_late: bool) -> None:
+    """Also if it was switched off after the camera had failed."""
     first, second = FakeCamera(), FakeCamera()
     lit: list[bool] = []
     second.light._switch = lambda *, on: lit.append(on)  # type: ignore[method-assign] # watched
     window = make_window(first, second)
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
-    switch_off(window, qtbot)
+    if not is_late:
+        switch_off(window, qtbot)
     first.fault = Disconnected("the camera was unplugged")
     qtbot.waitUntil(window.messages.reconnect.isVisible)
+    if is_late:
+        press(qtbot, window, Qt.Key.Key_L)
     window.messages.reconnect.click()
     qtbot.waitUntil(lambda: second.is_running and window.controller.is_settled)
     assert second.stage.is_sample_in

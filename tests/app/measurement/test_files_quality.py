@@ -1,6 +1,7 @@
 """Verdicts on frames from image files: integer counts with a dark, whose noise is estimated from the images."""
 
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -191,6 +192,26 @@ def test_even_stray_light_and_uneven_light_do_not_rise(change: str) -> None:
     quality, _ = measured(exposed(frame + 0.15 * ELECTRONS if change == "the same everywhere" else fading, 2))
     assert "stray light" not in quality.sentence
     assert "not alike" not in quality.sentence
+
+
+@pytest.mark.slow
+def test_strong_cubic_wavefront_is_no_stray_light(tmp_path: Path) -> None:
+    """Subimages that grow across the pupil fill their gaps; 21 rad."""
+    _, x = np.mgrid[-1:1:385j, -1:1:385j]
+    cubic = x**3 - 0.6 * x
+    np.save(tmp_path / "screen.npy", 30 * cubic / np.std(cubic))
+    bench = load_bench("small_demo", (f"simulation.screen.file={tmp_path / 'screen.npy'}",))
+    frames = NoiseFreeFrames(bench)
+    scale = np.float32(ELECTRONS / frames.reference().max())
+    frame = exposed(frames.frame().photons * scale, 2)
+    reconstructor = BenchReconstructor(bench, exposed(frames.reference() * scale, 1), dark=dark(), frame=frame)
+    assert Fault.ILLUMINATION not in reconstructor.quality(frame, reconstructor(frame)).faults
+
+
+def test_grey_values_are_not_compared_without_a_dark() -> None:
+    frame = gamma(exposed(light()[1], 2), 1.8)
+    reconstructor = BenchReconstructor(load_bench("small_demo"), exposed(light()[0], 1), frame=frame)
+    assert "not alike" not in reconstructor.quality(frame, reconstructor(frame)).sentence
 
 
 @pytest.mark.parametrize(("seed", "rms_rad"), [(1, 0.5), (4, 4.0)])
