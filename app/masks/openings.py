@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.errors import InputError
+from app.files import check_readable
 from reconstruction.arrays import Floats
 from reconstruction.geometry import centered_steps
 from simulated_devices.optics.source import read_grey_image
@@ -92,6 +93,7 @@ def openings(name: str, source: Source, size_m: float) -> Openings:
     path = Path(source.file if name == "image" else name)
     if not path.exists():
         raise InputError(f"there is no mask and no file {path}: give the file of a picture, or {known}")
+    check_readable(path)
     return _of_picture(path, size_m)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -60,6 +61,13 @@ def test_unusable_input_is_one_sentence(
     assert sentence in said
     assert said.count("\n") == 1
     assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no named pipes in folders")
+def test_pipe_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo("pipe")
+    assert run(monkeypatch, "mask", "pipe", "--out", "m.svg") == 2
+    assert capsys.readouterr().err == "svwfs: pipe: not a file\n"
 
 
 def test_existing_file_is_replaced_only_if_asked(
