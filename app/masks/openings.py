@@ -21,7 +21,7 @@ from simulated_devices.optics.source import read_grey_image
 from simulated_devices.settings import Source
 
 TOLERANCE_M = 10e-9  # of round openings, which are polygons
-_MOST_PIXELS = 1024  # along a side of a picture; to find its narrowest gap takes seconds then
+_MOST_PIXELS = 512  # along a side of a picture; a chequer of single pixels takes 15 s to write as DXF then
 _LEAST_SIZE_M, _MOST_SIZE_M = 2e-6, 0.2  # of the simulator, too
 
 
