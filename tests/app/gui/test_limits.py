@@ -177,6 +177,20 @@ def test_former_limits_hold_while_texts_are_refused(window: MainWindow, lowest: 
     assert panel.form.limits() == {}
 
 
+def test_changed_limit_is_judged_at_once(window: MainWindow) -> None:
+    panel = window.panels.history
+    set_limits(panel, RMS, highest="1")
+    follow(window, RMS, (0.0, 2.0))
+    assert window.status_line.limits.text() == "fail"
+    set_limits(panel, RMS, highest="1.5")
+    window.update_text()
+    assert window.status_line.limits.text() == "fail"
+    set_limits(panel, RMS, highest="5")
+    window.update_text()
+    assert window.status_line.limits.text() == "pass"
+    assert window.messages.text.text() == "Within the limits again: RMS"
+
+
 def test_limits_are_kept_between_two_starts(make_window: MakeWindow, tmp_path: Path) -> None:
     settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
     first = make_window(settings=settings)
