@@ -99,7 +99,11 @@ def find_lattice(
         found = survey(image, bench.sensor, dark=dark_image, full_scale=most, progress=progress)
         calibrated = dataclasses.replace(bench, lattice=_rounded(found.lattice))
         light = np.subtract(image, 0 if dark_image is None else dark_image, dtype=np.float32)
-        return CalibratedBench(image, bench, calibrated, found, mask_scale(calibrated, light))
+        try:
+            scale = mask_scale(calibrated, light)
+        except ReconstructionError:  # too little light, or none beside the dark
+            scale = None
+        return CalibratedBench(image, bench, calibrated, found, scale)
     except ReconstructionError as error:
         raise InputError(f"{dark if error.image == 'dark' else reference}: {error}") from error
     except ValueError as error:  # a pitch far from the design

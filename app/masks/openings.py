@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.errors import InputError
+from app.files import check_readable
 from reconstruction.arrays import Floats
 from reconstruction.geometry import centered_steps
 from simulated_devices.optics.source import read_grey_image
 from simulated_devices.settings import Source
 
 TOLERANCE_M = 10e-9  # of round openings, which are polygons
-_MOST_PIXELS = 1024  # along a side of a picture; to find its narrowest gap takes seconds then
+_MOST_PIXELS = 512  # along a side of a picture; a chequer of single pixels takes 15 s to write as DXF then
 _LEAST_SIZE_M, _MOST_SIZE_M = 2e-6, 0.2  # of the simulator, too
 
 
@@ -92,6 +93,7 @@ def openings(name: str, source: Source, size_m: float) -> Openings:
     path = Path(source.file if name == "image" else name)
     if not path.exists():
         raise InputError(f"there is no mask and no file {path}: give the file of a picture, or {known}")
+    check_readable(path)
     return _of_picture(path, size_m)
 
 

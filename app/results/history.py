@@ -53,27 +53,31 @@ class SeriesLimits:
 class LimitWatch:
     """Tells once when a series crosses its limits, and once when it is back.
 
-    It is back when it has been within for `calm_s`, so that noise at a limit is one crossing.
+    It is back when it has been within for `calm_s`, so that noise at a limit is one crossing; at once if the limits
+    are others now.
     """
 
     def __init__(self, calm_s: float = 2.0) -> None:
         self._calm_s = calm_s
-        self.beyond: dict[str, float] = {}  # series, and when it was last seen beyond, s
+        self.beyond: dict[str, tuple[float, SeriesLimits]] = {}  # series; when it was last beyond which limits, s
 
     def follow(
         self, time_s: float, values: Mapping[str, float], limits: Mapping[str, SeriesLimits]
     ) -> tuple[list[str], list[str]]:
         """Compare the values of a time; return the series that have crossed, and those that are back."""
-        self.beyond = {name: last_s for name, last_s in self.beyond.items() if name in limits}
+        self.beyond = {name: last for name, last in self.beyond.items() if name in limits}
         crossed, back = [], []
         for name, limit in limits.items():
             value = values.get(name, math.nan)
             if limit.broken_by(value):
                 crossed += [name] * (name not in self.beyond)
-                self.beyond[name] = time_s
-            elif math.isfinite(value) and abs(time_s - self.beyond.get(name, time_s)) >= self._calm_s:
-                del self.beyond[name]
-                back.append(name)
+                self.beyond[name] = time_s, limit
+            elif math.isfinite(value) and name in self.beyond:
+                last_s, before = self.beyond[name]
+                # as texts, in which one NaN is like another
+                if abs(time_s - last_s) >= self._calm_s or str(limit) != str(before):
+                    del self.beyond[name]
+                    back.append(name)
         return crossed, back
 
 

@@ -74,6 +74,8 @@ def _check_sums(path: Path | str) -> None:
     """Raise `InputError` if a variable differs from what was written; files before 0.3 have no checksums."""
     with h5py.File(path, "r") as file:
         file.attrs.get("_nc3_strict")  # if that fails, h5netcdf fails with a traceback from its destructor, too
+        if file.visititems(_has_odd_scales):
+            raise InputError(f"{path}: is damaged: its variables are not tied to dimensions as in a NetCDF-4 file")
         for name, written in file[_CHECKSUMS].attrs.items() if _CHECKSUMS in file else ():
             if name == _BENCH:
                 if _checksum(np.array(file.attrs["bench"], object)) != written:
@@ -84,6 +86,26 @@ def _check_sums(path: Path | str) -> None:
                 found = _checksum(variable[... if first is None else slice(first, first + PIECE)], found)
             if found != written:
                 raise InputError(f"{path}: is damaged: {name} is not what was written; reconstruct the frames again")
+
+
+def _has_odd_scales(_: str, stored: object) -> bool | None:
+    """Tell of a dataset whose links to dimensions HDF5 would read beyond its memory; None, to go on, if they are sound.
+
+    HDF5 takes the links for one list of references for each dimension, whatever they are, and aborts the process.
+    """
+    if not isinstance(stored, h5py.Dataset):
+        return None
+    reference = h5py.h5t.STD_REF_OBJ
+    if "DIMENSION_LIST" in stored.attrs:
+        links = stored.attrs.get_id("DIMENSION_LIST")
+        kind = links.get_type()
+        if not isinstance(kind, h5py.h5t.TypeVlenID) or kind.get_super() != reference or links.shape != (stored.ndim,):
+            return True
+    if "REFERENCE_LIST" in stored.attrs:
+        kind = stored.attrs.get_id("REFERENCE_LIST").get_type()
+        if not isinstance(kind, h5py.h5t.TypeCompoundID) or kind.get_member_type(0) != reference:
+            return True
+    return None
 
 
 def _checksum(values: Any, before: int = 0) -> int:

@@ -70,11 +70,14 @@ _ITERATIONS_PER_POINT = 30
 def mean_subimage(reference: ReferenceSubimages) -> tuple[Floats, Floats]:
     """Mean subimage of the lit lenslets, of unit sum, (width, width), and the light of each lenslet, counts.
 
-    The light is (lenslet_row, lenslet_column); 0 where the lenslet is dark.
+    The light is (lenslet_row, lenslet_column); 0 where the lenslet is dark. `ReconstructionError` if there is none.
     """
     light = np.where(reference.lit, np.sum(reference.light, axis=1), 0.0)
     light = np.maximum(light, 0.0)
-    mean = np.sum(reference.light[reference.lit], axis=0) / np.sum(light)
+    total = np.sum(light)
+    if not total > 0:
+        raise ReconstructionError("the reference has no light above its background: is the dark brighter?")
+    mean = np.sum(reference.light[reference.lit], axis=0) / total
     return mean.reshape(reference.width, reference.width), light.reshape(reference.lenslets)
 
 

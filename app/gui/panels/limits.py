@@ -30,25 +30,28 @@ class LimitLine(NumberLine):
         self._shown, self._unit = shown, UNITS.get(series, "").partition(" ")[0]
         self.editingFinished.connect(self._add_unit)
 
-    @property
-    def value(self) -> float:
-        """The limit, phases in rad; NaN if it is none."""
-        value, unit = self.typed()
+    def value_of(self, text: str) -> float:
+        """Return the limit that a text stands for, phases in rad; NaN if it is none."""
+        value, unit = self.typed(text)
         return value if self._unit else value / Unit(unit).per_rad(self._shown.wavelength_m)
 
-    def typed(self) -> tuple[float, str]:
-        """Return the number, NaN if it is none, and its unit."""
-        text = self.text().strip()
+    def typed(self, text: str) -> tuple[float, str]:
+        """Return the number of a text, NaN if it is none, and its unit."""
+        text = text.strip()
         units = [self._unit] if self._unit else [self._shown.unit, *Unit]
         unit = next((one for one in units if text.endswith(one)), "")
         number = typed_number(text.removesuffix(unit), "", 1.0)
         return math.nan if number is None else number, unit or units[0]
 
+    def with_unit(self) -> str:
+        """Return the text with its unit, so that it still means the same in another unit of the display."""
+        text = self.text().strip()
+        value, unit = self.typed(text)
+        return f"{text} {unit}" if math.isfinite(value) and not text.endswith(unit) else text
+
     def _add_unit(self) -> None:
-        """Write the unit after the number, so that it still means the same in another unit of the display."""
-        value, unit = self.typed()
-        if math.isfinite(value) and not self.text().strip().endswith(unit):
-            self.setText(f"{self.text().strip()} {unit}")
+        if self.with_unit() != self.text().strip():
+            self.setText(self.with_unit())
 
 
 class LimitsForm(QDialog):
@@ -62,6 +65,7 @@ class LimitsForm(QDialog):
         self._shown, self._pinned, self._pinned_label = shown, "", label(_PINNED)
         self.beep = Toggle("Beep", "Beep when a value crosses a limit", key="history/beep")
         self.lines: dict[str, tuple[LimitLine, LimitLine]] = {}
+        self._in_force: dict[str, tuple[str, str]] = {}  # the last texts of a series that were limits
         grid = QGridLayout()
         for at, text in enumerate(("", "at least", "at most")):
             grid.addWidget(label(text, "dim"), 0, at)
@@ -78,24 +82,34 @@ class LimitsForm(QDialog):
         grid.addWidget(shown_name, at, 0)
         keys = [f"history/{end} {name}" if name else "" for end in ("lowest", "highest")]
         self.lines[name] = LimitLine(self._shown, name, keys[0]), LimitLine(self._shown, name, keys[1])
+        self._in_force[name] = "", ""
         for side, line in enumerate(self.lines[name], 1):
             line.textChanged.connect(lambda _, name=name: self._change(name))
             grid.addWidget(line, at, side)
 
     def _change(self, name: str) -> None:
-        """Mark texts that are no number, and pairs whose lower limit is above the upper one."""
-        low, high = (line.value for line in self.lines[name])
-        for line in self.lines[name]:
-            is_number = math.isfinite(line.typed()[0]) or not line.text().strip()
-            why = "This is no number with its unit" * (not is_number) or "No value can be within" * (low > high)
-            line.setToolTip(why)
+        """Mark texts that are no number, and pairs whose lower limit is above the upper one; others come into force."""
+        lower, upper = self.lines[name]
+        are_crossed = lower.value_of(lower.text()) > upper.value_of(upper.text())
+        reasons = []
+        for line in (lower, upper):
+            is_number = math.isfinite(line.typed(line.text())[0]) or not line.text().strip()
+            reasons.append(
+                "This is no number with its unit" * (not is_number) or "No value can be within" * are_crossed
+            )
+        if not any(reasons):
+            self._in_force[name] = lower.with_unit(), upper.with_unit()
+        holds = ": the former limits hold" if any(self._in_force[name]) else ""
+        for line, why in zip((lower, upper), reasons, strict=True):
+            line.setToolTip(why and why + holds)
             mark_refused(line, is_refused=bool(why))
         self.changed.emit()
 
     def limits(self) -> dict[str, SeriesLimits]:
-        """Return the limits by series, phases in rad."""
+        """Return the limits in force by series, phases in rad."""
         found = {
-            name or self._pinned: SeriesLimits(*(line.value for line in lines)) for name, lines in self.lines.items()
+            name or self._pinned: SeriesLimits(*(line.value_of(text) for line, text in zip(lines, texts, strict=True)))
+            for (name, lines), texts in zip(self.lines.items(), self._in_force.values(), strict=True)
         }
         return {name: limits for name, limits in found.items() if name and limits.is_set}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from support.command_line import run
 
-LONG = 1025
+LONG = 513
 
 
 @pytest.fixture(autouse=True)
@@ -33,7 +34,7 @@ def pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("never_dark.npy --out m.svg", "never_dark.npy is grey (2 levels, the darkest 1)"),
         ("empty.npy --out m.svg", "must hold finite brightness of 0 or more, and not all of it 0"),
         ("text.png --out m.svg", "file = 'text.png' is not a readable image: unknown format"),
-        ("long.npy --out m.svg", "long.npy has more than 1024 pixels along a side: make the picture smaller"),
+        ("long.npy --out m.svg", "long.npy has more than 512 pixels along a side: make the picture smaller"),
         ("image --out m.svg", "the bench names no picture for the mask image: give the file itself"),
         ("square --size 0mm --out m.svg", "a mask of 0 mm cannot be drawn: choose a size from 2 um to 200 mm"),
         ("square --size=-1mm --out m.svg", "a mask of -1 mm cannot be drawn"),
@@ -60,6 +61,13 @@ def test_unusable_input_is_one_sentence(
     assert sentence in said
     assert said.count("\n") == 1
     assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no named pipes in folders")
+def test_pipe_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo("pipe")
+    assert run(monkeypatch, "mask", "pipe", "--out", "m.svg") == 2
+    assert capsys.readouterr().err == "svwfs: pipe: not a file\n"
 
 
 def test_existing_file_is_replaced_only_if_asked(

@@ -161,6 +161,36 @@ def test_what_is_no_limit_is_red(window: MainWindow, text: str) -> None:
     assert not line.styleSheet()
 
 
+@pytest.mark.parametrize(("lowest", "highest"), [("", "0.5x"), ("3", "2")])
+def test_former_limits_hold_while_texts_are_refused(window: MainWindow, lowest: str, highest: str) -> None:
+    panel = window.panels.history
+    set_limits(panel, RMS, highest="1")
+    set_limits(panel, RMS, lowest, highest)
+    line = panel.form.lines[RMS][1]
+    assert theme.RED.name() in line.styleSheet()
+    assert line.toolTip().endswith(": the former limits hold")
+    window.shown.unit = Unit.NM
+    assert panel.form.limits()[RMS].highest == 1
+    assert follow(window, RMS, (0.0, 5.0)) != []
+    assert window.status_line.limits.text() == "fail"
+    set_limits(panel, RMS)
+    assert panel.form.limits() == {}
+
+
+def test_changed_limit_is_judged_at_once(window: MainWindow) -> None:
+    panel = window.panels.history
+    set_limits(panel, RMS, highest="1")
+    follow(window, RMS, (0.0, 2.0))
+    assert window.status_line.limits.text() == "fail"
+    set_limits(panel, RMS, highest="1.5")
+    window.update_text()
+    assert window.status_line.limits.text() == "fail"
+    set_limits(panel, RMS, highest="5")
+    window.update_text()
+    assert window.status_line.limits.text() == "pass"
+    assert window.messages.text.text() == "Within the limits again: RMS"
+
+
 def test_limits_are_kept_between_two_starts(make_window: MakeWindow, tmp_path: Path) -> None:
     settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
     first = make_window(settings=settings)

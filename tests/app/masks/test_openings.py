@@ -72,6 +72,7 @@ def test_rectangles_cover_every_open_pixel_once(picture: np.ndarray[tuple[int, i
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("app.masks.openings.read_grey_image", lambda _: picture.astype(np.float64))
         patch.setattr(Path, "exists", lambda _: True)
+        patch.setattr("app.masks.openings.check_readable", lambda _: None)
         mask = openings(str(path), Source(), 1e-3)
     pixel_m, count = 1e-3 / max(picture.shape), np.zeros(picture.shape, int)
     middle = np.array(picture.shape)[::-1] / 2

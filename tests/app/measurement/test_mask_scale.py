@@ -20,6 +20,7 @@ from app.evaluation.frames import NoiseFreeFrames
 from app.images import read_image
 from app.measurement.mask_scale import MaskScale, mask_scale
 from reconstruction.arrays import Image
+from reconstruction.errors import ReconstructionError
 from reconstruction.lattice.search import survey
 
 REAL_LIGHT = FOREIGN_FRAMES / "real_light"
@@ -131,6 +132,12 @@ def test_orientation_of_an_asymmetric_mask_is_found(tmp_path: Path, orientation:
     assert found.scale == pytest.approx(1, abs=2e-3)
     assert orientation in " ".join(found.faults)
     assert bool(found.faults) == bool(orientation)
+
+
+def test_reference_without_light_is_refused() -> None:
+    bench, light = other_simulator("square")
+    with pytest.raises(ReconstructionError, match="no light above its background"):
+        mask_scale(bench, -light)
 
 
 def test_another_mask_is_no_ruler() -> None:

@@ -66,6 +66,24 @@ def _wrong_encoding(file: h5py.File) -> None:
     file["wavefront"].attrs["scale_factor"] = "x"
 
 
+def _numbers_for_dimensions(file: h5py.File) -> None:
+    file["view_y"].attrs["DIMENSION_LIST"] = np.arange(4)
+
+
+def _too_many_dimensions(file: h5py.File) -> None:
+    links = np.empty(4, object)
+    links[:] = [np.array([file["view_row"].ref], h5py.ref_dtype)] * 4
+    file["view_y"].attrs.create("DIMENSION_LIST", links, dtype=h5py.vlen_dtype(h5py.ref_dtype))
+
+
+def _numbers_for_users_of_a_dimension(file: h5py.File) -> None:
+    file["view_row"].attrs["REFERENCE_LIST"] = np.arange(4)
+
+
+_BROKEN = [_loop, _external, _no_dimensions, _no_scale, _wrong_encoding]
+_ODD_LINKS = [_numbers_for_dimensions, _too_many_dimensions, _numbers_for_users_of_a_dimension]
+
+
 def read_all(path: Path) -> None:
     """Read a file in all the ways of the commands."""
     stored_frame(path, 0, "displacement", "displacement_sigma", "valid")
@@ -73,7 +91,7 @@ def read_all(path: Path) -> None:
     StoredWavefront.from_results(path)
 
 
-@pytest.mark.parametrize("damage", [_loop, _external, _no_dimensions, _no_scale, _wrong_encoding])
+@pytest.mark.parametrize("damage", [*_BROKEN, *_ODD_LINKS])
 def test_broken_structure_is_one_sentence(damage: Callable[[h5py.File], None], mine: Path) -> None:
     read_all(mine)
     with h5py.File(mine, "r+") as file:
