@@ -9,9 +9,10 @@ import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import cache, lru_cache
+from functools import cache, wraps
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 from zipfile import BadZipFile
 
 import numpy as np
@@ -71,15 +72,25 @@ def _load(path: Path) -> Arrays | None:
     return result
 
 
-_caches: list[Any] = []
+def kept_while_alive(maxsize: int) -> Callable[[Any], Any]:
+    """Cache results for each of the last first arguments, as long as these live.
 
+    `lru_cache` would keep a closed bench: a thread may call the function after all caches have been cleared.
+    """
 
-def kept_for_bench(maxsize: int) -> Callable[[Any], Any]:
-    """Cache the last results of a function as `lru_cache` does, until `release_memory`."""
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        results: WeakKeyDictionary[Any, dict[tuple[Any, ...], Any]] = WeakKeyDictionary()
 
-    def decorate(function: Callable[..., Any]) -> Any:
-        _caches.append(lru_cache(maxsize)(function))
-        return _caches[-1]
+        @wraps(function)
+        def kept(first: Any, *others: Any) -> Any:
+            if first not in results and len(results) >= maxsize:
+                results.clear()
+            of_first = results.setdefault(first, {})
+            if others not in of_first:
+                of_first[others] = function(first, *others)
+            return of_first[others]
+
+        return kept
 
     return decorate
 
@@ -90,8 +101,6 @@ def release_memory() -> None:
     An acquisition refers to itself, and Python seldom looks for such objects. The GNU library keeps freed memory that
     lies between pieces in use.
     """
-    for cached in _caches:
-        cached.cache_clear()
     gc.collect()
     if sys.platform == "linux" and (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)):
         trim(0)

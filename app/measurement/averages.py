@@ -19,7 +19,7 @@ _HOT_NOISES = 5.0  # pixel noises; larger changes show in every frame
 _HOT_ERRORS = 7.0  # standard errors of a pixel: no false alarm among a million pixels
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Average:
     """Mean and variance of some frames, with their camera settings."""
 

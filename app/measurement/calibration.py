@@ -29,7 +29,7 @@ class KnownNoise:
     curve: TransferCurve | None = None  # variance of the reference's frames against their light
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Calibration:
     """A bench with its dark, reference and lattice."""
 

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TypeAlias
 
 from app.bench.imaging_model import BenchModel
-from app.cache import kept_for_bench
+from app.cache import kept_while_alive
 from app.measurement.averages import Average
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.measurement import Assumptions, Measurement
@@ -54,7 +54,7 @@ class Estimator:
         made, given, shown = self.reconstructor, self.calibration, None
         noise = given.noise
         if given.bench.lattice is not None:
-            shown = _shown_lattice(given.dark, given.reference, given.bench.sensor, given.full_scale)
+            shown = _shown_lattice(given.reference, given.dark, given.bench.sensor, given.full_scale)
         of_reference = reference_quality(
             given.reference.mean,
             sensor=made.sensor,
@@ -131,8 +131,8 @@ def _refusals() -> Iterator[None]:
         raise ReconstructionError(str(error), image="reference") from error
 
 
-@kept_for_bench(maxsize=4)  # another setting does not change it
-def _shown_lattice(dark: Average | None, reference: Average, sensor: Sensor, full_scale: float) -> Lattice | None:
+@kept_while_alive(maxsize=4)  # another setting does not change it
+def _shown_lattice(reference: Average, dark: Average | None, sensor: Sensor, full_scale: float) -> Lattice | None:
     try:
         return surveyed(sensor, dark, reference, full_scale).lattice
     except ReconstructionError:

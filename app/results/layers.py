@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from app.bench.config import Bench
-from app.cache import kept_for_bench
+from app.cache import kept_while_alive
 from app.errors import InputError
 from app.progress import Progress
 from app.results.analysis import Analysis, Frame, From
@@ -358,7 +358,7 @@ def _shown(fit: LayerFit, wanted: Origin, calibration: Calibration) -> FoundLaye
     )
 
 
-@kept_for_bench(maxsize=1)
+@kept_while_alive(maxsize=1)
 def _reconstructor(calibration: Calibration) -> Reconstructor:
     """Another reconstructor than that of the acquisition, because measurements do not carry it."""
     return calibration.reconstructor()

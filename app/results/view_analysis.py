@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.cache import kept_for_bench
+from app.cache import kept_while_alive
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
 from reconstruction.arrays import Floats, Image
@@ -87,7 +87,7 @@ def inspect_lenslet(measurement: Measurement, row: int, column: int) -> LensletI
     )
 
 
-@kept_for_bench(maxsize=1)
+@kept_while_alive(maxsize=1)
 def _subimages(calibration: Calibration) -> ReferenceSubimages:
     dark, reference = calibration.dark, calibration.reference.mean
     return ReferenceSubimages(

@@ -1,6 +1,5 @@
 """The main window: lays out the panels and refreshes them from the acquisition up to 25 times a second."""
 
-import gc
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -52,7 +51,6 @@ from drivers.light_source import MAY_BE_ON
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
 _MIN_WIDTH = 900  # px; captions and plots need it
 _REFRESH_INTERVAL_MS = 40
-_RELEASE_MS = 3000  # after opening: nothing shows the closed bench any more
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 _FOLDER, _TOUR = "folders/recordings", "tour/seen"  # keys of the settings
 
@@ -110,7 +108,6 @@ class MainWindow(BaseWindow):
         fit_to_screen(self)
         self._timer = timer(self, _REFRESH_INTERVAL_MS, self.refresh)
         # Between two frames: together they would hold up the measurement.
-        self._release_timer = timer(self, _RELEASE_MS, lambda: gc.collect(), is_single=True)  # noqa: PLW0108 - a slot of one kind
         self._text_timer = timer(self, _REFRESH_INTERVAL_MS // 2, self.update_text, is_single=True)
         self.recording_panel.setEnabled(False)
         self.update_text()
@@ -254,7 +251,6 @@ class MainWindow(BaseWindow):
             self.replay.use(player)
             self.light.is_kept_off = self.light.is_kept_off and player is None  # a recorded light shines on nobody
             self.connect_devices()
-            self._release_timer.start()  # a quiet process would keep its cycles for minutes
 
         self.recording_bar.ask_to_end(lambda: self.light.ask_off(connect))
 
