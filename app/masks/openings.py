@@ -227,7 +227,7 @@ def narrowest_px(is_part: NDArray[np.bool_], *, beyond: bool = False) -> int | N
 
 
 def _is_narrow(is_part: NDArray[np.bool_], side: int, *, beyond: bool) -> bool:
-    """Whether a square a little wider than `side` pixels leaves some of the part.
+    """Whether the part has a place into which no square fits that is a little wider than `side` pixels.
 
     In half pixels every such square has an odd side, 2 side + 1, and a middle.
     """

@@ -117,14 +117,13 @@ def _fitted(model: Callable[[float], Floats], subimage: Floats) -> tuple[float, 
     """
     data = subimage.ravel() / np.std(subimage)
 
-    def residual(scale: float, along: Floats | None = None) -> Floats:
-        """What is left of the data, or of another vector, beyond light, background, shift and blur of the model."""
+    def residual(scale: float) -> Floats:
+        """Return what light, background, shift and blur of the model leave of the data."""
         image = model(scale)
         dy, dx = np.gradient(image)
         nuisance = np.stack([image, np.ones_like(image), dx, dy, ndimage.laplace(image)]).reshape(5, -1).T
         basis, _ = np.linalg.qr(nuisance / np.linalg.norm(nuisance, axis=0))
-        vector = data if along is None else along
-        return np.asarray(vector - basis @ (basis.T @ vector))
+        return np.asarray(data - basis @ (basis.T @ data))
 
     found = optimize.minimize_scalar(
         lambda scale: float(np.sum(residual(scale) ** 2)),
@@ -135,5 +134,5 @@ def _fitted(model: Callable[[float], Floats], subimage: Floats) -> tuple[float, 
     scale = float(found.x)
     ahead, behind = residual(scale + _STEP), residual(scale - _STEP)
     slope = np.linalg.norm(ahead - behind) / (2 * _STEP)
-    left = float(found.fun)
-    return math.sqrt(left / data.size), scale, math.sqrt(left / data.size) / max(float(slope), np.finfo(float).tiny)
+    misfit = math.sqrt(float(found.fun) / data.size)
+    return misfit, scale, misfit / max(float(slope), np.finfo(float).tiny)

@@ -34,16 +34,15 @@ class Drift:
 
 @dataclass(frozen=True, slots=True)
 class SeriesLimits:
-    """Lowest and highest allowed value of a series; NaN where there is none."""
+    """Lowest and highest allowed value of a series; infinite where there is none."""
 
-    lowest: float = math.nan
-    highest: float = math.nan
+    lowest: float = -math.inf
+    highest: float = math.inf
 
     @property
     def is_set(self) -> bool:
         """True if there is one, and a value can be within them."""
-        has_one = not (math.isnan(self.lowest) and math.isnan(self.highest))
-        return has_one and not self.lowest > self.highest
+        return self != SeriesLimits() and self.lowest <= self.highest
 
     def broken_by(self, value: float) -> str:
         """Return "below" or "above" if a value is beyond one of them; empty if not, or if it is NaN."""
@@ -74,8 +73,7 @@ class LimitWatch:
                 self.beyond[name] = time_s, limit
             elif math.isfinite(value) and name in self.beyond:
                 last_s, before = self.beyond[name]
-                # as texts, in which one NaN is like another
-                if abs(time_s - last_s) >= self._calm_s or str(limit) != str(before):
+                if abs(time_s - last_s) >= self._calm_s or limit != before:
                     del self.beyond[name]
                     back.append(name)
         return crossed, back

@@ -13,6 +13,7 @@ from app.results.history import UNITS, SeriesLimits
 from app.results.shown_wavefront import Unit
 
 _PINNED = "Pinned coefficient"
+_ENDS = "lowest", "highest"  # limits of a series
 _WIDTH = 110  # px of a line
 _ABOUT = (
     "Empty: no limit. Phases are in the unit of Display, or in the one that you type: 0.5 rad, 0.1 waves, 40 nm.\n"
@@ -80,7 +81,7 @@ class LimitsForm(QDialog):
     def _add_row(self, grid: QGridLayout, name: str, shown_name: QLabel) -> None:
         at = grid.rowCount()
         grid.addWidget(shown_name, at, 0)
-        keys = [f"history/{end} {name}" if name else "" for end in ("lowest", "highest")]
+        keys = [f"history/{end} {name}" if name else "" for end in _ENDS]
         self.lines[name] = LimitLine(self._shown, name, keys[0]), LimitLine(self._shown, name, keys[1])
         self._in_force[name] = "", ""
         for side, line in enumerate(self.lines[name], 1):
@@ -94,9 +95,8 @@ class LimitsForm(QDialog):
         reasons = []
         for line in (lower, upper):
             is_number = math.isfinite(line.typed(line.text())[0]) or not line.text().strip()
-            reasons.append(
-                "This is no number with its unit" * (not is_number) or "No value can be within" * are_crossed
-            )
+            why = "No value can be within" if are_crossed else ""
+            reasons.append(why if is_number else "This is no number with its unit")
         if not any(reasons):
             self._in_force[name] = lower.with_unit(), upper.with_unit()
         holds = ": the former limits hold" if any(self._in_force[name]) else ""
@@ -107,10 +107,11 @@ class LimitsForm(QDialog):
 
     def limits(self) -> dict[str, SeriesLimits]:
         """Return the limits in force by series, phases in rad."""
-        found = {
-            name or self._pinned: SeriesLimits(*(line.value_of(text) for line, text in zip(lines, texts, strict=True)))
-            for (name, lines), texts in zip(self.lines.items(), self._in_force.values(), strict=True)
-        }
+        found = dict[str, SeriesLimits]()
+        for name, lines in self.lines.items():
+            values = zip(_ENDS, lines, self._in_force[name], strict=True)
+            typed = {end: line.value_of(text) for end, line, text in values if text}
+            found[name or self._pinned] = SeriesLimits(**typed)
         return {name: limits for name, limits in found.items() if name and limits.is_set}
 
     def use_pinned(self, name: str) -> None:

@@ -28,7 +28,7 @@ class Liveness(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Whether the newest frame is within the limits of the history; empty without limits."""
+    """Verdict on the newest frame by the limits of the history; empty without limits."""
 
     text: str = ""  # pass, fail, or a dash
     reason: str = ""  # a line for each limited quantity

@@ -83,7 +83,7 @@ def test_each_end_and_several_series(window: MainWindow) -> None:
     limits = panel.form.limits()
     assert limits[FILL] == SeriesLimits(20, 80.5)
     assert limits[TEMPERATURE].highest == -60
-    assert np.isnan(limits[TEMPERATURE].lowest)
+    assert limits[TEMPERATURE].lowest == -np.inf
     panel.add(0.0, {FILL: 10.0, TEMPERATURE: -55.0})
     window.update_text()
     assert window.messages.text.text() == (

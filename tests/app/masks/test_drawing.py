@@ -51,7 +51,7 @@ WIDTHS_UM = {  # of the narrowest opening, and of the narrowest gap
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """What a file shows, mm, y downwards."""
+    """Shapes read back from a file, mm, y downwards."""
 
     is_open: Callable[[Floats], NDArray[np.bool_]]  # of points (point, xy)
     corners: dict[str, Floats]  # lowest and highest (x, y) of each layer
