@@ -30,6 +30,7 @@ _COLOURS = {
     "automatic": "tab:red",
 }
 _NARROW_RANGE = 50  # a logarithmic axis up to this ratio shows the positions instead of powers of ten
+_UPRIGHT_NAMES = 6  # more of them along an axis are turned
 _MARKERS = "osD^vPX*<>"
 _SMALL_RAD = 0.01  # below it, residuals are printed with a fourth decimal
 
@@ -78,8 +79,8 @@ class Sweep(Study):
             summary["asked_rad"] = cases["asked_rad"].mean().fillna(summary["asked_rad"])
             summary["coverage"] = cases["coverage"].mean()
         if "faults" in data:  # raised in any of the repeats
-            raised = cases["faults"].agg(lambda each: reduce(or_, (Fault(int(one)) for one in each.dropna()), Fault(0)))
-            summary["flags"] = raised.map(lambda faults: faults.name or "")
+            raised = cases["faults"].agg(lambda each: reduce(or_, each.dropna().astype(int), 0))
+            summary["flags"] = raised.map(lambda faults: Fault(int(faults)).name or "")
         return summary.reset_index()
 
     def output(self, results: Sequence[StudyResult]) -> Output:
@@ -153,6 +154,9 @@ class Sweep(Study):
                 panel.minorticks_off()
         if is_named:
             panel.set_xticks(all_x.tolist(), [str(at) for at in positions])
+            if len(positions) > _UPRIGHT_NAMES:
+                for label in panel.get_xticklabels():
+                    label.set(rotation=30, ha="right", fontsize=7)
         panel.set_title(self.title, fontsize=10)
         panel.set_xlabel(self.axis)
         panel.set_ylabel("residual RMS (rad)")
