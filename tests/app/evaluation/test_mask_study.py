@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -145,7 +146,7 @@ def test_checkerboard_needs_cells_within_the_limits(name: str) -> None:
 
 
 def test_cells_of_a_checkerboard_follow_its_name(small_toml: Path) -> None:
-    sources = mask_study(["checkerboard", "checkerboard:5"]).measure.keywords["sources"]  # type: ignore[attr-defined]
+    sources = cast("partial[Any]", mask_study(["checkerboard", "checkerboard:5"]).measure).keywords["sources"]
     drawn = [with_source(load_bench(small_toml), **changes).simulation.source for changes in sources.values()]
     assert [(source.mask, source.checker_cells) for source in drawn] == [
         ("square", 6),
