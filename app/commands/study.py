@@ -45,7 +45,7 @@ def study(
         typer.Argument(
             metavar="[NAME]...",
             help="Names of sweeps, or calibration, exposure, deconvolution, corrector or distances; all sweeps if "
-            "omitted. mask, then the masks to predict: image files or names such as circle.",
+            "omitted. mask, then the masks to predict: image files or names such as circle or checkerboard:5.",
         ),
     ] = None,
     *,
