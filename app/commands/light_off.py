@@ -12,9 +12,9 @@ from app.commands import options, terminal
 def light_off(bench: Annotated[str, options.bench_option("Bench TOML file.")]) -> None:
     """Switch the light of a bench off, for example after a service was killed.
 
-    It fails while a program that runs holds the light.
+    It fails while a program that runs holds the light. A systemd service has it as ExecStopPost.
 
-    Example: ExecStopPost=svwfs light-off --bench lab.toml
+    Example: svwfs light-off --bench lab.toml
     """
     from app.acquisition.devices import open_light
     from app.errors import InputError, RunError

@@ -124,6 +124,7 @@ def lit_instrument(bench: Path, lamp: DC4100Wire) -> Iterator[subprocess.Popen[s
         text=True,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGQUIT, signal.SIG_DFL),  # noqa: PLW1509 - jobs of a shell ignore it
     ) as program:
         try:
             assert program.stdout is not None
