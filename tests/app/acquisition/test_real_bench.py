@@ -16,6 +16,7 @@ from support.wires.dcam.stand_in import StandIn
 from support.wires.pseudo_terminal import PtyServer
 
 from app.acquisition.devices import open_camera, open_devices, open_light
+from app.acquisition.instrument import Instrument
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, parse_bench, write_bench
@@ -126,6 +127,26 @@ def test_missing_light_closes_camera(bench: Bench, port: PtyServer) -> None:
     port.close()
     with pytest.raises(DeviceError, match=port.port):
         open_devices(bench, lambda _: None)
+
+
+def test_silence_of_the_worker_switches_the_light_off_and_the_status_says_so(bench: Bench, lamp: DC4100Wire) -> None:
+    """As a call of the camera that hangs; the acquisition goes on, and the light can be lit again."""
+    acquisition = started(bench)
+
+    def hang(instrument: Instrument) -> None:
+        instrument.devices.light.keep_alive(0.3)
+        wait_until(lambda: not lamp.is_lit)
+
+    acquisition.submit(hang).result(HANG_S)
+    why = "the light went off because the acquisition gave no sign of life for 0.3 s"
+    wait_until(lambda: acquisition.status is not None and acquisition.status.warning == why)
+    assert acquisition.status is not None
+    assert not acquisition.status.is_light_on
+    acquisition.submit(Instrument.set, "is_light_on", True).result(HANG_S)
+    assert lamp.is_lit
+    assert acquisition.status.warning != why
+    acquisition.close()
+    assert acquisition.failure == ""
 
 
 def test_software_trigger_yields_frames(bench: Bench) -> None:
