@@ -39,7 +39,8 @@ _LIGHT_OFF_S = 3.0  # for a light that does not answer
 # Without a sign of life in these times, the guardian switches the light off.
 _ALIVE_S = 1.5  # while the worker waits, and takes frames
 _COMMAND_S = 10.0  # a command, between the frames of routines
-_PREPARATION_S = 120.0  # of the reconstruction, and the first frame, which may compile
+_PREPARATION_S = 120.0  # of the reconstruction, and each of the first frames, which may compile
+_FIRST_FRAMES = 5
 _STATUS_SHARE = 0.1  # maximum share of the time spent polling: a slow light must not cost frames
 
 
@@ -80,7 +81,7 @@ class Acquisition:
         self._status_due_s = -math.inf  # time of the next poll
         self.activity = Activity("opening the devices")
         self._keep_alive: Callable[[float], None] = lambda _: None
-        self._is_first = False  # whether no frame was reconstructed since the last preparation
+        self._first_frames = 0  # to come, after the last preparation
         self.error: Exception | None = None  # why the worker ended without being asked to
 
     def start(self) -> None:
@@ -256,7 +257,7 @@ class Acquisition:
                         self._show_alive()
                         with suppress(Cancelled):  # to execute a command, or to stop
                             self._path.acquire(instrument, self._light())
-                            self._is_first = False
+                            self._first_frames = max(self._first_frames - 1, 0)
         except Cancelled:
             pass
         except (DeviceError, InputError, RunError) as error:
@@ -281,7 +282,7 @@ class Acquisition:
         if self._stopping.is_set():
             raise Cancelled
         self._keep_alive(_PREPARATION_S)
-        self._is_first = True
+        self._first_frames = _FIRST_FRAMES
         self.activity = Activity(what, may_cancel=False)
         self._path.gap_cause = what
 
@@ -310,7 +311,7 @@ class Acquisition:
             execute = self._commands.next()
 
     def _show_alive(self) -> None:
-        self._keep_alive(_PREPARATION_S if self._is_first else _ALIVE_S)
+        self._keep_alive(_PREPARATION_S if self._first_frames else _ALIVE_S)
 
     def _finish_command(self, instrument: Instrument) -> None:
         self._update_status(instrument)
