@@ -22,6 +22,7 @@ from drivers.errors import DeviceError
 from drivers.light_source import MAY_BE_ON, LightSource
 
 _SILENT_PULSES = 5  # after so many missing signs of life the guardian counts as frozen
+_STARTING_PULSES = 240  # before its first one: a cold disk takes long to import
 _END_S = 3.0  # for the guardian to end
 _SIGN_S = 0.2  # least time between two signs of life that promise the same
 
@@ -93,7 +94,7 @@ class _Guardian:
         self._answers: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self._writing = threading.Lock()
         self._ending = threading.Event()
-        self._has_pulse = True
+        self._has_pulse = False
         # In a session of its own: what the terminal sends to this process, such as Ctrl-C, does not reach it.
         self._process = subprocess.Popen(  # noqa: S603 - this interpreter
             [sys.executable, "-P", "-m", guardian.__name__],
@@ -123,7 +124,7 @@ class _Guardian:
             return answer["value"]
         if answer.get("is_for_all"):
             self._answers.put(answer)
-        raise getattr(errors, answer["error"])(answer["text"])
+        raise getattr(errors, answer["error"], DeviceError)(answer["text"])  # a driver may have an error of its own
 
     def end(self) -> None:
         """Let the guardian end, which switches the light off; kill it if it does not."""
@@ -161,18 +162,18 @@ class _Guardian:
 
     def _watch(self) -> None:
         """Kill a guardian that is frozen; the pulses that are missing are counted, as this process may be late."""
-        missing = 0
+        missing = -_STARTING_PULSES
         while missing < _SILENT_PULSES and not self._ending.wait(guardian.PULSE_S):
             missing, self._has_pulse = 0 if self._has_pulse else missing + 1, False
         if not self._ending.is_set():
             self._process.kill()
 
     def _take_over(self) -> str:
-        """Switch the light off from this process; say what has happened."""
+        """Switch the light off from this process; say what has happened, whatever fails: all calls wait for it."""
         text = "the guardian of the light has ended"
         try:
             guardian.switch_off(self._settings)
-        except DeviceError as error:
+        except Exception as error:  # noqa: BLE001 - it is told
             text += f", and the light cannot be reached ({error}); {MAY_BE_ON}"
         else:
             self.was_taken_over = True

@@ -3,8 +3,8 @@
 The light goes off when the instrument's process has ended in any way, closes the pipe, or breaks its promise to send a
 sign of life. `GuardedLight` starts it and calls the light through it, over JSON lines: first the settings of the light;
 then [method, argument...] for each call, answered by {"value": ...} or {"error": class, "text": ...}, and
-["keep_alive", seconds] for a sign of life, which has no answer. {"alive": true} comes four times a second. The last
-answer says so; without one, the guardian has died.
+["keep_alive", seconds] for a sign of life, which has no answer; a call renews its promise. {"alive": true} comes four
+times a second. The last answer says so; without one, the guardian has died.
 """
 
 import json
@@ -29,7 +29,6 @@ _ATTEMPTS = 3  # to reach a light that could not be switched off
 
 # What the instrument may ask; a light is opened off, and its own rules hold here, too.
 _CALLS: dict[str, Callable[..., Any]] = {
-    "name": lambda light: light.name,
     "properties": lambda light: light.properties(),
     "range": lambda light: (light.current_range_a.minimum, light.current_range_a.maximum),
     "current": lambda light: light.current_a,
@@ -81,18 +80,18 @@ class _Pipe:
 
 def _serve(light: LightSource, pipe: _Pipe) -> None:
     """Answer calls until the pipe ends or the light is closed."""
-    due_s, promised_s = math.inf, 0.0
+    due_s = promised_s = math.inf
     while not pipe.has_ended:
         line = pipe.next(_POLL_S)
         if line:
             method, *arguments = json.loads(line)
             if method == "keep_alive":
                 promised_s = float(arguments[0])
-                due_s = time.monotonic() + promised_s
-                continue
-            pipe.send(_answer(light, method, arguments) | ({"is_last": True} if method == "close" else {}))
+            else:
+                pipe.send(_answer(light, method, arguments) | ({"is_last": True} if method == "close" else {}))
             if method == "close":
                 return
+            due_s = time.monotonic() + promised_s  # the light may have answered late
         elif time.monotonic() > due_s and not pipe.has_ended:
             due_s = math.inf
             if light.is_on:

@@ -38,7 +38,7 @@ _STATUS_INTERVAL_S = 1.0  # polling also detects an unplugged light or a turned 
 _LIGHT_OFF_S = 3.0  # for a light that does not answer
 # Without a sign of life in these times, the guardian switches the light off.
 _ALIVE_S = 1.5  # while the worker waits, and takes frames
-_COMMAND_S = 10.0  # a command, between the frames of routines
+_COMMAND_S = 10.0  # a command, and each step of a routine: cameras change some settings slowly
 _PREPARATION_S = 120.0  # of the reconstruction, and each of the first frames, which may compile
 _FIRST_FRAMES = 5
 _STATUS_SHARE = 0.1  # maximum share of the time spent polling: a slow light must not cost frames
@@ -292,7 +292,7 @@ class Acquisition:
             self._path.show(frame, text, self._light())
 
         def should_stop() -> bool:
-            self._keep_alive(_ALIVE_S)
+            self._keep_alive(_COMMAND_S)
             self._poll_status(instrument)  # the light and the sample differ from before
             return self._stopping.is_set() or self._cancelling.is_set()
 

@@ -37,12 +37,11 @@ from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.settings import Warp
 from simulated_devices.optics.source import read_grey_image
 from simulated_devices.sample import Sample
-from simulated_devices.settings import MASKS
+from simulated_devices.settings import MASKS, Source
 
 _PEAKS_E = (300.0, 1e3, 1e4)  # electrons in the brightest pixel of the reference
 _SIMULATED_E = (300.0, 1e3)  # light of the simulated noise
 _DRAWS = 40
-_LEAST_CELLS, _MOST_CELLS = 2, 100  # as of the setting `checker_cells`
 _WARP: Warp = "cubic"
 _DEGREE = 5  # of the wavefronts over a lenslet, and over the field
 _NODES = 8  # of Gauss-Legendre quadrature
@@ -69,9 +68,10 @@ def _changes(name: str) -> dict[str, Any]:
         return {"mask": name}
     mask, _, cells = name.partition(":")
     if mask == "checkerboard" and cells.isdecimal():
-        if not _LEAST_CELLS <= int(cells) <= _MOST_CELLS:
-            raise InputError(f"mask {name}: choose {_LEAST_CELLS} to {_MOST_CELLS} cells along each side")
-        return {"mask": mask, "checker_cells": int(cells)}
+        try:
+            return {"mask": mask, "checker_cells": Source(checker_cells=int(cells)).checker_cells}
+        except ValueError as error:  # too few, or too many to count
+            raise InputError(f"mask {name}: {error}") from error
     if not Path(name).exists():
         raise InputError(f"there is no mask and no file {name}: give an image file, or {_built_in()}")
     try:

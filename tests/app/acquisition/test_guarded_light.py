@@ -89,7 +89,7 @@ def children(pid: int) -> set[int]:
 
 
 def is_gone(pid: int) -> bool:
-    """Whether a process has ended; one that nobody has waited for counts."""
+    """True if a process has ended, also if its parent has not noticed yet."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except FileNotFoundError:
@@ -143,7 +143,9 @@ def note_time(what: str, number: signal.Signals, seconds: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("victim", ["instrument", "guardian", "all of the terminal"])
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGQUIT, signal.SIGTERM, signal.SIGSTOP])
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal.SIGSTOP]
+)
 def test_light_goes_off_whatever_dies_or_freezes(
     port: PtyServer, lamp: DC4100Wire, tmp_path: Path, victim: str, number: signal.Signals
 ) -> None:
@@ -191,6 +193,26 @@ def test_light_with_signs_of_life_stays_on(light: LightSource, lamp: DC4100Wire)
     assert lamp.is_lit
 
 
+def test_calls_renew_the_promise(light: LightSource, lamp: DC4100Wire) -> None:
+    """As long as the worker polls a light that answers late, it lives."""
+    light.set_on(True)
+    light.keep_alive(0.5)
+    for _ in range(10):
+        time.sleep(0.1)
+        assert light.is_on
+    wait_until(lambda: not lamp.is_lit)
+
+
+def test_guardian_may_start_slowly(
+    reopen: Callable[[], LightSource], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It counts as frozen 1.25 s after its first sign of life, not after its start."""
+    (tmp_path / "sitecustomize.py").write_text("import time; time.sleep(2)")
+    monkeypatch.syspath_prepend(tmp_path)
+    with reopen() as light:
+        assert "DC4100" in light.name
+
+
 def test_errors_of_the_light_come_through(light: LightSource, lamp: DC4100Wire, port: PtyServer) -> None:
     with pytest.raises(BadValue, match="outside"):
         light.set_current(99.0)
@@ -210,6 +232,23 @@ def test_light_that_cannot_be_opened_leaves_no_process(port: PtyServer) -> None:
     with pytest.raises(Disconnected, match=port.port):
         GuardedLight(DC4100Settings(port=port.port))
     assert children(os.getpid()) == before
+
+
+def test_light_that_cannot_be_taken_over_ends_all_calls(port: PtyServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever fails in the driver."""
+
+    def fail(_: object) -> None:
+        raise OSError("no memory left")
+
+    before = children(os.getpid())
+    light = GuardedLight(DC4100Settings(port=port.port))
+    light.set_on(True)
+    monkeypatch.setattr("app.acquisition.guardian.switch_off", fail)
+    os.kill((children(os.getpid()) - before).pop(), signal.SIGKILL)
+    for _ in range(2):
+        with pytest.raises(Disconnected, match=r"\(no memory left\); the light may still be on"):
+            _ = light.is_on
+    light.close()
 
 
 def test_dead_guardian_whose_light_is_gone_says_that_it_may_be_on(port: PtyServer) -> None:

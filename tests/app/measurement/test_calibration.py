@@ -33,9 +33,9 @@ def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings:
         acquisition.submit(lambda instrument: instrument.change_settings(())).result(HANG_S)
         before = len(measurements)
         wait_until(lambda: sum(not one.problem for one in measurements[before:]) >= 3)
+        return list(measurements)  # closing switches the light off beside the worker: one more frame may be dark
     finally:
         acquisition.close()
-    return measurements
 
 
 @pytest.mark.slow
