@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
-from support.optics import SmallBench
+from support.optics import FIELD, SmallBench
 from support.paths import DOCS, FOREIGN_FRAMES
 
 from app.bench.config import load_bench, parse_bench
 from app.errors import InputError, RunError
 from app.results.dataset import result_dataset, stack_frames
 from app.results.result_file import write_pieces, write_results
+from reconstruction.displacement import diagonal_covariance
+from reconstruction.wavefront import Wavefront
 
 BENCH = load_bench(
     FOREIGN_FRAMES / "bench.toml",
@@ -76,6 +79,22 @@ def test_results_have_documented_names_dimensions_and_units(dataset: xr.Dataset,
     assert (read.attrs["frame"], read.attrs["reference"]) == ("f.tif", "r.tif")
     xr.testing.assert_identical(read["wavefront"].drop_attrs(), dataset["wavefront"].drop_attrs())
     assert not list(tmp_path.glob(".*"))
+
+
+def test_axes_and_errors_are_the_wavefronts_own(small_bench: SmallBench) -> None:
+    """More columns of views than rows, and displacements with variances of 4 and 9 px^2 along x and y."""
+    wide = replace(FIELD, view_rows=1, view_columns=5, view_spacing_m=2e-4)
+    measured = small_bench.reconstructor()(small_bench.reference)
+    displacement = measured.displacement
+    known = np.broadcast_to([4.0, 9.0], displacement.coefficients.shape)
+    displacement = replace(displacement, covariance=diagonal_covariance(known))
+    dataset = result_dataset(Wavefront.of(measured.sensor, wide, displacement, measured.solution))
+    assert dataset["view_x"].dims == ("view_column",)
+    np.testing.assert_allclose(dataset["view_x"], np.arange(-2, 3) * wide.view_spacing_m)
+    np.testing.assert_allclose(dataset["view_y"], [0])
+    sigma_px = dataset["displacement_sigma"].transpose("xy", ...).to_numpy()
+    np.testing.assert_allclose(sigma_px[0], 2)
+    np.testing.assert_allclose(sigma_px[1], 3)
 
 
 def test_documentation_lists_every_variable(dataset: xr.Dataset) -> None:
