@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from reconstruction.arrays import Floats
     from reconstruction.wavefront import Wavefront
 
-_PEAK_PERCENT = 99.9  # percentile taken for the peak, so that hot pixels do not count
-
 
 def reconstruct(
     frame: Annotated[Path, typer.Argument(help=f"Frame with the sample: {FORMATS}.")],
@@ -109,9 +107,10 @@ def _check_scale(image: NDArray[Any], path: Path, other: NDArray[Any], other_pat
     import numpy as np
 
     from app.measurement.bench_reconstructor import full_scale_of
+    from reconstruction.frame.pixels import PEAK_PERCENT
 
     most = full_scale_of(image, 64 if image.dtype.kind in "ui" else bits)
-    if np.percentile(other, _PEAK_PERCENT, method="lower") > most:
+    if np.percentile(other, PEAK_PERCENT, method="lower") > most:
         raise InputError(
             f"{path}: holds {image.dtype} values up to {image.max():g}, but {other_path} {other.dtype} values up to"
             f" {other.max():g}: save both in the same form"

@@ -14,6 +14,7 @@ from reconstruction.runtime.compilation import compiled
 _SATURATED_FRACTION = 0.01  # of the image's pixels; with more, it is rejected
 CLIPPED = 0.01  # share of the pixels, piled up at one highest count, from which on an image is clipped
 BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
+PEAK_PERCENT = 99.9  # this one is the peak, so that hot pixels do not count
 
 
 class AboveDark:
@@ -146,7 +147,6 @@ _BRIGHT = 2.0  # ... and the frame's peak by this one; single electrons at a lar
 _SIGNIFICANT = 8.0  # standard deviations of the difference between a pixel and its neighbours' mean
 _HOT_IN_DARK = 0.05  # excess in the dark over the frame's peak; less is harmless
 _OUTSTANDING = 4.0  # excess in the dark over its brightest ordinary pixels, which are single electrons
-_PEAK_PERCENT = 99.9  # percentile taken for the peak, so that a hot pixel does not count
 
 _NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.bool_)
 _FURTHER = np.pad(np.zeros((3, 3), np.bool_), 1, constant_values=True)  # the 16 pixels around the neighbours
@@ -158,7 +158,7 @@ def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | 
     Conservative: a pixel is bad only if neither a diffraction-limited image nor noise can explain it.
     """
     light = np.asarray(reference, np.float64) - (0 if dark is None else np.asarray(dark, np.float64))
-    background, peak = np.percentile(light, (BACKGROUND_PERCENT, _PEAK_PERCENT))
+    background, peak = np.percentile(light, (BACKGROUND_PERCENT, PEAK_PERCENT))
     light, peak = light - background, peak - background
     if not peak > 0:
         return np.zeros(light.shape, np.bool_)
@@ -170,7 +170,7 @@ def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | 
     if dark is not None:
         excess = np.asarray(dark, np.float64)
         excess = excess - ndimage.median_filter(excess, 5, mode="mirror")
-        usual = _OUTSTANDING * np.percentile(excess, _PEAK_PERCENT)
+        usual = _OUTSTANDING * np.percentile(excess, PEAK_PERCENT)
         bad |= (excess > max(_HOT_IN_DARK * peak, usual)) & _stands_out(excess)
     return np.asarray(bad)
 

@@ -13,6 +13,7 @@ from reconstruction.wavefront import peak_to_valley, rms
 
 NOTHING = "\N{EN DASH}"
 _MOST_DECIMALS = 6
+_MOST_PLAIN = 1e12
 
 
 def _phase_captions(phases: Floats) -> list[tuple[str, ...]]:
@@ -52,16 +53,19 @@ class Presentation:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Format a number with significant digits, so that small ones do not become zero; NaN is a dash."""
+    """Format a number with significant digits, so that small ones do not become zero; NaN is a dash.
+
+    Very small and very large numbers have an exponent.
+    """
     if not math.isfinite(value):
         return NOTHING
     if value == 0:
         return "0"
     rounded = float(f"{value:.{digits - 1}e}")
     decimals = digits - 1 - math.floor(math.log10(abs(rounded)))
-    return (f"{rounded:.{max(decimals, 0)}f}" if decimals <= _MOST_DECIMALS else f"{rounded:.1e}").replace(
-        "-", "\N{MINUS SIGN}"
-    )
+    is_plain = decimals <= _MOST_DECIMALS and abs(rounded) < _MOST_PLAIN
+    text = f"{rounded:.{max(decimals, 0)}f}" if is_plain else f"{rounded:.1e}"
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def with_error(value: float, sigma: float) -> tuple[str, str]:

@@ -172,6 +172,7 @@ def test_enlarged_view_paints_contours_and_a_surface_that_turns(window: MainWind
         (-0.00045678, "\N{MINUS SIGN}0.000457"),
         (1234.0, "1230"),
         (3.2e-9, "3.2e\N{MINUS SIGN}09"),
+        (-1e308, "\N{MINUS SIGN}1.0e+308"),
         (float("nan"), "\N{EN DASH}"),
     ],
 )
