@@ -38,6 +38,7 @@ class LightSource(Device):
         super().__init__("light")
         self._limit_a, self._sleep = limit_a, sleep
         self.may_shine: Callable[[], bool] = lambda: True  # asked before the light is lit, and while its current rises
+        self.off_reason = ""  # why it went off without a request, until it is lit again
         self._has_begun = False  # until then the device is unknown, and `close` sends nothing to it
         self._lit_since_s: float | None = None
         self._lit_before_s = 0.0
@@ -126,6 +127,9 @@ class LightSource(Device):
             else:
                 self._switch(on=on)
                 self._note(on=on)
+
+    def keep_alive(self, within_s: float) -> None:
+        """Promise another call within this time, from any thread; a light that is guarded goes off without it."""
 
     def note_light(self, on: bool) -> None:
         """Switch the light, or without control record that a person has switched it."""

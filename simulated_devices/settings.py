@@ -13,7 +13,7 @@ from reconstruction.annotated_settings import Checked, Depending
 
 Amplifier = Literal["normal", "em"]
 
-Mask = Literal["square", "stars", "checkerboard", "circle", "ellipse", "octagon", "peaks", "image"]
+Mask = Literal["square", "stars", "checkerboard", "optimised", "circle", "ellipse", "octagon", "peaks", "image"]
 MASKS: tuple[Mask, ...] = get_args(Mask)
 
 # From Hamamatsu's property sheet (propC9100-23B_en.html): the shortest exposure is the time of the read-out; only the

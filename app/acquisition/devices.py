@@ -3,10 +3,10 @@
 import math
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any
 
+from app.acquisition.guarded_light import GuardedLight
 from app.bench.config import Bench
-from app.bench.device_kinds import DRIVERS, DeviceSettings, RecordingSettings
+from app.bench.device_kinds import DRIVERS, DeviceKind, DeviceSettings, RecordingSettings
 from app.bench.trusted_libraries import check_unchanged
 from app.cache import cache_folder
 from app.errors import InputError
@@ -71,13 +71,14 @@ def _check_pitch(bench: Bench, camera: Camera) -> None:
 
 def open_camera(settings: DeviceSettings) -> Camera:
     """Open a real camera."""
-    camera: Camera = _open("camera", settings)
+    camera: Camera = _kind("camera", settings).open(settings)
     return camera
 
 
 def open_light(settings: DeviceSettings) -> LightSource:
-    """Open a real light, switched off and set to the configured current; a manual one is as it is."""
-    light: LightSource = _open("light", settings)
+    """Open a real light in a guardian, switched off and set to the configured current; a manual one is as it is."""
+    kind = _kind("light", settings)
+    light: LightSource = kind.open(settings) if kind.driver == "manual" else GuardedLight(settings)
     current_a = getattr(settings, "current_a", None)
     if current_a is not None:
         try:
@@ -88,8 +89,8 @@ def open_light(settings: DeviceSettings) -> LightSource:
     return light
 
 
-def _open(section: str, settings: DeviceSettings) -> Any:
-    """Open the device of these settings, which may come from no bench."""
+def _kind(section: str, settings: DeviceSettings) -> DeviceKind:
+    """Return what opens the device of these settings, after checking them: they may come from no bench."""
     try:
         check(settings)
     except SettingError as error:
@@ -98,7 +99,7 @@ def _open(section: str, settings: DeviceSettings) -> Any:
     kind = DRIVERS[section][settings.driver]
     if not kind.device:
         raise InputError(f"{section}.driver = {settings.driver!r} has no device of its own")
-    return kind.open(settings)
+    return kind
 
 
 def simulated_bench(bench: Bench, progress: Callable[[float], None], clock: Clock | None = None) -> SimulatedBench:

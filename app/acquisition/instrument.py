@@ -146,7 +146,7 @@ class Instrument:
             dark_note=self.darks.note(of_dark),
             reference_note=self.references.note(blamed or of_reference),
             lattice=self._lattice,
-            warning=problem or of_dark or of_reference or judged.sentence,
+            warning=light.off_reason or problem or of_dark or of_reference or judged.sentence,
             mask_note="" if estimator is None else mask_sentence(estimator.reconstructor),
             is_calibrated=estimator is not None,
             prepares=self._solver is not None and self._solver.prepares,
@@ -326,6 +326,7 @@ class Instrument:
 
     def _survey(self, reference: Average) -> Survey:
         """Find the lenslets in a reference of the current region; `ReconstructionError` if it shows none."""
+        self._show_preparation("finding the lattice")
         dark = self.darks.fitting(self._now())
         return surveyed(self.bench.sensor, dark, reference, self.devices.camera.capabilities.full_scale)
 

@@ -36,6 +36,10 @@ P = ParamSpec("P")
 
 _STATUS_INTERVAL_S = 1.0  # polling also detects an unplugged light or a turned knob
 _LIGHT_OFF_S = 3.0  # for a light that does not answer
+# Without a sign of life in these times, the guardian switches the light off.
+_ALIVE_S = 1.5  # while the worker waits, and takes frames
+_COMMAND_S = 10.0  # a command, between the frames of routines
+_PREPARATION_S = 120.0  # of the reconstruction, and the first frame, which may compile
 _STATUS_SHARE = 0.1  # maximum share of the time spent polling: a slow light must not cost frames
 
 
@@ -75,6 +79,8 @@ class Acquisition:
         self.status: Status | None = None  # None until the devices are open
         self._status_due_s = -math.inf  # time of the next poll
         self.activity = Activity("opening the devices")
+        self._keep_alive: Callable[[float], None] = lambda _: None
+        self._is_first = False  # whether no frame was reconstructed since the last preparation
         self.error: Exception | None = None  # why the worker ended without being asked to
 
     def start(self) -> None:
@@ -239,6 +245,7 @@ class Acquisition:
             ):
                 self._path.sinks += published
                 self._light_switch.attach(devices.light)
+                self._keep_alive = devices.light.keep_alive
                 self.activity = Activity()
                 self._update_status(instrument)
                 while not self._stopping.is_set():
@@ -246,8 +253,10 @@ class Acquisition:
                     if not devices.camera.is_running:
                         self._poll_status(instrument)
                     else:
+                        self._show_alive()
                         with suppress(Cancelled):  # to execute a command, or to stop
                             self._path.acquire(instrument, self._light())
+                            self._is_first = False
         except Cancelled:
             pass
         except (DeviceError, InputError, RunError) as error:
@@ -271,6 +280,8 @@ class Acquisition:
         """Show that the instrument prepares the reconstruction; this cannot be cancelled, and at the end not begun."""
         if self._stopping.is_set():
             raise Cancelled
+        self._keep_alive(_PREPARATION_S)
+        self._is_first = True
         self.activity = Activity(what, may_cancel=False)
         self._path.gap_cause = what
 
@@ -280,6 +291,7 @@ class Acquisition:
             self._path.show(frame, text, self._light())
 
         def should_stop() -> bool:
+            self._keep_alive(_ALIVE_S)
             self._poll_status(instrument)  # the light and the sample differ from before
             return self._stopping.is_set() or self._cancelling.is_set()
 
@@ -290,10 +302,15 @@ class Acquisition:
         return {"progress": show_progress, "should_stop": should_stop}
 
     def _execute_commands(self, instrument: Instrument, *, wait: bool) -> None:
+        self._keep_alive(_ALIVE_S)
         execute = self._commands.next(WAIT_SLICE_S if wait else 0.0)
         while execute is not None:
+            self._keep_alive(_COMMAND_S)
             execute(instrument)
             execute = self._commands.next()
+
+    def _show_alive(self) -> None:
+        self._keep_alive(_PREPARATION_S if self._is_first else _ALIVE_S)
 
     def _finish_command(self, instrument: Instrument) -> None:
         self._update_status(instrument)
@@ -301,6 +318,7 @@ class Acquisition:
 
     def _must_stop_waiting(self, instrument: Instrument) -> bool:
         """Return whether the worker should stop waiting for a frame; also polls the status in long exposures."""
+        self._show_alive()
         self._poll_status(instrument)
         return self._stopping.is_set() or not self._commands.is_empty
 

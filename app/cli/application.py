@@ -14,6 +14,7 @@ from app.commands.calibrate import calibrate
 from app.commands.desktop import desktop
 from app.commands.devices import devices
 from app.commands.export import export
+from app.commands.light_off import light_off
 from app.commands.live import live
 from app.commands.mask import mask
 from app.commands.measure import measure
@@ -51,6 +52,6 @@ for command in (live, measure, recover, replay, batch, export, report):
     cli.command(cls=OnceCommand)(command)
 for name, (_, sentence) in ANALYSES.items():
     cli.command(name, cls=AnalysisCommand, help=sentence)(lambda: None)
-for other in (calibrate, simulate, mask, devices, desktop, selftest, study, benchmark, reconstruct):
+for other in (calibrate, simulate, mask, devices, light_off, desktop, selftest, study, benchmark, reconstruct):
     cli.command(cls=OnceCommand)(other)
 cli.add_typer(paper, name="paper")

@@ -44,8 +44,8 @@ def study(
         list[str] | None,
         typer.Argument(
             metavar="[NAME]...",
-            help="Names of sweeps, or calibration, exposure, deconvolution, corrector or distances; all sweeps if "
-            "omitted. mask, then the masks to predict: image files or names such as circle.",
+            help="Names of sweeps, or calibration, exposure, deconvolution, corrector, distances or bench; all sweeps "
+            "if omitted. mask, then the masks to predict: image files or names such as circle or checkerboard:5.",
         ),
     ] = None,
     *,
@@ -69,8 +69,8 @@ def study(
     The sweeps vary noise, defects and sources (docs/estimator.md). More studies have names: calibration tests how well
     lattices are found, exposure how fast auto-exposure is (docs/calibration.md), deconvolution how good corrected
     images are (docs/corrected_images.md), corrector what correctors leave in frames through them and distances how well
-    layers are found (docs/layers.md), and mask predicts how accurate a mask will be before it is manufactured, beside
-    the square (docs/estimator.md).
+    layers are found (docs/layers.md). bench tells what imperfections of a bench cost, and mask predicts how accurate a
+    mask will be before it is manufactured, beside the square (docs/estimator.md).
     --workers or --scheduler share the seeds among processes (docs/many_machines.md).
 
     Example: svwfs study photons --seeds 100 --workers 8 --out study

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import or_
 from typing import ClassVar
 
 import numpy as np
@@ -14,6 +16,7 @@ from matplotlib.figure import Figure
 
 from app.errors import InputError
 from app.evaluation.studies import CaseResult, Output, Position, Printed, Row, Study, StudyResult, known_rows
+from reconstruction.quality.verdict import Fault
 from reconstruction.wavefront import rms, without_piston
 
 _PANEL_INCHES = (7.6, 3.7)
@@ -27,6 +30,7 @@ _COLOURS = {
     "automatic": "tab:red",
 }
 _NARROW_RANGE = 50  # a logarithmic axis up to this ratio shows the positions instead of powers of ten
+_UPRIGHT_NAMES = 6  # more of them along an axis are turned
 _MARKERS = "osD^vPX*<>"
 _SMALL_RAD = 0.01  # below it, residuals are printed with a fourth decimal
 
@@ -74,6 +78,9 @@ class Sweep(Study):
         if "asked_rad" in data:
             summary["asked_rad"] = cases["asked_rad"].mean().fillna(summary["asked_rad"])
             summary["coverage"] = cases["coverage"].mean()
+        if "faults" in data:  # raised in any of the repeats
+            raised = cases["faults"].agg(lambda each: reduce(or_, each.dropna().astype(int), 0))
+            summary["flags"] = raised.map(lambda faults: Fault(int(faults)).name or "")
         return summary.reset_index()
 
     def output(self, results: Sequence[StudyResult]) -> Output:
@@ -106,8 +113,9 @@ class Sweep(Study):
             number = f"{row['mean_rad']:.{3 if row['mean_rad'] >= _SMALL_RAD else 4}f}" if "mean_rad" in row else "-"
             asked = f" ({row['asked_rad']:.3g})" if "asked_rad" in row else ""
             covered = f" {100 * row['coverage']:.0f} %" if "coverage" in row else ""
+            flags = f" {row['flags']}" if row.get("flags") else ""
             lost = f" x{row['lost_lenslets']:.0f}" if row["lost_lenslets"] >= 0.5 else ""
-            cells.setdefault(row["curve"], {})[row["at"]] = number + asked + covered + lost
+            cells.setdefault(row["curve"], {})[row["at"]] = number + asked + covered + lost + flags
         shown = (self.shown(at) for at in positions)
         headings = [self.axis, *(at if isinstance(at, str) else f"{at:g}" for at in shown)]
         lines = [[curve, *(of_curve.get(at, "") for at in positions)] for curve, of_curve in cells.items()]
@@ -146,6 +154,9 @@ class Sweep(Study):
                 panel.minorticks_off()
         if is_named:
             panel.set_xticks(all_x.tolist(), [str(at) for at in positions])
+            if len(positions) > _UPRIGHT_NAMES:
+                for label in panel.get_xticklabels():
+                    label.set(rotation=30, ha="right", fontsize=7)
         panel.set_title(self.title, fontsize=10)
         panel.set_xlabel(self.axis)
         panel.set_ylabel("residual RMS (rad)")

@@ -17,7 +17,7 @@ from app.errors import InputError
 from app.files import check_readable
 from reconstruction.arrays import Floats
 from reconstruction.geometry import centered_steps
-from simulated_devices.optics.source import read_grey_image
+from simulated_devices.optics.source import OPTIMISED, read_grey_image
 from simulated_devices.settings import Source
 
 TOLERANCE_M = 10e-9  # of round openings, which are polygons
@@ -125,6 +125,10 @@ def _checkerboard(source: Source, size_m: float) -> Openings:
     return _of_pixels("checkerboard", np.indices(2 * (source.checker_cells,)).sum(axis=0) % 2 == 0, size_m)
 
 
+def _optimised(_: Source, size_m: float) -> Openings:
+    return _of_pixels("optimised", OPTIMISED, size_m)
+
+
 def _stars(source: Source, size_m: float) -> Openings:
     scale = size_m / (2 * source.half_width_m)
     diameter_m, spacing_m = source.pinhole_diameter_m * scale, source.star_spacing_m * scale
@@ -151,6 +155,7 @@ def _stars(source: Source, size_m: float) -> Openings:
 _CATALOGUE: dict[str, Callable[[Source, float], Openings]] = {
     "square": _square,
     "checkerboard": _checkerboard,
+    "optimised": _optimised,
     "circle": _circle,
     "ellipse": _ellipse,
     "octagon": _octagon,

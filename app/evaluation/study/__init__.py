@@ -5,6 +5,7 @@ from pathlib import Path
 
 from app.errors import InputError
 from app.evaluation.studies import Study
+from app.evaluation.study.bench import BENCH
 from app.evaluation.study.deconvolution import DECONVOLUTION
 from app.evaluation.study.exposure_trials import EXPOSURE
 from app.evaluation.study.lattice_trials import calibration_trials
@@ -26,7 +27,7 @@ def chosen_studies(names: Sequence[str], frames: Path | None = None) -> list[Stu
     names, masks = names[:place], names[place + 1 :] if "mask" in names else None
     known: dict[str, Study] = {
         study.name: study
-        for study in (*SWEEPS, calibration_trials(frames), EXPOSURE, DECONVOLUTION, CORRECTOR, DISTANCES)
+        for study in (*SWEEPS, calibration_trials(frames), EXPOSURE, DECONVOLUTION, CORRECTOR, DISTANCES, BENCH)
     }
     for name in names:
         if name not in known:

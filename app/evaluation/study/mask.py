@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -39,15 +40,16 @@ from simulated_devices.sample import Sample
 from simulated_devices.settings import MASKS
 
 _PEAKS_E = (300.0, 1e3, 1e4)  # electrons in the brightest pixel of the reference
-_SIMULATED_E = 1e3  # light of the simulated noise
+_SIMULATED_E = (300.0, 1e3)  # light of the simulated noise
 _DRAWS = 40
+_LEAST_CELLS, _MOST_CELLS = 2, 100  # as of the setting `checker_cells`
 _WARP: Warp = "cubic"
 _DEGREE = 5  # of the wavefronts over a lenslet, and over the field
 _NODES = 8  # of Gauss-Legendre quadrature
 
 
 def mask_study(masks: Sequence[str]) -> Sweep:
-    """Return the study of some masks: names of built-in ones, or image files.
+    """Return the study of some masks: names of built-in ones, checkerboards as `checkerboard:5`, or image files.
 
     Raises `InputError` if there is none, or if one is unknown or no image.
     """
@@ -62,9 +64,14 @@ def mask_study(masks: Sequence[str]) -> Sweep:
     )
 
 
-def _changes(name: str) -> dict[str, str]:
+def _changes(name: str) -> dict[str, Any]:
     if name in MASKS and name != "image":
         return {"mask": name}
+    mask, _, cells = name.partition(":")
+    if mask == "checkerboard" and cells.isdecimal():
+        if not _LEAST_CELLS <= int(cells) <= _MOST_CELLS:
+            raise InputError(f"mask {name}: choose {_LEAST_CELLS} to {_MOST_CELLS} cells along each side")
+        return {"mask": mask, "checker_cells": int(cells)}
     if not Path(name).exists():
         raise InputError(f"there is no mask and no file {name}: give an image file, or {_built_in()}")
     try:
@@ -79,7 +86,7 @@ def _built_in() -> str:
 
 
 def _measure(
-    bench: Bench, seeds: range, progress: Progress, *, sources: dict[str, dict[str, str]]
+    bench: Bench, seeds: range, progress: Progress, *, sources: dict[str, dict[str, Any]]
 ) -> Iterator[CaseResult]:
     square = NoiseFreeFrames(bench).reference("square")
     for index, (name, changes) in enumerate(sources.items()):
@@ -144,7 +151,7 @@ class _MaskStudy:
             bound = math.nan
         yield with_rms(f"{curve}: bound", at, without, bound)
         yield with_rms(f"{curve}: predicted", at, without, error_bar_rad(without, self._views))
-        if peak_e == _SIMULATED_E:
+        if peak_e in _SIMULATED_E:
             seed = self._bench.simulation.seed
             draws = (reconstructor(seen.exposed(electrons, seed, draw)) for draw in range(_DRAWS))
             simulated = scatter_of(draws, without.views, self._views)

@@ -108,7 +108,7 @@ def test_settings_refused_by_device_are_input_error(bench: Bench, lamp: DC4100Wi
 
 def test_light_with_refused_current_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     light = FakeLight()
-    monkeypatch.setattr("app.acquisition.devices._open", lambda *_: light)
+    monkeypatch.setattr("app.acquisition.devices.GuardedLight", lambda _: light)
     with pytest.raises(BadValue):
         open_light(DC4100Settings(port="COM1", current_a=5.0))
     with pytest.raises(WrongState, match="closed"):

@@ -402,7 +402,7 @@ def commands(group: Any = GROUP, path: str = "svwfs") -> Iterator[tuple[str, Any
 
 def test_help_names_every_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(monkeypatch, "--help") == 0
-    listed = re.findall(r"^\W*(\w+) {2,}\S", capsys.readouterr().out, re.MULTILINE)
+    listed = re.findall(r"^\W*([\w-]+) {2,}\S", capsys.readouterr().out, re.MULTILINE)
     assert set(GROUP.commands) <= set(listed)  # type: ignore[attr-defined] # it is a group
     assert len(GROUP.commands) >= 16  # type: ignore[attr-defined] # it is a group
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,9 +14,9 @@ from support.command_line import run
 
 from app.bench.config import load_bench
 from app.errors import InputError
-from app.evaluation.frames import NoiseFreeFrames
+from app.evaluation.frames import NoiseFreeFrames, with_source
 from app.evaluation.study.estimators import WarpEstimator, mean_rms
-from app.evaluation.study.mask import LinearPass, local_screen
+from app.evaluation.study.mask import LinearPass, local_screen, mask_study
 from app.evaluation.study.sweeps import lit_views
 from reconstruction.modes.field_modes import LegendreModes
 from simulated_devices.optics.phase_screen import PhaseScreen
@@ -136,6 +137,22 @@ def test_bad_mask_is_rejected_before_computing(
     assert said in error
     assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["checkerboard:1", "checkerboard:101"])
+def test_checkerboard_needs_cells_within_the_limits(name: str) -> None:
+    with pytest.raises(InputError, match=f"mask {name}: choose 2 to 100 cells"):
+        mask_study([name])
+
+
+def test_cells_of_a_checkerboard_follow_its_name(small_toml: Path) -> None:
+    sources = cast("partial[Any]", mask_study(["checkerboard", "checkerboard:5"]).measure).keywords["sources"]
+    drawn = [with_source(load_bench(small_toml), **changes).simulation.source for changes in sources.values()]
+    assert [(source.mask, source.checker_cells) for source in drawn] == [
+        ("square", 6),
+        ("checkerboard", 6),
+        ("checkerboard", 5),
+    ]
 
 
 def test_mask_study_needs_a_mask(

@@ -32,6 +32,7 @@ PICTURE = np.array([[1, 1, 0, 1], [1, 0, 0, 0], [0, 0, 1, 1]], np.uint8)  # unli
 AREAS_MM2 = {  # closed forms, for a field of 1.2 mm
     "square": 1.44,
     "checkerboard": 0.72,
+    "optimised": 0.64,
     "circle": math.pi * 0.36,
     "ellipse": math.pi * 0.36 * 0.6,
     "octagon": 8 * (math.sqrt(2) - 1) * 0.36,
@@ -41,6 +42,7 @@ AREAS_MM2 = {  # closed forms, for a field of 1.2 mm
 WIDTHS_UM = {  # of the narrowest opening, and of the narrowest gap
     "square": ("1200", None),
     "checkerboard": ("200", "200"),
+    "optimised": ("200", "200"),
     "circle": ("1200", None),
     "ellipse": ("720", None),
     "octagon": ("1200", None),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 from support.optics import sensor_of
+from support.paths import DOCS
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice
@@ -66,6 +68,17 @@ def test_checkerboard_is_lit_in_its_first_corner_and_every_other_cell() -> None:
     assert (four[4, 4], four[4, 13]) == pytest.approx((1, 0))
     points = source.source_points("checkerboard", Source(), object_samples=N)
     assert points.area_m2.sum() == pytest.approx(2 * HALF_M**2)
+
+
+def test_optimised_mask_has_the_cells_of_the_documentation() -> None:
+    page = (DOCS / "masks.md").read_text("utf-8")
+    rows = re.findall(r"^    ([#.]{6})$", page, re.MULTILINE)
+    cells = np.array([[cell == "#" for cell in row] for row in rows])
+    middles = 3 + 6 * np.arange(6)
+    np.testing.assert_allclose(brightness("optimised")[np.ix_(middles, middles)], cells, atol=1e-12)
+    np.testing.assert_array_equal(cells, cells[::-1, ::-1])  # its light is centred
+    points = source.source_points("optimised", Source(), object_samples=N)
+    assert points.area_m2.sum() == pytest.approx(16 * (0.2e-3) ** 2)
 
 
 def test_openings_have_the_shapes_of_their_names() -> None:

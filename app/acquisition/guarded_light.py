@@ -1,0 +1,181 @@
+"""A light that lives in a guardian process, so that it goes off whatever happens to this one.
+
+If the guardian ends or gives no sign of life, this process switches the light off itself, and every call fails.
+"""
+
+import dataclasses
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from typing import IO, Any, cast
+
+from app.acquisition import guardian
+from app.bench.device_kinds import DeviceSettings
+from drivers import errors
+from drivers.device import Property, Range
+from drivers.errors import DeviceError
+from drivers.light_source import MAY_BE_ON, LightSource
+
+_SILENT_PULSES = 5  # after so many missing signs of life the guardian counts as frozen
+_END_S = 3.0  # for the guardian to end
+_SIGN_S = 0.2  # least time between two signs of life that promise the same
+
+
+class GuardedLight(LightSource):
+    """The light with these settings, opened by a guardian of its own.
+
+    Until the first `keep_alive`, only the end of this process switches it off.
+    """
+
+    def __init__(self, settings: DeviceSettings) -> None:
+        super().__init__()
+        self._guardian = _Guardian(dataclasses.asdict(settings))
+        self._sent_s, self._promised_s = 0.0, 0.0
+        try:
+            self._name = str(self._guardian.answer())
+        except BaseException:
+            self._guardian.end()
+            raise
+        self._begin()
+
+    def properties(self) -> dict[str, Property]:
+        """Properties of the light in the guardian."""
+        with self._guarded():
+            found: dict[str, Property] = self._guardian.call("properties")
+            return found | {"lit_s": self.lit_s}
+
+    def keep_alive(self, within_s: float) -> None:
+        """Send the guardian a sign of life, several times a second at most."""
+        now_s = time.monotonic()
+        if within_s != self._promised_s or now_s > self._sent_s + _SIGN_S:
+            self._promised_s, self._sent_s = within_s, now_s
+            self._guardian.send("keep_alive", within_s)
+
+    def _read_range(self) -> Range:
+        return Range(*self._guardian.call("range"))
+
+    def _read_current(self) -> float:
+        return float(self._guardian.call("current"))
+
+    def _set_current(self, current_a: float) -> float:
+        return float(self._guardian.call("set_current", current_a))
+
+    def _is_lit(self) -> bool:
+        is_lit = bool(self._guardian.call("is_on"))
+        if not is_lit and self._lit_since_s is not None:
+            self.off_reason = self._guardian.call("off_reason")
+        return is_lit
+
+    def _switch(self, *, on: bool) -> None:
+        if on or not self._guardian.was_taken_over:
+            self._guardian.call("set_on", on)
+        if on:
+            self.off_reason = ""
+
+    def _close(self) -> None:
+        try:
+            self._guardian.call("close")
+        finally:
+            self._guardian.end()
+
+
+class _Guardian:
+    """The process of the guardian; threads hear what it says, and notice its end."""
+
+    def __init__(self, settings: dict[str, Any]) -> None:
+        self.was_taken_over = False  # the guardian is gone, and this process has switched its light off
+        self._settings = settings
+        self._answers: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self._writing = threading.Lock()
+        self._ending = threading.Event()
+        self._has_pulse = True
+        # In a session of its own: what the terminal sends to this process, such as Ctrl-C, does not reach it.
+        self._process = subprocess.Popen(  # noqa: S603 - this interpreter
+            [sys.executable, "-P", "-m", guardian.__name__],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+            start_new_session=True,
+        )
+        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._listen, self._watch)]
+        for thread in self._threads:
+            thread.start()
+        self._write(settings)
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        """Return what the light answers, or raise its error; one thread at a time, as for every device."""
+        self.send(method, *arguments)
+        return self.answer()
+
+    def send(self, method: str, *arguments: Any) -> None:
+        """Send a call, and wait for no answer."""
+        self._write([method, *arguments])
+
+    def answer(self) -> Any:
+        """Wait for an answer; the end of the guardian answers all calls."""
+        answer = self._answers.get()
+        if "error" not in answer:
+            return answer["value"]
+        if answer.get("is_for_all"):
+            self._answers.put(answer)
+        raise getattr(errors, answer["error"])(answer["text"])
+
+    def end(self) -> None:
+        """Let the guardian end, which switches the light off; kill it if it does not."""
+        self._ending.set()
+        with self._writing, suppress(OSError):
+            self._input.close()
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for thread in self._threads:
+            thread.join()
+
+    @property
+    def _input(self) -> IO[bytes]:
+        return cast("IO[bytes]", self._process.stdin)
+
+    def _write(self, line: Any) -> None:
+        with self._writing, suppress(OSError, ValueError):  # of a guardian that has ended: `_listen` notices
+            self._input.write(json.dumps(line).encode() + b"\n")
+            self._input.flush()
+
+    def _listen(self) -> None:
+        is_over = False
+        with cast("IO[bytes]", self._process.stdout) as lines:
+            for line in lines:
+                self._has_pulse = True
+                answer = json.loads(line)
+                is_over |= "is_last" in answer
+                if "alive" not in answer:
+                    self._answers.put(answer)
+        error, text = ("WrongState", "the light is closed") if is_over else ("Disconnected", self._take_over())
+        self._answers.put({"error": error, "text": text, "is_for_all": True})
+
+    def _watch(self) -> None:
+        """Kill a guardian that is frozen; the pulses that are missing are counted, as this process may be late."""
+        missing = 0
+        while missing < _SILENT_PULSES and not self._ending.wait(guardian.PULSE_S):
+            missing, self._has_pulse = 0 if self._has_pulse else missing + 1, False
+        if not self._ending.is_set():
+            self._process.kill()
+
+    def _take_over(self) -> str:
+        """Switch the light off from this process; say what has happened."""
+        text = "the guardian of the light has ended"
+        try:
+            guardian.switch_off(self._settings)
+        except DeviceError as error:
+            text += f", and the light cannot be reached ({error}); {MAY_BE_ON}"
+        else:
+            self.was_taken_over = True
+            text += "; the light was switched off: open the bench again"
+        sys.stderr.write(f"svwfs: {text}\n")
+        return text

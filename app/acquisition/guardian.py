@@ -1,0 +1,164 @@
+"""The guardian: a process that holds the light, and switches it off when the process of the instrument fails.
+
+The light goes off when the instrument's process has ended in any way, closes the pipe, or breaks its promise to send a
+sign of life. `GuardedLight` starts it and calls the light through it, over JSON lines: first the settings of the light;
+then [method, argument...] for each call, answered by {"value": ...} or {"error": class, "text": ...}, and
+["keep_alive", seconds] for a sign of life, which has no answer. {"alive": true} comes four times a second. The last
+answer says so; without one, the guardian has died.
+"""
+
+import json
+import math
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TextIO
+
+from app.bench.device_kinds import DRIVERS
+from drivers.errors import DeviceError
+from drivers.light_source import MAY_BE_ON, LightSource
+
+PULSE_S = 0.25  # between two signs of life of the guardian
+_POLL_S = 0.05  # how late the end of a process whose pipe stays open is noticed
+_ATTEMPTS = 3  # to reach a light that could not be switched off
+
+# What the instrument may ask; a light is opened off, and its own rules hold here, too.
+_CALLS: dict[str, Callable[..., Any]] = {
+    "name": lambda light: light.name,
+    "properties": lambda light: light.properties(),
+    "range": lambda light: (light.current_range_a.minimum, light.current_range_a.maximum),
+    "current": lambda light: light.current_a,
+    "set_current": lambda light, current_a: light.set_current(current_a),
+    "is_on": lambda light: light.is_on,
+    "set_on": lambda light, on: light.set_on(on),
+    "off_reason": lambda light: light.off_reason,
+    "close": lambda light: light.close(),
+}
+
+
+class _Pipe:
+    """The lines from and to the instrument; what libraries print goes to the error stream."""
+
+    def __init__(self) -> None:
+        self._output: TextIO = os.fdopen(os.dup(1), "w", encoding="utf-8")
+        os.dup2(2, 1)
+        self._writing = threading.Lock()
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._parent = os.getppid()
+        self.has_ended = False
+        for work in (self._read, self._pulse):
+            threading.Thread(target=work, daemon=True).start()
+
+    def send(self, answer: dict[str, Any]) -> None:
+        with self._writing, suppress(OSError, ValueError):  # of an instrument that has ended
+            self._output.write(json.dumps(answer) + "\n")
+            self._output.flush()
+
+    def next(self, timeout_s: float) -> str:
+        """Return the next line, or an empty one if none came in time or there are no more."""
+        with suppress(queue.Empty):
+            return self._lines.get(timeout=timeout_s)
+        # A process forked from the instrument may hold the pipe open.
+        self.has_ended |= os.getppid() != self._parent
+        return ""
+
+    def _read(self) -> None:
+        for line in sys.stdin:
+            self._lines.put(line)
+        self.has_ended = True
+        self._lines.put("")
+
+    def _pulse(self) -> None:
+        while True:
+            self.send({"alive": True})
+            time.sleep(PULSE_S)
+
+
+def _serve(light: LightSource, pipe: _Pipe) -> None:
+    """Answer calls until the pipe ends or the light is closed."""
+    due_s, promised_s = math.inf, 0.0
+    while not pipe.has_ended:
+        line = pipe.next(_POLL_S)
+        if line:
+            method, *arguments = json.loads(line)
+            if method == "keep_alive":
+                promised_s = float(arguments[0])
+                due_s = time.monotonic() + promised_s
+                continue
+            pipe.send(_answer(light, method, arguments) | ({"is_last": True} if method == "close" else {}))
+            if method == "close":
+                return
+        elif time.monotonic() > due_s and not pipe.has_ended:
+            due_s = math.inf
+            if light.is_on:
+                light.set_on(False)
+                light.off_reason = (
+                    f"the light went off because the acquisition gave no sign of life for {promised_s:g} s"
+                )
+                sys.stderr.write(f"svwfs: {light.off_reason}\n")
+
+
+def _answer(light: LightSource, method: str, arguments: list[Any]) -> dict[str, Any]:
+    try:
+        value = _CALLS[method](light, *arguments)
+    except DeviceError as error:
+        return {"error": type(error).__name__, "text": str(error)}
+    if method == "set_on" and arguments[0]:
+        light.off_reason = ""
+    return {"value": value}
+
+
+def open_light(settings: dict[str, Any]) -> LightSource:
+    """Open the light that has these settings, off."""
+    kind = DRIVERS["light"][settings["driver"]]
+    light: LightSource = kind.open(kind.settings(**settings))
+    return light
+
+
+def switch_off(settings: dict[str, Any]) -> None:
+    """Switch off a light that nobody holds any more, which opening does; `DeviceError` after several attempts."""
+    for attempt in range(_ATTEMPTS):
+        try:
+            open_light(settings).close()
+        except DeviceError:
+            if attempt == _ATTEMPTS - 1:
+                raise
+            time.sleep(PULSE_S)
+        else:
+            return
+
+
+def main() -> int:
+    """Hold the light until the instrument closes it or ends."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the instrument decides
+    pipe = _Pipe()
+    settings = json.loads(pipe.next(PULSE_S * 40) or "{}")
+    if not settings:
+        return 0
+    try:
+        light = open_light(settings)
+    except DeviceError as error:
+        pipe.send({"error": type(error).__name__, "text": str(error), "is_last": True})
+        return 0
+    try:
+        pipe.send({"value": light.name})
+        _serve(light, pipe)
+    finally:
+        try:
+            light.close()
+        except DeviceError:
+            try:
+                switch_off(settings)
+            except DeviceError as error:
+                sys.stderr.write(f"svwfs: {error}; {MAY_BE_ON}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

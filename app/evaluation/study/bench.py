@@ -1,0 +1,251 @@
+"""A bench that is not perfect: each imperfection alone, and all together, in real light behind a checkerboard.
+
+The reference and the frame have the imperfections, the bench's settings do not. Those of the optics are fields at the
+lenslets, apart from the wavelengths: each has its own images, which add up.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from app.acquisition.devices import scene_of
+from app.bench.config import Bench
+from app.evaluation.frames import seeded, with_screen, with_source
+from app.evaluation.studies import CaseResult
+from app.evaluation.study.estimators import WarpEstimator, compared, with_rms
+from app.evaluation.study.noise import camera, error_bar_rad
+from app.evaluation.study_kinds import Sweep
+from app.progress import Progress
+from reconstruction.arrays import Floats, Image
+from reconstruction.errors import ReconstructionError
+from reconstruction.layers.layered_wavefront import FREE
+from reconstruction.wavefront import without_piston
+from simulated_devices.optics.forward_model import ForwardModel, PointField
+from simulated_devices.rendering import Renderer
+
+_PEAK_E = 1e5  # electrons in the reference's brightest pixel: noise counts little
+_DEGREE = 4  # of a lenslet's aberrations
+_HALO_PX = 20.0  # sigma of scattered light
+_STREAM = 2  # of the random numbers of a seed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Imperfections:
+    """Imperfections of a bench, each 0 if there is none."""
+
+    defocus: float = 0.0  # distance of the camera over the focal length of the lenslets, less 1
+    aberration_waves: float = 0.0  # RMS over each lenslet, up to the fourth degree, at random
+    bandwidth_m: float = 0.0  # of three lines of the source, equally strong, from the middle one to the others
+    absorption_rms: float = 0.0  # of the sample, see `Screen.transmission_rms`
+    uneven_source: float = 0.0  # change of the brightness from the middle to an edge
+    uneven_beam: float = 0.0  # half width of the lenslets over the beam's 1/e^2 radius, a fifth of which is off centre
+    lattice_px: float = 0.0  # scatter of the lenslets' axes along x and y
+    diffusion_px: float = 0.0  # sigma of the charge in the detector
+    prnu: float = 0.0  # scatter of the pixels' gain
+    nonlinearity: float = 0.0  # share that is lost of the brightest pixel of the reference
+    stray_light: float = 0.0  # share that is scattered widely
+
+    @property
+    def of_optics(self) -> "Imperfections":
+        """Those of everything before the detector."""
+        return replace(self, **dict.fromkeys(_OF_DETECTOR, 0.0))
+
+
+NONE = Imperfections()
+_OF_DETECTOR = "diffusion_px", "prnu", "nonlinearity", "stray_light"
+_ALL = Imperfections(
+    defocus=0.04,
+    aberration_waves=0.03,
+    bandwidth_m=10.5e-9,
+    absorption_rms=0.16,
+    uneven_source=0.25,
+    uneven_beam=0.5,
+    lattice_px=0.1,
+    diffusion_px=0.35,
+    prnu=0.008,
+    nonlinearity=0.012,
+    stray_light=0.02,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Case:
+    name: str
+    imperfections: Imperfections
+    is_distance_told: bool = False  # the bench's settings have the camera's distance as focal length
+
+
+_NAMES = {
+    "defocus": "defocus 4 %, not told",
+    "aberration_waves": "lenslets 0.03 waves",
+    "bandwidth_m": "LED ±10.5 nm",
+    "absorption_rms": "absorption 16 %",
+    "uneven_source": "source 25 %",
+    "uneven_beam": "beam 1/e² at 2 pupils",
+    "lattice_px": "lattice 0.1 px",
+    "diffusion_px": "diffusion 0.35 px",
+    "prnu": "PRNU 0.8 %",
+    "nonlinearity": "nonlinear 1.2 %",
+    "stray_light": "stray light 2 %",
+}
+_CASES = (
+    _Case("none", NONE),
+    *(_Case(name, replace(NONE, **{each: getattr(_ALL, each)})) for each, name in _NAMES.items()),
+    _Case("absorption 8 %", Imperfections(absorption_rms=0.08)),
+    _Case("absorption 4 %", Imperfections(absorption_rms=0.04)),
+    _Case("defocus 0.4 %, not told", Imperfections(defocus=0.004)),
+    _Case("defocus 4 %, told", Imperfections(defocus=_ALL.defocus), is_distance_told=True),
+    _Case("all, defocus told", _ALL, is_distance_told=True),
+)
+
+
+class ImperfectBench:
+    """Noise-free images of a bench with imperfections of its optics; those of the detector follow, see `detected`."""
+
+    def __init__(self, bench: Bench, imperfections: Imperfections) -> None:
+        self._imperfections, screen = imperfections, bench.simulation.screen
+        self._random = np.random.default_rng([bench.simulation.seed, _STREAM])
+        wavelength_m, focal_length_m = bench.sensor.wavelength_m, bench.sensor.lenslet_focal_length_m
+        offsets_m = {sign * imperfections.bandwidth_m for sign in (-1, 0, 1)}
+        self._of_line = []
+        for ratio in sorted(wavelength_m / (wavelength_m + offset_m) for offset_m in offsets_m):
+            sensor = replace(
+                bench.sensor,
+                wavelength_m=wavelength_m / ratio,
+                lenslet_focal_length_m=focal_length_m * (1 + imperfections.defocus),
+            )
+            line = with_screen(
+                replace(bench, sensor=sensor),
+                rms_rad=screen.rms_rad * ratio,
+                transmission_rms=imperfections.absorption_rms or screen.transmission_rms,
+            )
+            self._of_line.append((ratio, Renderer(scene_of(line))))
+        self._bench = bench
+
+    @cached_property
+    def truth(self) -> Floats:
+        """Phase of the light of the middle wavelength, see `Renderer.truth_wavefront`."""
+        _, renderer = self._of_line[len(self._of_line) // 2]
+        return renderer.truth_wavefront(0)
+
+    def images(self) -> tuple[Image, Image]:
+        """Reference and frame, (row, column), m^2, mean over the wavelengths."""
+        pupil = self._pupil(self._of_line[0][1].model)
+        mask, lines = self._bench.simulation.source.mask, []
+        for ratio, renderer in self._of_line:
+            points = renderer.points(mask)
+            along = points.position_m[:, 0] / self._bench.field.half_width_m
+            points = replace(points, area_m2=points.area_m2 * (1 + self._imperfections.uneven_source * along))
+            amplitude = pupil(ratio)
+            fields = (
+                _through(lambda *_: np.ones((1, 1), np.complex64), amplitude),
+                _through(renderer.light(0), amplitude),
+            )
+            lines.append([renderer.model.irradiance(points, field) for field in fields])
+        both = np.mean(np.array(lines), axis=0)
+        return both[0], both[1]
+
+    def _pupil(self, model: ForwardModel) -> Callable[[float], NDArray[np.complex64]]:
+        """Amplitude and phase that lenslets and beam add at the pupil samples, (y, x), by the ratio of wavelengths."""
+        imperfections, sensor = self._imperfections, self._bench.sensor
+        x_m, y_m, pitch_m = model.sample_x_m, model.sample_y_m, sensor.lenslet_pitch_m
+        half = np.array([sensor.lenslet_columns - 1, sensor.lenslet_rows - 1]) / 2
+        place = x_m / pitch_m + half[0], y_m / pitch_m + half[1]
+        column, row = (np.rint(along).astype(np.intp) for along in place)
+        xi, eta = 2 * (place[0] - column), 2 * (place[1] - row)
+        shape = int(2 * half[1] + 1), int(2 * half[0] + 1), _DEGREE + 1, _DEGREE + 1
+        n, m = np.indices(shape[2:])
+        of_lenslet = self._random.standard_normal(shape)  # coefficients of P_n(eta) P_m(xi) of unit RMS
+        of_lenslet[..., (n + m < 2) | (n + m > _DEGREE)] = 0
+        rms_rad = 2 * np.pi * imperfections.aberration_waves
+        of_lenslet *= rms_rad / np.sqrt(np.sum(of_lenslet**2, axis=(2, 3), keepdims=True))
+        wavenumber, focal_length_m = sensor.wavenumber_rad_per_m, sensor.lenslet_focal_length_m
+        slope_rad_per_m = wavenumber * imperfections.lattice_px * sensor.pixel_pitch_m / focal_length_m
+        tilt_rad = self._random.standard_normal((2, *shape[:2])) * slope_rad_per_m * pitch_m / 2 / np.sqrt(3)
+        of_lenslet[..., 0, 1], of_lenslet[..., 1, 0] = tilt_rad
+        # the lenslet's focus seen by a camera at the distance f (1 + defocus)
+        bent = 1 / (1 + imperfections.defocus) - 1
+        quadratic = wavenumber / (2 * focal_length_m) * bent * (pitch_m / 2) ** 2
+        norm = np.sqrt(2 * np.arange(_DEGREE + 1) + 1)
+        along_x, along_y = (np.polynomial.legendre.legvander(along, _DEGREE) * norm for along in (xi, eta))
+        phase = np.einsum("yxnm,yn,xm->yx", of_lenslet[row[:, None], column], along_y, along_x, optimize=True)
+        phase += quadratic * (xi**2 + eta[:, None] ** 2)
+        beam_x, beam_y = (
+            imperfections.uneven_beam * along_m / half_m - 0.2 * bool(imperfections.uneven_beam)
+            for along_m, half_m in zip((x_m, y_m), sensor.pupil_half_width_m, strict=True)
+        )
+        amplitude = np.exp(-(beam_x**2) - beam_y[:, None] ** 2)
+        return lambda ratio: np.asarray(amplitude * np.exp(1j * ratio * phase), np.complex64)
+
+
+def _through(light: PointField, amplitude: NDArray[np.complex64]) -> PointField:
+    return lambda x_m, y_m: np.asarray(light(x_m, y_m) * amplitude, np.complex64)
+
+
+def detected(images: tuple[Image, Image], imperfections: Imperfections, seed: int) -> tuple[Image, Image]:
+    """Electrons of reference and frame, (row, column), from their irradiance, with the detector's imperfections."""
+    gain = 1 + imperfections.prnu * np.random.default_rng([seed, _STREAM, 1]).standard_normal(images[0].shape)
+    scale = _PEAK_E / images[0].max()
+
+    def electrons(image: Image) -> Image:
+        scattered = ndimage.gaussian_filter(image, _HALO_PX, mode="constant")
+        light = (1 - imperfections.stray_light) * image + imperfections.stray_light * scattered
+        light = ndimage.gaussian_filter(light, imperfections.diffusion_px, mode="constant") * scale * gain
+        return np.asarray(light * (1 - imperfections.nonlinearity * light / _PEAK_E), np.float32)
+
+    reference, frame = map(electrons, images)
+    return reference, frame
+
+
+def _bench(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+    """Residuals in one pass, free and over the layers found, error bars and flags."""
+    if bench.simulation.source.mask == "square":
+        bench = with_source(bench, mask="checkerboard")
+    for done, screen in enumerate(seeded(bench, seeds)):
+        kept: tuple[Imperfections, tuple[Image, Image], Floats] | None = None  # of detectors' cases: the same optics
+        for index, case in enumerate(_CASES):
+            progress(case.name, (done + index / len(_CASES)) / len(seeds))
+            size = case.imperfections
+            if kept is None or kept[0] != size.of_optics:
+                imperfect = ImperfectBench(screen, size.of_optics)
+                kept = size.of_optics, imperfect.images(), imperfect.truth
+            yield from _measured(screen, case, detected(kept[1], size, screen.simulation.seed), kept[2])
+
+
+def _measured(bench: Bench, case: _Case, images: tuple[Image, Image], truth: Floats) -> Iterator[CaseResult]:
+    em_camera, at = camera(bench), case.name
+    if case.is_distance_told:
+        told_m = bench.sensor.lenslet_focal_length_m * (1 + case.imperfections.defocus)
+        bench = replace(bench, sensor=replace(bench.sensor, lenslet_focal_length_m=told_m))
+    reference, frame = em_camera.counts(images[0]), em_camera.exposed(images[1], bench.simulation.seed, 0)
+    estimator = WarpEstimator(bench, reference, None, noise=em_camera.noise)
+    try:
+        displacement = estimator.reconstructor.register(frame)
+        samples = {"free": FREE, "layers": estimator.reconstructor.find_sample(displacement)}
+    except ReconstructionError as problem:
+        values = {"rms_rad": math.nan, "lost": math.nan, "left_cell": math.nan, "seconds": math.nan}
+        yield CaseResult(at={"curve": "layers", "at": at}, values=values, problem=str(problem))
+        return
+    for curve, sample in samples.items():
+        wavefront = estimator.reconstructor.solve(displacement, sample=sample)
+        faults = estimator.judge(frame, wavefront.displacement).faults
+        found = compared(curve, at, wavefront, truth)
+        yield replace(found, values={**found.values, "faults": float(faults)})
+        error = without_piston(np.where(wavefront.displacement.valid, wavefront.views - truth, np.nan))
+        covered = np.mean((np.abs(error) < wavefront.sigma())[np.isfinite(error)])
+        yield with_rms(f"{curve}: error bar", at, wavefront, error_bar_rad(wavefront), coverage=float(covered))
+
+
+BENCH = Sweep(
+    name="bench",
+    title="Imperfect benches, checkerboard, one pass",
+    axis="imperfection",
+    left_out=("error bar",),
+    measure=_bench,
+    limits_rad={"free": {_CASES[-1].name: 0.05}, "layers": {_CASES[-1].name: 0.03}},
+)

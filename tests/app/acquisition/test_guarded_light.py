@@ -1,0 +1,256 @@
+"""The light and its guardian: whatever dies or freezes, the light goes off.
+
+The instrument is a process with the worker, a DCAM camera and a DC4100, whose stand-in is in this process, at a
+pseudo-terminal. `SVWFS_KILLS=100` repeats each death; `SVWFS_TIMES=FILE` notes how long the light stayed on.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from support.command_line import run
+from support.dcam_tools import built
+from support.light_contract import LightContract
+from support.paths import FOREIGN_FRAMES
+from support.patience import wait_until
+from support.wires.dc4100 import DC4100Wire
+from support.wires.pseudo_terminal import PtyServer
+
+from app.acquisition.guarded_light import GuardedLight
+from drivers.errors import BadValue, DeviceError, Disconnected
+from drivers.interface import LightSource
+from drivers.serial_lights import DC4100Settings
+
+KILLS = int(os.environ.get("SVWFS_KILLS", "1"))
+TIMES = os.environ.get("SVWFS_TIMES", "")
+GONE = "the guardian of the light has ended; the light was switched off: open the bench again"
+
+INSTRUMENT = """
+import sys, time
+from pathlib import Path
+from support.wires.dcam.stand_in import StandIn
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition
+from app.bench.config import load_bench
+
+bench = load_bench(sys.argv[1])
+StandIn(Path(bench.camera.library)).reset(1.0)
+acquisition = Acquisition(bench)
+acquisition.start()
+for step in start_up(acquisition, frames=3):
+    step.result()
+print("lit", flush=True)
+while acquisition.is_alive:
+    time.sleep(0.01)
+sys.exit(acquisition.failure)
+"""
+
+
+@pytest.fixture
+def lamp() -> DC4100Wire:
+    return DC4100Wire()
+
+
+@pytest.fixture
+def port(lamp: DC4100Wire) -> Iterator[PtyServer]:
+    with PtyServer(lamp) as server:
+        yield server
+
+
+@pytest.fixture
+def reopen(port: PtyServer) -> Callable[[], LightSource]:
+    return lambda: GuardedLight(DC4100Settings(port=port.port))
+
+
+@pytest.fixture
+def light(reopen: Callable[[], LightSource]) -> Iterator[LightSource]:
+    with reopen() as light:
+        yield light
+
+
+class TestContract(LightContract):
+    """A guarded light is a light."""
+
+
+def children(pid: int) -> set[int]:
+    """The processes that all threads of a process have started, and that live."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    found = {int(child) for task in tasks for child in (task / "children").read_text().split()}
+    return {child for child in found if not is_gone(child)}
+
+
+def is_gone(pid: int) -> bool:
+    """Whether a process has ended; one that nobody has waited for counts."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+def bench_toml(port: str, folder: Path) -> Path:
+    path = folder / "bench.toml"
+    path.write_text(
+        (FOREIGN_FRAMES / "bench.toml").read_text()
+        + f"""
+[camera]
+driver = "dcam"
+library = "{built()}"
+exposure_s = 0.02
+
+[light]
+driver = "thorlabs_dc4100"
+port = "{port}"
+current_a = 0.1
+"""
+    )
+    return path
+
+
+@contextmanager
+def lit_instrument(bench: Path, lamp: DC4100Wire) -> Iterator[subprocess.Popen[str]]:
+    with subprocess.Popen(  # noqa: S603 - this interpreter
+        [sys.executable, "-c", INSTRUMENT, str(bench)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGQUIT, signal.SIG_DFL),  # noqa: PLW1509 - jobs of a shell ignore it
+    ) as program:
+        try:
+            assert program.stdout is not None
+            assert program.stdout.readline() == "lit\n"
+            assert lamp.is_lit
+            yield program
+        finally:
+            program.kill()
+
+
+def note_time(what: str, number: signal.Signals, seconds: float) -> None:
+    if TIMES:
+        with Path(TIMES).open("a") as file:
+            file.write(json.dumps([what, number.name, seconds]) + "\n")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("victim", ["instrument", "guardian", "all of the terminal"])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGQUIT, signal.SIGTERM, signal.SIGSTOP])
+def test_light_goes_off_whatever_dies_or_freezes(
+    port: PtyServer, lamp: DC4100Wire, tmp_path: Path, victim: str, number: signal.Signals
+) -> None:
+    bench = bench_toml(port.port, tmp_path)
+    for _ in range(KILLS):
+        with lit_instrument(bench, lamp) as program:
+            (guardian,) = children(program.pid)
+            started_s = time.monotonic()
+            if victim == "all of the terminal":
+                os.killpg(program.pid, number)
+            else:
+                os.kill(guardian if victim == "guardian" else program.pid, number)
+            wait_until(lambda: not lamp.is_lit)
+            note_time(victim, number, time.monotonic() - started_s)
+            if victim != "guardian":
+                program.kill()
+            _, errors = program.communicate()
+            wait_until(lambda: is_gone(guardian))  # noqa: B023 - called here
+            assert not lamp.is_lit
+            if victim == "guardian":
+                assert GONE in errors
+                assert program.returncode == 1
+            elif number == signal.SIGSTOP:
+                assert "the acquisition gave no sign of life for" in errors
+
+
+def test_light_without_sign_of_life_goes_off_and_says_why(light: LightSource, lamp: DC4100Wire) -> None:
+    light.set_on(True)
+    light.keep_alive(0.2)
+    wait_until(lambda: not lamp.is_lit)
+    assert not light.is_on
+    assert light.off_reason == "the light went off because the acquisition gave no sign of life for 0.2 s"
+    light.keep_alive(60)
+    light.set_on(True)
+    assert lamp.is_lit
+    assert light.off_reason == ""
+
+
+def test_light_with_signs_of_life_stays_on(light: LightSource, lamp: DC4100Wire) -> None:
+    """Each promise replaces the one before."""
+    light.set_on(True)
+    light.keep_alive(0.2)
+    light.keep_alive(60)
+    time.sleep(0.5)
+    assert lamp.is_lit
+
+
+def test_errors_of_the_light_come_through(light: LightSource, lamp: DC4100Wire, port: PtyServer) -> None:
+    with pytest.raises(BadValue, match="outside"):
+        light.set_current(99.0)
+    assert light.properties()["firmware"] == "1.8.4"
+    light.set_on(True)
+    lamp.heat_up()
+    with pytest.raises(DeviceError, match="too hot"):
+        _ = light.is_on
+    port.unplug()
+    with pytest.raises(Disconnected, match="is gone"):
+        _ = light.current_a
+
+
+def test_light_that_cannot_be_opened_leaves_no_process(port: PtyServer) -> None:
+    port.close()
+    before = children(os.getpid())
+    with pytest.raises(Disconnected, match=port.port):
+        GuardedLight(DC4100Settings(port=port.port))
+    assert children(os.getpid()) == before
+
+
+def test_dead_guardian_whose_light_is_gone_says_that_it_may_be_on(port: PtyServer) -> None:
+    before = children(os.getpid())
+    light = GuardedLight(DC4100Settings(port=port.port))
+    light.set_on(True)
+    (guardian,) = children(os.getpid()) - before
+    port.unplug()
+    os.kill(guardian, signal.SIGKILL)
+    with pytest.raises(Disconnected, match="may still be on: switch it off by hand"):
+        _ = light.is_on
+    light.close()
+
+
+def test_light_off_switches_it_off(
+    port: PtyServer,
+    lamp: DC4100Wire,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    bench = bench_toml(port.port, tmp_path)
+    lamp.heads[0].is_on = True
+    assert run(monkeypatch, "light-off", "--bench", bench) == 0
+    assert not lamp.is_lit
+    assert "LED1 is off" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("driver", "status", "words"), [("simulated", 0, "nothing to"), ("manual", 1, "by hand")])
+def test_light_off_without_a_light(
+    driver: str,
+    status: int,
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    bench = tmp_path / "bench.toml"
+    bench.write_text(
+        bench_toml("unused", tmp_path).read_text().partition("[light]")[0] + '[light]\ndriver = "manual"\n'
+    )
+    name = "small_demo" if driver == "simulated" else str(bench)
+    assert run(monkeypatch, "light-off", "--bench", name) == status
+    assert words in "".join(capsys.readouterr())

@@ -1,0 +1,111 @@
+"""`svwfs study bench`: images of imperfect benches, and the study itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.acquisition.devices import scene_of
+from app.bench.config import Bench, load_bench
+from app.evaluation.studies import collect
+from app.evaluation.study import bench as study
+from app.evaluation.study.bench import BENCH, NONE, ImperfectBench, Imperfections, detected
+from reconstruction.arrays import Floats, Image
+from reconstruction.quality.verdict import Fault
+from simulated_devices.rendering import Renderer
+
+MASK = "checkerboard"
+
+
+@pytest.fixture
+def bench(small_toml: Path) -> Bench:
+    return load_bench(small_toml, (f"simulation.source.mask='{MASK}'",))
+
+
+def cells(image: Image, bench: Bench) -> Floats:
+    """Pixels of every lenslet's cell, cut to whole pixels: (lenslet, pixel), and a column each for x and y."""
+    sensor, lattice = bench.sensor, bench.design_lattice(*image.shape)
+    row, column = np.indices(image.shape)
+    position_px = np.stack([column, row], axis=-1).astype(np.float64)
+    cell, local_px, inside = lattice.cells_at(position_px, sensor.lenslet_rows, sensor.lenslet_columns)
+    lenslet = np.where(inside, cell[..., 1] * sensor.lenslet_columns + cell[..., 0], -1)
+    count = sensor.lenslet_rows * sensor.lenslet_columns
+    weights = (image, image * local_px[..., 0], image * local_px[..., 1])
+    return np.array([np.bincount(lenslet[inside], each[inside], count) for each in weights])  # (sum and moments, ...)
+
+
+def test_perfect_bench_has_the_images_of_the_simulated_bench(bench: Bench) -> None:
+    imperfect, renderer = ImperfectBench(bench, NONE), Renderer(scene_of(bench))
+    reference, frame = imperfect.images()
+    assert reference == pytest.approx(renderer.reference(MASK), abs=1e-4 * float(reference.max()))
+    assert frame == pytest.approx(renderer.state(MASK, 0), abs=1e-4 * float(frame.max()))
+    assert np.array_equal(imperfect.truth, renderer.truth_wavefront(0))
+
+
+def test_lattice_moves_subimages(bench: Bench) -> None:
+    light, *moments = cells(ImperfectBench(bench, NONE).images()[0], bench)
+    at_rest = np.array(moments) / light
+    light, *moments = cells(ImperfectBench(bench, Imperfections(lattice_px=0.3)).images()[0], bench)
+    assert np.std(np.array(moments) / light - at_rest) == pytest.approx(0.3, rel=0.25)  # of 70 numbers
+
+
+def test_camera_out_of_focus_sees_larger_and_blurred_subimages(bench: Bench) -> None:
+    sharp, _ = ImperfectBench(bench, NONE).images()
+    farther = Imperfections(defocus=0.04)
+    blurred, _ = ImperfectBench(bench, farther).images()
+    told = replace(bench.sensor, lenslet_focal_length_m=1.04 * bench.sensor.lenslet_focal_length_m)
+    enlarged, _ = ImperfectBench(replace(bench, sensor=told), NONE).images()
+    assert blurred.max() < enlarged.max() < 1.02 * sharp.max()
+    assert np.std(blurred - enlarged) < np.std(blurred - sharp)
+
+
+def test_wavelengths_add_up(bench: Bench) -> None:
+    reference, _ = ImperfectBench(bench, Imperfections(bandwidth_m=20e-9)).images()
+    lines = []
+    for offset_m in (-20e-9, 0.0, 20e-9):
+        sensor = replace(bench.sensor, wavelength_m=bench.sensor.wavelength_m + offset_m)
+        lines.append(Renderer(scene_of(replace(bench, sensor=sensor))).reference(MASK))
+    assert reference == pytest.approx(np.mean(lines, axis=0), abs=1e-4 * float(reference.max()))
+    assert np.abs(lines[1] - reference).max() > 1e-3 * reference.max()
+
+
+def test_absorption_changes_the_frame_alone(bench: Bench) -> None:
+    reference, frame = ImperfectBench(bench, NONE).images()
+    its_reference, its_frame = ImperfectBench(bench, Imperfections(absorption_rms=0.16)).images()
+    assert np.array_equal(its_reference, reference)
+    assert 0.05 < np.std(its_frame - frame) / np.std(frame) < 0.5
+
+
+def test_detector_loses_what_it_is_told() -> None:
+    flat = np.full((80, 80), 2.0, np.float32)
+    flat[:, 40:] = 1.0
+    reference, frame = detected((flat, flat / np.float32(2)), Imperfections(nonlinearity=0.1), 1)
+    assert reference[40, 20] == pytest.approx(0.9e5)
+    assert frame[40, 20] == pytest.approx(0.95 * 0.5e5)
+    noisy, _ = detected((flat, flat), Imperfections(prnu=0.01), 1)
+    assert np.std(noisy[:, 40:] / 0.5e5) == pytest.approx(0.01, rel=0.05)
+    point = np.zeros((81, 81), np.float32)
+    point[40, 40] = 1.0
+    stray, _ = detected((point, point), Imperfections(stray_light=0.1), 1)
+    assert stray[40, 40] == pytest.approx(0.9e5, rel=0.01)
+    assert 0.05e5 < stray.sum() - stray[40, 40] < 0.1e5  # some of it leaves the camera
+    diffuse, _ = detected((point, point), Imperfections(diffusion_px=0.35), 1)
+    assert diffuse.sum() == pytest.approx(1e5, rel=1e-4)
+    assert diffuse[40, 40] < 0.95e5
+
+
+@pytest.mark.slow
+def test_study_shows_residual_error_bar_and_flags(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen = [each for each in study._CASES if each.name in {"none", "absorption 16 %", "defocus 4 %, not told"}]
+    monkeypatch.setattr(study, "_CASES", tuple(chosen))
+    data = collect(BENCH.dims, BENCH.measure(bench, range(1), lambda *_: None))
+    summary = BENCH.summary(data).set_index(["curve", "at"])
+    assert len(summary) == 12
+    assert summary.loc[("free", "absorption 16 %"), "mean_rad"] > 2 * summary.loc[("free", "none"), "mean_rad"]
+    assert summary.loc[("layers", "none"), "flags"] == ""
+    assert 0 <= summary.loc[("layers: error bar", "none"), "coverage"] <= 1
+    data["faults"] = float(Fault.MISFIT)
+    assert any("MISFIT" in cell for line in BENCH.printed(data).lines for cell in line)
