@@ -116,8 +116,9 @@ def _kept_scale(reference: Average, dark: Average | None, bench: Bench) -> MaskS
 def scale_quality(calibration: Calibration) -> Quality:
     """Judge by the image of the mask whether the bench's lengths are those of a reference.
 
-    Silent if the reference does not clearly show the mask (a circle fits an octagon 3 % smaller, with a misfit of 4 %),
-    or if the bench does not describe it: `[simulation.source]` is left out, and its square is not as large as the field.
+    Silent if the reference does not clearly show the mask (an octagon looks like a circle 3 % smaller, with a misfit of
+    4 %), or if the bench does not describe it: `[simulation.source]` is left out, and its square is not as large as the
+    field.
     """
     bench, source = calibration.bench, calibration.bench.simulation.source
     if source == Source() and source.half_width_m != bench.field.half_width_m:

@@ -137,7 +137,8 @@ class SteepestDescent:
     def brightness(self, descent: Floats, weight: Floats) -> Floats:
         """From residuals to a brightness with the terms of `transmission_terms`, fitted with all else, (L, 6, N)."""
         varying = descent[:, -2, None] * transmission_terms(self.u, self.v).T
-        return _least_squares(np.concatenate([varying, np.delete(descent, -2, axis=1)], axis=1), weight)[:, : len(varying[0])]
+        others = np.delete(descent, -2, axis=1)
+        return _least_squares(np.concatenate([varying, others], axis=1), weight)[:, : varying.shape[1]]
 
 
 def respond(
@@ -225,9 +226,11 @@ def prepare_template(
         brightness[some] = of_brightness
         per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent))
         per_light.append(_propagated(np.maximum(light, 0), inverse, weight, descent))
-    whole = [Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)]
+    of_pixels, of_light = (
+        Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)
+    )
     contrast = reference.light[:, of_window].std(axis=1)
-    return Template(grid, pixels, contrast, *whole, brightness, covariance)
+    return Template(grid, pixels, contrast, of_pixels, of_light, brightness, covariance)
 
 
 def _least_squares(images: Floats, weight: Floats) -> Floats:
