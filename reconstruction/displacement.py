@@ -75,6 +75,28 @@ class _Deferred:
         instance.__dict__["covariance"] = value
 
 
+def transmission_terms(u: Floats, v: Floats) -> Floats:
+    """Terms of a transmission at field positions (...) over the field's half width: 1, linear, quadratic, (..., 6)."""
+    return np.stack(np.broadcast_arrays(1.0, u, v, u**2 - 1 / 3, u * v, v**2 - 1 / 3), axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transmission:
+    """Brightness of the frame's subimages over that of the reference's, quadratic over the field.
+
+    Rays keep their brightness, so that it is what the sample lets through, and not how it gathers light.
+    """
+
+    coefficients: Floats  # of the terms, (lenslet_row, lenslet_column, 6); NaN where unknown
+    covariance: Floats  # (lenslet_row, lenslet_column, 6, 6), of the camera's noise
+
+    def at(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:
+        """Values and standard errors at field positions (...), each (..., lenslet_row, lenslet_column)."""
+        terms = transmission_terms(u, v)
+        variance = np.einsum("...i,rcij,...j->...rc", terms, self.covariance, terms)
+        return np.einsum("...i,rci->...rc", terms, self.coefficients), np.sqrt(variance)
+
+
 @dataclass(frozen=True, eq=False)
 class Displacement:
     """Displacements of all subimages of a frame from the reference."""
@@ -86,6 +108,7 @@ class Displacement:
     residual_rms: Floats  # misfit over the contrast of the reference's best subimage; NaN where not converged
     chi_square: Floats  # reduced; NaN where not converged and where the camera's noise is unknown
     range_used: Floats  # share of the dynamic range used by the field's edge; above 1 only where LEFT_CELL
+    transmission: Transmission | None = None  # None: the method does not measure it
 
     @cached_property
     def valid(self) -> Booleans:

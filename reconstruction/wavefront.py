@@ -51,6 +51,22 @@ class Wavefront:
         """Standard deviation of `views`, rad, the same shape; takes some milliseconds."""
         return _at_views(self.field, self.displacement, self.solution.sigma)
 
+    @property
+    def transmission(self) -> tuple[Floats, Floats] | None:
+        """Transmission of the sample at the views, and its standard error, of the shape of `views`.
+
+        The brightness of each source point over that in the reference, quadratic over the field: without a sample 1. A
+        lamp that became brighter changes all values alike. NaN where a lenslet is lost or partly covered. None if the
+        method of registration does not measure it.
+        """
+        if (found := self.displacement.transmission) is None:
+            return None
+        h_m = self.field.half_width_m
+        u, v = self.field.view_x_m / h_m, self.field.view_y_m[:, None] / h_m
+        is_inside = self.field.contains(u, v)[..., None, None]
+        value, sigma = (np.where(is_inside, each, np.nan) for each in found.at(u, v))
+        return value, sigma
+
     def at(self, x_m: ArrayLike, y_m: ArrayLike) -> Floats:
         """Wavefront at field positions, rad, (..., lenslet_row, lenslet_column), without piston; NaN where unknown.
 

@@ -10,6 +10,7 @@ from app.bench.imaging_model import BenchModel
 from app.cache import kept_while_alive
 from app.measurement.averages import Average
 from app.measurement.calibration import Calibration, surveyed
+from app.measurement.mask_scale import scale_quality
 from app.measurement.measurement import Assumptions, Measurement
 from app.timing import Timings
 from drivers.interface import Frame
@@ -74,6 +75,7 @@ class Estimator:
             of_reference=sample_quality(made.subimages)
             | linearity_quality(noise.curve, "reference")
             | of_reference
+            | scale_quality(given)
             | response_quality(made.response_problem),  # named first
         )
 

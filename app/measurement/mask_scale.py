@@ -16,20 +16,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage, optimize
 
+from app.cache import kept_while_alive
+from reconstruction.errors import ReconstructionError
+from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.response import mean_subimage
 from reconstruction.registration.subimages import ReferenceSubimages
 from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import SourcePoints, source_points
+from simulated_devices.settings import Simulation, Source
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from app.bench.config import Bench
+    from app.measurement.averages import Average
+    from app.measurement.calibration import Calibration
     from reconstruction.arrays import Floats, Image
 
 _RANGE = (0.9, 1.1)  # of the scale that is searched
 _STEP = 1e-3  # of the scale, for its derivative
 _LIKE = 0.1  # residual over the contrast below which a reference shows the mask
+_SURE = 0.03  # ... below which it is this mask as the bench has it; right ones have 0.012 at most
 _BETTER = 0.7  # residual of another orientation over that of the bench's
 _TOLERANCE = 0.01
 _ORIENTATIONS = {  # how the mask lies in the image, and its points' matrix
@@ -52,6 +59,7 @@ class MaskScale:
     scale: float  # of the image, over half_width_m * lenslet_focal_length_m / collimator_focal_length_m
     sigma: float  # standard error of the scale
     orientation: str  # empty as the bench has it
+    misfit: float = 0.0  # what the model leaves of the image, over its contrast
 
     @property
     def faults(self) -> list[str]:
@@ -73,7 +81,8 @@ class MaskScale:
 def mask_scale(bench: Bench, reference: Image) -> MaskScale | None:
     """Measure the image of the bench's mask in a reference (row, column), counts; None if it does not show it.
 
-    The bench has the lattice of the reference. `ReconstructionError` if that shows nothing.
+    The bench has the lattice of the reference. `ReconstructionError` if that shows nothing. It takes 0.7 s, or some
+    seconds for an asymmetric mask that does not lie as the bench has it.
     """
     if bench.lattice is None:
         raise ValueError("the bench needs a lattice")
@@ -82,6 +91,8 @@ def mask_scale(bench: Bench, reference: Image) -> MaskScale | None:
     subimage, _ = mean_subimage(ReferenceSubimages(reference, sensor=bench.sensor, lattice=bench.lattice, field=field))
     orientation, best, seen = "", (math.inf, 1.0, 0.0), set[bytes]()
     for name, matrix in _ORIENTATIONS.items():
+        if best[0] < _SURE:
+            break
         turned = _turned(points, matrix)
         if (shape := np.round(turned.area_m2 / points.area_m2.max(), 6).tobytes()) in seen:
             continue
@@ -90,7 +101,39 @@ def mask_scale(bench: Bench, reference: Image) -> MaskScale | None:
         if found[0] < (best[0] * _BETTER if name else best[0]):
             orientation, best = name, found
     misfit, scale, sigma = best
-    return MaskScale(source.mask, scale, sigma, orientation) if misfit < _LIKE else None
+    return MaskScale(source.mask, scale, sigma, orientation, misfit) if misfit < _LIKE else None
+
+
+@kept_while_alive(maxsize=4)  # another setting of registration or reconstruction does not change it
+def _kept_scale(reference: Average, dark: Average | None, bench: Bench) -> MaskScale | None:
+    light = reference.mean if dark is None else reference.mean - dark.mean
+    try:
+        return mask_scale(bench, light)
+    except (ReconstructionError, ValueError, OSError):  # no image of a mask, or its file is not there
+        return None
+
+
+def scale_quality(calibration: Calibration) -> Quality:
+    """Judge by the image of the mask whether the bench's lengths are those of a reference.
+
+    Silent if the reference does not clearly show the mask (an octagon looks like a circle 3 % smaller, with a misfit of
+    4 %), or if the bench does not describe it: `[simulation.source]` is left out, and its square is not as large as the
+    field.
+    """
+    bench, source = calibration.bench, calibration.bench.simulation.source
+    if source == Source() and source.half_width_m != bench.field.half_width_m:
+        return Quality()
+    simulation = Simulation(source=source, object_samples=bench.simulation.object_samples)
+    relevant = type(bench)(
+        sensor=bench.sensor,
+        field=bench.field,
+        lattice=calibration.lattice,
+        camera=bench.camera_model,
+        simulation=simulation,
+    )
+    found = _kept_scale(calibration.reference, calibration.dark, relevant)
+    is_clear = found is not None and found.misfit < _SURE
+    return Quality({Fault.SCALE: "; ".join(found.faults)} if is_clear and found.faults else {})
 
 
 def _turned(points: SourcePoints, matrix: tuple[tuple[int, int], tuple[int, int]]) -> SourcePoints:

@@ -97,6 +97,12 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
         "range_used": (LENSLET, displacement.range_used, about("1", _RANGE)),
         "chi_square": (LENSLET, displacement.chi_square, about("1", _CHI_SQUARE)),
     }
+    if (transmission := wavefront.transmission) is not None:
+        brightness = about("1", "brightness of the source through the sample over that in the reference")
+        variables |= {
+            "transmission": ((*_VIEW, *LENSLET), transmission[0], brightness),
+            "transmission_sigma": ((*_VIEW, *LENSLET), transmission[1], about("1", "standard deviation, noise only")),
+        }
     if isinstance(solution, ModalSolution):
         sigma, chi_square = solution.coefficients_sigma, np.array(solution.chi_square)
         variables |= {

@@ -29,6 +29,7 @@ class Fault(IntFlag):
     SAMPLE = 1024  # the reference was taken with a sample
     LINEARITY = 2048  # counts are not proportional to light
     PROPAGATION = 4096  # the light of subimages says that the bench's way of light is wrong
+    SCALE = 8192  # the mask's image is not as large, or does not lie, as the bench says
 
 
 @dataclass(frozen=True, slots=True)

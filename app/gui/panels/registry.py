@@ -12,6 +12,7 @@ from app.gui.panels.layers import LayersPanel
 from app.gui.panels.lenslet import LensletPanel
 from app.gui.panels.panel import Shown
 from app.gui.panels.quality import QualityPanel
+from app.gui.panels.transmission import TransmissionPanel
 from app.gui.panels.wavefronts import WavefrontPanel
 
 
@@ -27,6 +28,7 @@ class Panels(NamedTuple):
     lenslet: LensletPanel
     layers: LayersPanel
     corrector: CorrectorPanel
+    transmission: TransmissionPanel
     controls: ControlsPanel
 
 

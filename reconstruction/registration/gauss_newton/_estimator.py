@@ -21,7 +21,7 @@ from typing import Self
 import numpy as np
 
 from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.displacement import Displacement, Outcome, RegistrationMethod
+from reconstruction.displacement import Displacement, Outcome, RegistrationMethod, Transmission
 from reconstruction.frame.spline import noise_power, noise_power_polynomial
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes, gradient_basis
@@ -238,7 +238,7 @@ class GaussNewton:
         found &= ~_stands_out(unexplained, fits.square, self._unexplained, found)
         spoilt = known < _INFORMATION_LEFT
         fitted = (fits.displacement @ self._basis).astype(np.float32).astype(np.float64)
-        return classify_lenslets(
+        registered = classify_lenslets(
             reference,
             self.modes,
             fitted.reshape(len(fits.gain), 2, self.modes.count),
@@ -253,6 +253,26 @@ class GaussNewton:
                 Outcome.SATURATED: spoilt & reference.touched(saturated),
             },
         )
+        return replace(
+            registered,
+            covariance=registered.__dict__["covariance"],  # computed or not
+            transmission=self._transmission(fits, covariance.variance, registered.valid),
+        )
+
+    def _transmission(self, fits: Fits, variance: Floats, valid: Booleans) -> Transmission:
+        """Brightness of the subimages over the reference's, from gains and residuals; NaN for partly covered ones too.
+
+        At the end of the fit the residual is what the brightness explains beyond the gain, and noise. Its quadratic
+        terms are fitted only here, together with what they would change of the displacement.
+        """
+        shape, warp = valid.shape, self._warp
+        known = valid & ~fits.is_partial.reshape(shape)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            per_gain = np.where(known, 1 / fits.gain.reshape(shape), np.nan)[..., None]
+        beyond = np.einsum("lkn,ln->lk", warp.brightness, fits.residual).reshape(*shape, -1)
+        beyond[..., 0] += 1
+        of_noise = np.einsum("rck,krcij->rcij", variance, warp.brightness_covariance.reshape(2, *shape, 6, 6))
+        return Transmission(beyond * per_gain, of_noise * per_gain[..., None] ** 2)
 
     @property
     def hidden(self) -> int:
@@ -286,6 +306,7 @@ class GaussNewton:
             noise_power=np.ones((lenslets, 2)),
             is_partial=np.zeros(lenslets, np.bool_),
             excluded=np.zeros((lenslets, pixels), np.bool_),
+            residual=np.zeros((lenslets, pixels), np.float32),
         )
         frame = FrameData(
             coefficients=coefficients,

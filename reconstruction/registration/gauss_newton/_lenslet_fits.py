@@ -102,6 +102,7 @@ class Fits(NamedTuple):
     noise_power: Floats  # share of the noise that interpolation leaves: uniform, shot, (L, 2)
     is_partial: NDArray[np.bool_]  # some pixels were excluded, (L,)
     excluded: NDArray[np.bool_]  # pixels, (L, N)
+    residual: Image  # after the last step but one, 0 in excluded pixels, counts, (L, N)
 
 
 @compiled
@@ -164,6 +165,7 @@ def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined on
         fits.contrast[lenslet], fits.gain[lenslet] = state.contrast, state.gain
         fits.square[lenslet], fits.step_px[lenslet] = state.square, state.step_px
         fits.is_partial[lenslet] = state.is_partial
+        fits.residual[lenslet] = scratch.residual
         if state.is_partial:
             fits.excluded[lenslet] = scratch.excluded
         light, weight = warp.light[lenslet], warp.weight[lenslet]

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from reconstruction.arrays import Booleans, Floats, Image
+from reconstruction.displacement import transmission_terms
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.spline import mean_interpolation, sample, spline_coefficients
 from reconstruction.geometry import require
@@ -66,6 +67,8 @@ class Template:
     contrast: Floats  # standard deviation of the light in them, counts, (L,)
     per_pixel: Propagated  # of noise with variance 1 in every pixel
     per_light: Propagated  # of shot noise, whose variance is the light
+    brightness: Image  # from the residual to that of the source, over the gain's, (L, 6, N); see `SteepestDescent`
+    brightness_covariance: Floats  # of it, for noise of 1 in every pixel and for shot noise, (2, L, 6, 6)
 
     def without(self, lenslets: NDArray[np.intp], excluded: Booleans) -> tuple[Propagated, Propagated, Floats]:
         """`per_pixel` and `per_light` of some lenslets (K,) with pixels `excluded` (K, N).
@@ -130,6 +133,12 @@ class SteepestDescent:
         squares = weighted @ np.swapaxes(varying, 1, 2)
         share = np.linalg.pinv(squares, rcond=1e-9, hermitian=True) @ (weighted @ np.swapaxes(descent, 1, 2))
         return np.asarray(descent - np.swapaxes(share, 1, 2) @ varying)
+
+    def brightness(self, descent: Floats, weight: Floats) -> Floats:
+        """From residuals to a brightness with the terms of `transmission_terms`, fitted with all else, (L, 6, N)."""
+        varying = descent[:, -2, None] * transmission_terms(self.u, self.v).T
+        others = np.delete(descent, -2, axis=1)
+        return _least_squares(np.concatenate([varying, others], axis=1), weight)[:, : varying.shape[1]]
 
 
 def respond(
@@ -197,6 +206,7 @@ def prepare_template(
         is_gradient=bool(np.allclose(basis @ gradients.T @ gradients, basis)),
     )
     per_pixel, per_light = [], []
+    brightness, covariance = np.empty((lenslets, 6, count), np.float32), np.empty((2, lenslets, 6, 6))
     for first in range(0, lenslets, _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         light, gradient = reference.light[some][:, of_window], reference.gradient[some][:, of_window]
@@ -206,17 +216,30 @@ def prepare_template(
         weight /= np.maximum(weight.mean(axis=1, keepdims=True), _NOTHING)
         weighted = descent * weight[:, None]
         grid.descent[some], grid.normal[some] = descent, weighted @ np.swapaxes(descent, 1, 2)
+        of_brightness = images.brightness(descent, weight)
+        for kind, variance in enumerate((np.ones_like(light), np.maximum(light, 0))):
+            covariance[kind, some] = (of_brightness * variance[:, None]) @ np.swapaxes(of_brightness, 1, 2)
         descent = images.without_brightness(descent, weight)
-        weighted = descent * weight[:, None]
-        norm = np.sqrt(np.einsum("lkn,lkn->lk", descent, weighted))[..., None]
-        norm[norm == 0] = 1
-        normal = weighted @ np.swapaxes(descent, 1, 2) / norm / np.swapaxes(norm, 1, 2)
-        inverse = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ (weighted / norm) / norm
+        inverse = _least_squares(descent, weight)
         grid.light[some], grid.weight[some], grid.inverse[some] = light, weight, inverse
+        of_brightness[:, 0] -= inverse[:, -2]  # which is in the gain already
+        brightness[some] = of_brightness
         per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent))
         per_light.append(_propagated(np.maximum(light, 0), inverse, weight, descent))
-    whole = [Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)]
-    return Template(grid, pixels, reference.light[:, of_window].std(axis=1), *whole)
+    of_pixels, of_light = (
+        Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)
+    )
+    contrast = reference.light[:, of_window].std(axis=1)
+    return Template(grid, pixels, contrast, of_pixels, of_light, brightness, covariance)
+
+
+def _least_squares(images: Floats, weight: Floats) -> Floats:
+    """From residuals to the parameters with images (L, P, N), for weights (L, N) of the pixels: (L, P, N)."""
+    weighted = images * weight[:, None]
+    norm = np.sqrt(np.einsum("lkn,lkn->lk", images, weighted))[..., None]
+    norm[norm == 0] = 1
+    normal = weighted @ np.swapaxes(images, 1, 2) / norm / np.swapaxes(norm, 1, 2)
+    return np.asarray(np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ (weighted / norm) / norm)
 
 
 def _mean_square_gradient(modes: PolynomialModes, basis: Floats, half_width_px: float) -> Floats:

@@ -1,0 +1,63 @@
+"""The transmission panel: what the sample lets through, at every view of the field."""
+
+import numpy as np
+
+from app.gui.panels.panel import Panel, Request, Shown
+from app.gui.widgets.basics import ElidedLabel, column
+from app.gui.widgets.presentation import number
+from app.gui.widgets.scales import ColourScale
+from app.gui.widgets.view_grid import Maps, ViewGrid
+from reconstruction.arrays import Floats
+
+_STEP = 0.1  # of the ends of the colour scale
+_UNKNOWN = "This registration method does not measure the transmission"
+
+
+class TransmissionPanel(Panel):
+    """One map of the lenslets for each position of the field, all on one colour scale."""
+
+    title = "Transmission"
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        self.grid = ViewGrid()
+        self.grid.setToolTip(
+            "Brightness of the source through the sample over that in the reference.\n"
+            "Hatched lenslets are lost or partly covered."
+        )
+        self.grid.selected.connect(shown.choose_view)
+        self.sentence = ElidedLabel()
+        column((self.grid, 1), self.sentence, parent=self)
+
+    def request(self) -> Request | None:
+        """Return the maps to compute."""
+        wavefront = self.shown.wavefront
+        if wavefront is None or not self.isVisible():
+            return None
+        return Request(wavefront, None, lambda _: (wavefront.transmission,))
+
+    def show_result(self, result: tuple[tuple[Floats, Floats] | None]) -> None:
+        """Show the transmission with its error."""
+        (found,) = result
+        known = np.zeros(0) if found is None else found[0][np.isfinite(found[0])]
+        if found is None or not known.size:
+            self.show_nothing()
+            self.sentence.setText(_UNKNOWN if found is None else "No lenslet has a transmission")
+            return
+        values, sigma = found
+        low, high = np.floor(known.min() / _STEP) * _STEP, np.ceil(known.max() / _STEP) * _STEP
+        scale = ColourScale("inferno", float(low), float(max(high, low + _STEP)), "1", (0.0, 0.5, 1.0))
+        self.grid.show_maps(Maps(values, scale, _describe))
+        self.sentence.setText(
+            f"Mean {number(float(known.mean()))}, RMS {number(float(known.std()))},"
+            f" error {number(float(np.nanmean(sigma)))} by noise"
+        )
+
+    def show_nothing(self) -> None:
+        """Clear the panel."""
+        self.grid.show_maps(None)
+        self.sentence.setText("")
+
+
+def _describe(row: int, column: int, value: float) -> str:
+    return f"row {row}, column {column}: {number(value)}"
