@@ -1,0 +1,67 @@
+"""What a sample lets through, against the transmission of the simulator's screen where the rays of each view cross it."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from app.bench.config import Bench, load_bench
+from app.evaluation.frames import NoiseFreeFrames
+from app.measurement.bench_reconstructor import BenchReconstructor
+from app.results.dataset import result_dataset
+from reconstruction.arrays import Floats, Image
+
+READ_NOISE_E = 8.0
+RAYS = (np.arange(8) - 3.5) / 8  # across a lenslet, in pitches
+
+
+@cache
+def absorbing(mask: str) -> tuple[Bench, Image, Image, Floats]:
+    """Bench, noise-free reference and frame of a sample with 16 % RMS absorption, and the truth, shaped like views."""
+    bench = load_bench("small_demo", (f"simulation.source.mask='{mask}'", "simulation.screen.transmission_rms=0.16"))
+    frames, sensor, field = NoiseFreeFrames(bench), bench.sensor, bench.field
+    amplitude = frames.sample.amplitude
+    assert amplitude is not None
+    ratio = bench.simulation.screen.distance_m / field.collimator_focal_length_m
+    x_m = sensor.lenslet_centers_m[..., 0] - ratio * field.view_x_m[:, None, None]
+    y_m = sensor.lenslet_centers_m[..., 1] - ratio * field.view_y_m[:, None, None, None]
+    about_m = RAYS * sensor.lenslet_pitch_m
+    truth = np.mean([amplitude.at(x_m + x, y_m + y) ** 2 for x in about_m for y in about_m], axis=0)
+    return bench, frames.reference(), frames.frame().photons, truth
+
+
+def measured(mask: str, peak_e: float, seed: int = 0) -> tuple[Floats, Floats]:
+    """Transmission and its error from a frame of so many electrons in the reference's brightest pixel, or no noise."""
+    bench, reference, frame, _ = absorbing(mask)
+    scale = np.float32((peak_e or 1e5) / reference.max())
+    electrons, offset = frame * scale, 100
+    if peak_e:
+        random = np.random.default_rng(seed)
+        electrons = random.poisson(electrons) + READ_NOISE_E * random.standard_normal(frame.shape)
+    images = (np.maximum(image + offset, 0).astype(np.float32) for image in (reference * scale, electrons))
+    reference, frame = images
+    made = BenchReconstructor(bench, reference, dark=np.full_like(reference, offset), frame=frame)(frame)
+    dataset = result_dataset(made)
+    return dataset["transmission"].to_numpy(), dataset["transmission_sigma"].to_numpy()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("peak_e", [0, 1000])
+@pytest.mark.parametrize("mask", ["square", "checkerboard", "optimised"])
+def test_map_is_that_of_the_sample(mask: str, peak_e: float) -> None:
+    truth = absorbing(mask)[-1]
+    found, _ = measured(mask, peak_e)
+    known = np.isfinite(found)
+    assert known.mean() > 0.9
+    assert np.corrcoef(found[known], truth[known])[0, 1] > 0.95
+    assert found[known].mean() == pytest.approx(truth[known].mean(), rel=0.03)
+    assert found[known].std() == pytest.approx(truth[known].std(), rel=0.08)
+
+
+@pytest.mark.slow
+def test_error_is_the_scatter_by_noise() -> None:
+    draws = np.array([measured("checkerboard", 1000, seed) for seed in range(6)])
+    scatter = np.sqrt(np.nanmean(np.nanvar(draws[:, 0], axis=0, ddof=1)))
+    assert scatter == pytest.approx(np.sqrt(np.nanmean(draws[:, 1] ** 2)), rel=0.1)
