@@ -1,4 +1,4 @@
-"""What a sample lets through, against the transmission of the simulator's screen where the rays of each view cross it."""
+"""What a sample lets through, against the simulator, where the rays of each view cross its screen."""
 
 from __future__ import annotations
 

@@ -1,0 +1,64 @@
+"""Wavefronts are flagged if the mask's image in the reference is not as large, or does not lie, as the bench says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.bench.config import Bench, load_bench
+from app.evaluation.frames import simulate
+from app.measurement.bench_reconstructor import BenchReconstructor
+from reconstruction.quality.verdict import Fault, Quality
+
+
+def judged(true: Bench, told: Bench) -> Quality:
+    """The quality of a frame of one bench that is reconstructed with another."""
+    images = simulate(true)
+    frame = images.frames[0]
+    reconstructor = BenchReconstructor(replace(told, lattice=None), images.reference, dark=images.dark, frame=frame)
+    return reconstructor.quality(frame, reconstructor(frame))
+
+
+def out_of_focus(bench: Bench, share: float) -> Bench:
+    """The camera lies behind the focus, so that images are larger; their blur is that of the shifted lenslet."""
+    sensor = bench.sensor
+    return replace(bench, sensor=replace(sensor, lenslet_focal_length_m=(1 + share) * sensor.lenslet_focal_length_m))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mask", ["square", "circle", "checkerboard", "optimised"])
+def test_wrong_scale_is_flagged_and_a_small_one_is_not(mask: str) -> None:
+    bench = load_bench("small_demo", (f"simulation.source.mask='{mask}'",))
+    for share in (0.0, 0.005, -0.005):
+        assert Fault.SCALE not in judged(out_of_focus(bench, share), bench).faults
+    found = judged(out_of_focus(bench, 0.04), bench)
+    assert Fault.SCALE in found.faults
+    assert "4.0 % larger" in found.reasons[Fault.SCALE] or "3.9 % larger" in found.reasons[Fault.SCALE]
+    assert "smaller than the bench" in judged(out_of_focus(bench, -0.02), bench).reasons[Fault.SCALE]
+
+
+@pytest.mark.slow
+def test_mirrored_mask_is_flagged(tmp_path: Path) -> None:
+    """A letter L beside the middle."""
+    picture = np.zeros((12, 12), np.uint8)
+    picture[2:5, 2:10] = picture[2:10, 2:4] = 255
+    benches = []
+    for name, shown in (("told", picture), ("true", np.fliplr(picture))):
+        np.save(tmp_path / f"{name}.npy", shown)
+        settings = ("simulation.source.mask=image", f"simulation.source.file={tmp_path / name}.npy")
+        benches.append(load_bench("small_demo", settings))
+    told, true = benches
+    assert Fault.SCALE not in judged(told, told).faults
+    assert "mirrored left to right" in judged(true, told).reasons[Fault.SCALE]
+
+
+@pytest.mark.slow
+def test_bench_that_does_not_describe_its_mask_is_not_judged() -> None:
+    """Without `[simulation.source]`, and with a source that is not as large as the field."""
+    bench = load_bench("small_demo")
+    told = replace(bench, simulation=replace(bench.simulation, source=type(bench.simulation.source)()))
+    told = replace(told, field=replace(bench.field, half_width_m=1.03 * bench.field.half_width_m))
+    assert Fault.SCALE not in judged(bench, told).faults
