@@ -46,7 +46,7 @@ class TransmissionPanel(Panel):
             return
         values, sigma = found
         low, high = np.floor(known.min() / _STEP) * _STEP, np.ceil(known.max() / _STEP) * _STEP
-        scale = ColourScale("inferno", float(low), float(max(high, low + _STEP)), "1", (0.0, 0.5, 1.0))
+        scale = ColourScale("inferno", float(low), float(max(high, low + _STEP)), "", (0.0, 0.5, 1.0))
         self.grid.show_maps(Maps(values, scale, _describe))
         self.sentence.setText(
             f"Mean {number(float(known.mean()))}, RMS {number(float(known.std()))},"
