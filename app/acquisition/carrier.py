@@ -32,12 +32,16 @@ class Carrier(Protocol):
     Requests may come from any thread and return at once, most of them with a future.
     """
 
-    bench: Bench  # as given; the status has the changed settings
-    timings: Timings
-    status: Status | None  # None until the devices are open
-    activity: Activity
-    error: Exception | None  # why it ended without being asked to
-
+    @property
+    def bench(self) -> Bench: ...  # as given; the status has the changed settings
+    @property
+    def timings(self) -> Timings: ...
+    @property
+    def status(self) -> Status | None: ...  # None until the devices are open
+    @property
+    def activity(self) -> Activity: ...
+    @property
+    def error(self) -> Exception | None: ...  # why it ended without being asked to
     @property
     def failure(self) -> str: ...
     @property

@@ -30,7 +30,7 @@ from app.timing import Timings, short_turns
 from drivers.interface import DeviceError, Devices, Frame, WrongState
 from reconstruction.runtime.threads import one_blas_thread
 
-__all__ = ["Acquisition", "Activity", "FrameTotals", "Measurement"]
+__all__ = ["Acquisition", "FrameTotals", "Measurement"]
 
 T = TypeVar("T")
 P = ParamSpec("P")

@@ -1,8 +1,9 @@
 """A client's end: the acquisition of an instrument that runs in another process, as if it were in this one.
 
-Frames come from a shared ring with their displacements; the wavefront is solved here from these, as it was there.
+One thread speaks with the instrument; another one reads its frames, see `NewestFrames`.
 """
 
+import math
 import os
 import threading
 import time
@@ -11,7 +12,6 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
@@ -21,20 +21,16 @@ from zmq.utils.monitor import recv_monitor_message
 from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.remote import messages
-from app.acquisition.remote.messages import Accepted, Answer, Command, Notice, Record, State, Traveller
+from app.acquisition.remote.frames import Absent, NewestFrames
+from app.acquisition.remote.messages import Accepted, Answer, Command, Notice, State, Traveller
 from app.acquisition.remote.place import NAME, Place
-from app.acquisition.remote.ring import RingReader
 from app.acquisition.remote.wire import Packed, unpacked
 from app.bench.config import Bench
 from app.errors import RunError
-from app.measurement.calibration import Calibration
-from app.measurement.estimator import Estimator
 from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.sensor_region import SensorArea
 from app.recording.recorder import RecordingLimit, RecordingState
 from app.timing import Stage, StageTimes, Timings
-from reconstruction.errors import ReconstructionError
-from reconstruction.layers.layered_wavefront import FREE
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -44,12 +40,8 @@ _ALIVE_S = 1.0  # between two signs of life
 _SILENT_S = 2.0  # after which the instrument counts as frozen
 _TICK_MS = 50
 _SHOWN_S = 0.025  # between two measurements for a mailbox that a window reads
+_ASK_AGAIN_S = 3.0
 _KEPT = 8  # objects that travelled by themselves
-_SOLVERS = 2  # estimators kept: the reference may alternate
-
-
-class _Absent(Exception):
-    """An object that a message refers to has not arrived."""
 
 
 class _Timings(Timings):
@@ -61,7 +53,8 @@ class _Timings(Timings):
 
     def summary(self) -> dict[Stage, StageTimes]:
         """Statistics of every stage."""
-        return self.there | {stage: times for stage, times in super().summary().items() if times.count}
+        here = super().summary()
+        return here | self.there | {stage: times for stage, times in here.items() if times.count}
 
 
 class Connection:
@@ -79,28 +72,23 @@ class Connection:
 
         `RunError` if no instrument runs or answers there.
         """
-        self.place, self._sinks = Place.of(name), sinks
+        self.place = Place.of(name)
         self.name = f"{what} {os.getpid()}"
         self.timings = _Timings()
         self._state: State | None = None
         self._has_state, self._closing = threading.Event(), threading.Event()
         self._ended: Exception | None = None
-        self._newest: Measurement | None = None
-        self._pending: dict[int, tuple[Future[Any], float]] = {}
+        self._pending: dict[int, tuple[Future[Any], float]] = {}  # with the time when it was sent
         self._accepted: set[int] = set()
         self._numbers, self._sending = 0, threading.Lock()
         self._outgoing: list[object] = []
         self._objects: OrderedDict[int, Any] = OrderedDict()
-        self._estimators: OrderedDict[int, tuple[Calibration, Estimator]] = OrderedDict()
-        self._ring: tuple[str, RingReader] | None = None
-        self._notice: Notice | None = None
-        self._unread: bytes | None = None  # a state that refers to an object on its way
-        self._read, self.overtaken = 0, 0  # count of the newest record read; records that were overwritten meanwhile
-        self._stale = 0  # count of the newest record that was measured before a command was executed
-        self._due_s = 0.0
+        self._asked_s: dict[int, float] = {}  # when an absent object was asked for
+        self._unread: list[bytes] = []  # messages that refer to an object on its way
+        self._frames = NewestFrames(self._find, (self._note, *sinks), 0.0 if sinks else _SHOWN_S)
         self._takers: dict[type, Callable[[Any], None]] = {
             State: self._take_state,
-            Notice: self._take_notice,
+            Notice: self._frames.announce,
             Traveller: self._take_object,
             Accepted: self._take_acceptance,
             Answer: self._take_answer,
@@ -164,7 +152,7 @@ class Connection:
     @property
     def newest(self) -> Measurement | None:
         """The newest measurement."""
-        return self._newest
+        return self._frames.newest
 
     @property
     def error(self) -> Exception | None:
@@ -271,6 +259,7 @@ class Connection:
         """Leave, and wait for that."""
         self.begin_close()
         self._thread.join(timeout_s)
+        self._frames.join(timeout_s)
 
     def _send(self, request: str, *arguments: Any, **named: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -279,10 +268,13 @@ class Connection:
                 future.set_exception(self.error or RunError("the connection to the instrument is closed"))
                 return future
             self._numbers += 1
-            self._pending[self._numbers] = future, time.monotonic()
+            self._pending[self._numbers] = future, math.inf
             self._outgoing.append(Command(self._numbers, request, arguments, named))
         self._notify()
         return future
+
+    def _note(self, measurement: Measurement) -> None:
+        self.timings.note("to_result", measurement.latency_s)
 
     def _notify(self) -> None:
         with self._sending, suppress(zmq.ZMQError):  # notified often enough, or closed
@@ -315,8 +307,7 @@ class Connection:
             self._socket.disable_monitor()
             with self._sending:
                 self._context.destroy(linger=200)
-            if self._ring is not None:
-                self._ring[1].close()
+            self._frames.close()
 
     def _turn(self, ready: dict[Any, int]) -> None:
         while self._woken.poll(0):
@@ -325,6 +316,8 @@ class Connection:
             outgoing, self._outgoing = self._outgoing, []
         for message in outgoing:
             self._say(message)
+            if isinstance(message, Command):
+                self._pending[message.number] = self._pending[message.number][0], time.monotonic()
         is_gone = self._monitor in ready and recv_monitor_message(self._monitor)["event"] == zmq.EVENT_DISCONNECTED
         while self._socket.poll(0):
             self._heard_s = time.monotonic()
@@ -340,36 +333,34 @@ class Connection:
             if number not in self._accepted and now_s > sent_s + _ANSWER_S:
                 del self._pending[number]
                 future.set_exception(RunError("the instrument does not answer"))
-        self._read_newest()
 
     def _hear(self, body: bytes) -> None:
         try:
             message = unpacked(body, self._find)
-        except _Absent:
-            self._unread = body
+        except Absent:
+            self._unread.append(body)
             return
         take = self._takers.get(type(message))
         if take is not None:
             take(message)
 
-    def _take_notice(self, notice: Notice) -> None:
-        self._notice = notice
-
     def _take_object(self, traveller: Traveller) -> None:
-        self._objects[traveller.number] = traveller.value
-        while len(self._objects) > _KEPT:
-            self._objects.popitem(last=False)
-        unread, self._unread = self._unread, None
-        if unread is not None:
-            self._hear(unread)
+        with self._sending:
+            self._objects[traveller.number] = traveller.value
+            self._asked_s.pop(traveller.number, None)
+            while len(self._objects) > _KEPT:
+                self._objects.popitem(last=False)
+        self._frames.try_again()
+        unread, self._unread = self._unread, []
+        for body in unread:
+            self._hear(body)
 
     def _take_acceptance(self, accepted: Accepted) -> None:
         self._accepted.add(accepted.number)
 
     def _take_answer(self, answer: Answer) -> None:
         self._take_state(answer.state)
-        self._stale = max(self._stale, answer.count)
-        self._read_newest()  # what was measured before
+        self._frames.outdate(answer.count)
         self._accepted.discard(answer.number)
         future, _ = self._pending.pop(answer.number, (None, 0.0))
         if future is not None and future.set_running_or_notify_cancel():
@@ -387,60 +378,13 @@ class Connection:
             self._ended = RunError("the instrument was shut down") if ended_by is None else ended_by.error()
 
     def _find(self, number: int) -> Any:
-        if number not in self._objects:
-            self._say(messages.Wanted(number))
-            raise _Absent
-        self._objects.move_to_end(number)
-        return self._objects[number]
-
-    def _read_newest(self) -> None:
-        """Read the newest record of the ring, unless it is known, and pass it on."""
-        if self._notice is None or not self._notice.place:
-            return
-        if self._ring is None or self._ring[0] != self._notice.place:
-            try:
-                opened = RingReader(self._notice.place)
-            except OSError:  # replaced already: another notice is coming
-                return
-            if self._ring is not None:
-                self._ring[1].close()
-            self._ring = self._notice.place, opened
-        ring = self._ring[1]
-        count, now_s = ring.count, time.monotonic()
-        if count <= self._read or (not self._sinks and now_s < self._due_s):
-            return
-        body = ring.read(count)
-        if body is None:
-            self.overtaken += 1
-            return
-        try:
-            record: Record = unpacked(body, self._find)
-        except _Absent:
-            return  # read again when it has come
-        self._read, self._due_s = count, now_s + _SHOWN_S
-        measurement = self._solved(record)
-        self.timings.note("to_result", measurement.latency_s)
-        if not record.is_shown_only and count > self._stale:
-            for sink in self._sinks:
-                sink(measurement)
-        self._newest = measurement
-
-    def _solved(self, record: Record) -> Measurement:
-        made = record.measurement
-        if not record.has_wavefront or made.calibration is None or made.registered is None:
-            return made
-        try:
-            reconstructor = self._estimator(made.calibration).reconstructor
-            bias, sample = made.assumed.refinement.bias, made.assumed.sample or FREE
-            return replace(made, wavefront=reconstructor.solve(made.registered, bias=bias, sample=sample))
-        except ReconstructionError as error:
-            return replace(made, problem=str(error))
-
-    def _estimator(self, calibration: Calibration) -> Estimator:
-        """The estimator of a calibration; preparing one takes a second."""
-        kept = self._estimators.get(id(calibration))
-        if kept is None:
-            kept = self._estimators[id(calibration)] = calibration, Estimator(calibration)
-            while len(self._estimators) > _SOLVERS:
-                self._estimators.popitem(last=False)
-        return kept[1]
+        """An object that travels by itself; asked for, and `Absent`, if it has not come. Called by both threads."""
+        with self._sending:
+            if number in self._objects:
+                self._objects.move_to_end(number)
+                return self._objects[number]
+            if time.monotonic() > self._asked_s.get(number, -math.inf) + _ASK_AGAIN_S:
+                self._asked_s[number] = time.monotonic()
+                self._outgoing.append(messages.Wanted(number))
+        self._notify()
+        raise Absent

@@ -8,16 +8,16 @@ from typing import Any, TypeVar
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
+from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Status
 from app.acquisition.start_up import start_up
-from app.acquisition.worker import Acquisition
 from app.cache import release_memory
 from app.errors import InputError, RunError
 from app.gui.shell.messages import MessageStrip
 from app.measurement.routines import Cancelled
 
 T = TypeVar("T")
-Begin = Callable[[Acquisition], tuple[Future[Any], ...]]  # sends the first commands to an acquisition
+Begin = Callable[[Carrier], tuple[Future[Any], ...]]  # sends the first commands to an acquisition
 Then = Callable[[Any], object] | None  # receives a result
 Otherwise = Callable[[Exception], object] | None
 
@@ -34,12 +34,12 @@ class Controller(QObject):
     connected = pyqtSignal()  # another acquisition has started
     question_closed = pyqtSignal()  # it was answered, or belongs to a closed acquisition
 
-    def __init__(self, make_acquisition: Callable[[], Acquisition] | None, messages: MessageStrip) -> None:
+    def __init__(self, make_acquisition: Callable[[], Carrier] | None, messages: MessageStrip) -> None:
         super().__init__()
         self.messages = messages
         self._make_acquisition = make_acquisition
         self._begin: Begin = start_up
-        self.acquisition: Acquisition | None = None
+        self.acquisition: Carrier | None = None
         self.is_stuck = False  # whether the worker did not end on `close`
         self._pending: list[tuple[Future[Any], Then, Otherwise]] = []
         self._on_accept: Callable[[], object] | None = None  # called if the question is accepted
@@ -72,7 +72,7 @@ class Controller(QObject):
         """True if all commands are finished."""
         return all(future.done() for future, _, _ in self._pending)
 
-    def use(self, make_acquisition: Callable[[], Acquisition], begin: Begin, meanwhile: Callable[[], object]) -> None:
+    def use(self, make_acquisition: Callable[[], Carrier], begin: Begin, meanwhile: Callable[[], object]) -> None:
         """Close the devices, as `close` does; use this factory at the next connection."""
         self.close(meanwhile)
         self._make_acquisition, self._begin = make_acquisition, begin
@@ -103,7 +103,7 @@ class Controller(QObject):
         self.is_stuck = self.acquisition.is_alive
 
     def send(
-        self, submit: Callable[[Acquisition], Future[T]], then: Then = None, otherwise: Otherwise = None
+        self, submit: Callable[[Carrier], Future[T]], then: Then = None, otherwise: Otherwise = None
     ) -> Future[T] | None:
         """Send a command to the acquisition, if there is one; an earlier notice disappears.
 

@@ -12,9 +12,10 @@ from PyQt6.QtCore import QEventLoop, QSettings, QSize, QStandardPaths, Qt, QTime
 from PyQt6.QtGui import QCloseEvent, QResizeEvent
 from PyQt6.QtWidgets import QApplication, QFileDialog, QWidget
 
+from app.acquisition.carrier import Activity, Carrier
 from app.acquisition.instrument import Status
 from app.acquisition.start_up import start_up
-from app.acquisition.worker import Acquisition, Activity, Measurement
+from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.files import make_folder
@@ -62,10 +63,10 @@ class MainWindow(BaseWindow):
 
     def __init__(
         self,
-        make_acquisition: Callable[[], Acquisition] | None,
+        make_acquisition: Callable[[], Carrier] | None,
         *,
         settings: QSettings | None = None,
-        make_for: Callable[[Bench], Acquisition] = Acquisition,
+        make_for: Callable[[Bench], Carrier] = Acquisition,
     ) -> None:
         """Make an empty window; `connect_devices` starts an acquisition, unless `open` does.
 
@@ -232,7 +233,7 @@ class MainWindow(BaseWindow):
         self._timer.start()
 
     def open(
-        self, make_acquisition: Callable[[], Acquisition], begin: Begin = start_up, player: Player | None = None
+        self, make_acquisition: Callable[[], Carrier], begin: Begin = start_up, player: Player | None = None
     ) -> None:
         """Close the devices and connect others, also those of a `player`; `begin` sends the first commands.
 
