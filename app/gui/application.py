@@ -113,7 +113,8 @@ def _raise_failure(window: MainWindow, *, is_interrupted: bool) -> None:
     if is_interrupted:
         status_at_end = window.controller.status
         is_by_hand = status_at_end is not None and status_at_end.bench.has_manual_light
-        raise Interrupted(f"interrupted: {'switch the light off by hand' if is_by_hand else 'the light is off'}")
+        light = "switch the light off by hand" if is_by_hand else "the light is off"
+        raise Interrupted(f"interrupted: {'the instrument goes on' if window.controller.is_attached else light}")
 
 
 def _pass_on(_kind: QtMsgType, _context: QMessageLogContext, text: str | None) -> None:

@@ -27,7 +27,7 @@ from app.acquisition.remote.wire import Packed, unpacked
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
-from app.measurement.measurement import Measurement
+from app.measurement.measurement import SKIPPED, Measurement
 from app.timing import Stage, StageTimes
 from drivers.errors import BadValue, WrongState
 from drivers.interface import Devices
@@ -138,7 +138,9 @@ class Server:
             raise self.acquisition.error
 
     def _publish(self, measurement: Measurement, *, is_shown_only: bool) -> None:
-        """Write a measurement into the ring; called by the worker."""
+        """Write a measurement into the ring, unless a newer one follows at once; called by the worker."""
+        if measurement.problem == SKIPPED:
+            return
         has_wavefront = measurement.wavefront is not None
         lean = replace(measurement, wavefront=None, start=None)
         packed = Packed(Record(lean, has_wavefront, is_shown_only), self._travellers.number)

@@ -10,6 +10,7 @@ from PyQt6.QtCore import QObject, pyqtSignal
 
 from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Status
+from app.acquisition.remote.connection import Connection
 from app.acquisition.start_up import start_up
 from app.cache import release_memory
 from app.errors import InputError, RunError
@@ -52,6 +53,11 @@ class Controller(QObject):
         return None if self.acquisition is None else self.acquisition.status
 
     @property
+    def is_attached(self) -> bool:
+        """True if the instrument runs in another process, which goes on when this one ends."""
+        return isinstance(self.acquisition, Connection)
+
+    @property
     def failure(self) -> str:
         """Reason why the acquisition ended by itself, else empty."""
         return "" if self.acquisition is None else self.acquisition.failure
@@ -84,7 +90,11 @@ class Controller(QObject):
         if self.acquisition is not None:
             self.acquisition.close()
         self.question_closed.emit()
-        self.acquisition = self._make_acquisition()
+        try:
+            self.acquisition = self._make_acquisition()
+        except RunError as error:  # no instrument to connect to
+            self.messages.warn(str(error))
+            return
         self.acquisition.start()
         self.connected.emit()
         begin = self._begin if is_lit else partial(start_up, is_lit=False)

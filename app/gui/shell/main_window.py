@@ -22,6 +22,7 @@ from app.files import make_folder
 from app.gui.panels.panel import Entries, Shown
 from app.gui.panels.registry import make_panels
 from app.gui.shell.analyses import Analyses
+from app.gui.shell.attachment import Attachment
 from app.gui.shell.base_window import BaseWindow, ErrorReports, LateMeasurements
 from app.gui.shell.benches import Benches
 from app.gui.shell.calibration import CalibrationGuide, Routines
@@ -86,6 +87,7 @@ class MainWindow(BaseWindow):
         self.errors = ErrorReports(self.messages.alarm)
         self.status_line = StatusLine()
         self.controller = Controller(make_acquisition, self.messages)
+        self.attachment = Attachment(self.controller, self)
         self.settings = SettingsControl(self.controller)
         self.light = LightControl(self.controller, self.controls)
         self.routines = Routines(self.controller, self.settings, self.panels.camera)
@@ -196,6 +198,9 @@ class MainWindow(BaseWindow):
                 ("Accept the proposal", "Return", self.messages.enter),
                 ("Cancel, discard or dismiss", "Esc", self.messages.escape),
                 ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect),
+                None,
+                ("Take control of the instrument", "", self.attachment.take_control),
+                ("End the instrument's process", "", self.attachment.end_instrument),
             ),
             "&View": (
                 *of_panels("&View"),
@@ -305,7 +310,8 @@ class MainWindow(BaseWindow):
         """Show the state of the instrument."""
         self._status = status
         self._situation.follow(status)
-        self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}")
+        attached = ", attached" * self.controller.is_attached
+        self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}{attached}")
         self.shown.settings = status.bench.reconstruction
         self.shown.wanted, self.shown.is_settled = dict(self.settings.wanted), self.controller.is_settled
         for panel in self.panels:
@@ -329,13 +335,13 @@ class MainWindow(BaseWindow):
             panel.show_numbers()
             panel.show_liveness()
         self.recording_bar.refresh()
-        self.status_line.update_text(status, acquisition.timings if acquisition else None)
+        self.status_line.update_text(status, acquisition.timings if acquisition else None, self.attachment.place)
         self.status_line.show_verdict(shown.verdict)
         self.messages.show_state(
             failure=self._failure,
             way_out=way_out(status),
             may_reconnect=not is_replay(status),
-            warning="; ".join(filter(None, [alarm, self.replay.notice])),
+            warning="; ".join(filter(None, [alarm, self.replay.notice, self.attachment.notice])),
             advice=advice(status, self._activity, measurement),
         )
 
@@ -450,14 +456,19 @@ class MainWindow(BaseWindow):
         """Paint what the window waits for, without taking any command."""
         for panel in (self.controls, self.recording_panel):
             panel.setEnabled(False)
-        if (status := self.controller.status) is not None:
+        if (status := self.controller.status) is not None and not self.controller.is_attached:
             self.show_status(replace(status, is_running=False))
             self.messages.show_closing(light_when_closing(status))
         QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
 
     def quit(self) -> None:
-        """Close the window; if a person switches the light, ask for that first."""
-        self.light.ask_off(lambda: QTimer.singleShot(0, self.close))  # within a close event, Qt would skip `closeEvent`
+        """Close the window; ask first whether an instrument of another process goes on, or for a manual light."""
+
+        def close() -> None:
+            QTimer.singleShot(0, self.close)  # within a close event, Qt would skip `closeEvent`
+
+        if not self.attachment.ask_to_leave(close):
+            self.light.ask_off(close)
 
     def _reconnect(self) -> None:
         if self.controller.failure:
