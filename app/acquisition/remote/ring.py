@@ -103,7 +103,7 @@ class RingReader:
         """A copy of the record with a count, from 1; None if it is overwritten, or is not there yet."""
         start = _HEADER_BYTES + (count - 1) % self._slots * self._stride
         state, nbytes = struct.unpack_from("<QQ", self._memory, start)
-        if state != 2 * count or nbytes > self._stride - _SLOT_HEADER_BYTES:
+        if count < 1 or state != 2 * count or nbytes > self._stride - _SLOT_HEADER_BYTES:
             return None
         copy = self._memory[start + _SLOT_HEADER_BYTES : start + _SLOT_HEADER_BYTES + nbytes]
         (after,) = struct.unpack_from("<Q", self._memory, start)

@@ -137,6 +137,11 @@ class Server:
         if self.acquisition.error is not None:
             raise self.acquisition.error
 
+    def end(self) -> None:
+        """Let `run` end, from any thread."""
+        self._is_over = True
+        self._notify()
+
     def _publish(self, measurement: Measurement, *, is_shown_only: bool) -> None:
         """Write a measurement into the ring, unless a newer one follows at once; called by the worker."""
         if measurement.problem == SKIPPED:
@@ -157,7 +162,7 @@ class Server:
         self._notify()
 
     def _notify(self) -> None:
-        with suppress(BlockingIOError):  # notified often enough
+        with suppress(OSError):  # notified often enough, or closed
             self._wake.send(b"\0")
 
     def _turn(self) -> None:
@@ -231,7 +236,7 @@ class Server:
             self._controller = identity
             return None
         if name == "shut_down":
-            self._is_over = True
+            self._is_over = True  # after this turn, in which it is answered
             return None
         is_instruments = name in _OF_INSTRUMENT
         request = _OF_INSTRUMENT.get(name) or _OF_ACQUISITION.get(name)

@@ -95,7 +95,7 @@ class StatusLine(QWidget):
         self.assumed.setText("")
 
     def update_text(self, status: Status | None, timings: Timings | None, place: str = "") -> None:
-        """Update the numbers, those of the tool tip once a second; `place` tells of another process with the devices."""
+        """Update the numbers, those of the tool tip once a second; `place` tells which process has the devices."""
         if timings is not None and (time.monotonic() > self._times_due_s or self.timing_row.isVisible()):
             self._times_due_s = time.monotonic() + _TIMES_INTERVAL_S
             summary = timings.summary()
