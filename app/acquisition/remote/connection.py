@@ -239,7 +239,7 @@ class Connection:
         """Recording time left in a folder at the current rate."""
         try:
             return float(self._send("free_minutes", folder.absolute()).result(_ANSWER_S))
-        except FutureTimeout as error:
+        except (FutureTimeout, RunError) as error:
             raise OSError("the instrument does not answer") from error
 
     def take_control(self) -> Future[None]:

@@ -56,6 +56,7 @@ class Attachment:
                 lambda: self._controller.send(lambda _: connection.shut_down()),
                 "End it",
                 "Keep it",
+                loses=True,
             )
 
     def ask_to_leave(self, then: Callable[[], object]) -> bool:

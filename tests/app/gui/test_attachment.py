@@ -97,16 +97,16 @@ def test_end_of_the_instrument_is_told_and_reconnecting_says_that_none_runs(
     window: MainWindow, server: Server, qtbot: QtBot
 ) -> None:
     window.attachment.end_instrument()
-    window.messages.enter()
+    window.messages.accept.click()
     qtbot.waitUntil(lambda: "the instrument was shut down" in told(window))
     qtbot.waitUntil(lambda: not server.acquisition.is_alive)
     qtbot.wait(300)
-    window.messages.reconnect()
+    window.messages.reconnect.click()
     qtbot.waitUntil(lambda: "no instrument runs" in told(window))
 
 
 def test_a_window_with_its_own_instrument_has_nothing_to_leave(
-    live: tuple[MainWindow, FakeCamera], monkeypatch: pytest.MonkeyPatch
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, _ = live
     asked = answer(monkeypatch, "Cancel")
@@ -114,4 +114,4 @@ def test_a_window_with_its_own_instrument_has_nothing_to_leave(
     assert not asked
     for command in (window.attachment.take_control, window.attachment.end_instrument):
         command()
-        assert "runs the instrument itself" in told(window)
+        qtbot.waitUntil(lambda: "runs the instrument itself" in told(window))
