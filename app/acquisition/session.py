@@ -97,7 +97,9 @@ def connect(name: str = NAME, *, watch: bool = False) -> ConnectedBench:
 
     Examples
     --------
-    >>> with svwfs.connect() as instrument:  # after: svwfs serve --bench small_demo
+    In a terminal: svwfs serve --bench small_demo
+
+    >>> with svwfs.connect() as instrument:  # doctest: +SKIP
     ...     for measurement in instrument:
     ...         break
     """

@@ -20,11 +20,11 @@ def serve(
     """Run a bench without a window, for any number of windows, notebooks and commands that attach to it.
 
     It takes dark and reference, moves the sample in, and measures until Ctrl-C, or until a client shuts it down; then
-    the light is off. A client that hangs or is killed changes nothing. See docs/processes.md.
+    the light is off. Attach with svwfs live --attach, svwfs measure --attach, svwfs.connect(). A client that hangs or is killed changes nothing. See docs/processes.md.
 
     Example: svwfs serve --bench live_demo
 
-    Example: svwfs live --attach
+    Example: svwfs serve --bench lab.toml --name left
     """
     from app.acquisition.remote.server import Server
     from app.acquisition.start_up import start_up
