@@ -29,6 +29,7 @@ from drivers.interface import WrongState
 T = TypeVar("T")
 
 _WAIT_S = 0.05  # between two checks whether the acquisition still runs, and how far it is
+_FINISH_S = 10.0  # for another process to finish a recording that was stopped
 _SHUT_DOWN_S = 5.0  # for the instrument to say that it will
 _HOPELESS_FRAMES = 20  # without a wavefront, when the bench is calibrated
 
@@ -287,11 +288,15 @@ class LiveBench:
                     self._raise_failure()
         except BaseException:  # Ctrl-C, too: the frames so far are a recording
             acquisition.stop_recording()
+            self._let_finish()
             raise
         if state is not None and state.problem:
             self._raise_failure()
             raise RunError(state.problem)
         return Path(folder)
+
+    def _let_finish(self) -> None:
+        """Wait for the end of a recording that was stopped early; closing the devices does that here."""
 
     def _start_camera(self) -> None:
         self._result(self._acquisition.submit(Instrument.set, "is_running", True))
@@ -367,6 +372,14 @@ class ConnectedBench(LiveBench):
         """The bench with the lattice, exposure, gain and current now in force."""
         status = self._connection.status
         return self._bench if status is None else status.bench_in_force
+
+    def _let_finish(self) -> None:
+        ends_s = time.monotonic() + _FINISH_S
+        while time.monotonic() < ends_s and self._connection.is_alive:
+            state = self._connection.recording
+            if state is None or state.stage not in {"recording", "finishing"}:
+                break
+            time.sleep(_WAIT_S)
 
     @property
     def controller(self) -> str:

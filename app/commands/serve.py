@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from app.acquisition.remote.place import NAME, taken_place
 from app.commands import options, terminal
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from app.acquisition.worker import Acquisition
 
 
 def serve(
@@ -20,7 +25,8 @@ def serve(
     """Run a bench without a window, for any number of windows, notebooks and commands that attach to it.
 
     It takes dark and reference, moves the sample in, and measures until Ctrl-C, or until a client shuts it down; then
-    the light is off. Attach with svwfs live --attach, svwfs measure --attach, svwfs.connect(). A client that hangs or is killed changes nothing. See docs/processes.md.
+    the light is off. svwfs live --attach, svwfs measure --attach and svwfs.connect() attach to it; one that hangs or is
+    killed changes nothing. See docs/processes.md.
 
     Example: svwfs serve --bench live_demo
 
@@ -28,6 +34,15 @@ def serve(
     """
     from app.acquisition.remote.server import Server
     from app.acquisition.start_up import start_up
+
+    def begin(acquisition: Acquisition) -> None:
+        def tell(step: Future[Any]) -> None:
+            error = step.exception()
+            if error is not None and acquisition.error is None:  # else the command ends with that
+                terminal.print_warning(str(error))
+
+        for step in start_up(acquisition):
+            step.add_done_callback(tell)
 
     loaded = options.load(bench, setting)
     terminal.confirm_libraries(loaded, trust=trust_library)
@@ -38,7 +53,7 @@ def serve(
             f"the instrument runs as process {place.process}; attach with svwfs live --attach{which}; Ctrl-C ends it"
         )
         try:
-            server.run(start_up)
+            server.run(begin)
         finally:
             if loaded.has_manual_light:
                 terminal.remind(terminal.LIGHT_BY_HAND)

@@ -3,6 +3,7 @@
 One thread speaks with the instrument; another one reads its frames, see `NewestFrames`.
 """
 
+import itertools
 import math
 import os
 import threading
@@ -31,6 +32,8 @@ from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.sensor_region import SensorArea
 from app.recording.recorder import RecordingLimit, RecordingState
 from app.timing import Stage, StageTimes, Timings
+
+_COUNT = itertools.count(1)  # of connections of this process
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -73,7 +76,8 @@ class Connection:
         `RunError` if no instrument runs or answers there.
         """
         self.place = Place.of(name)
-        self.name = f"{what} {os.getpid()}"
+        number = next(_COUNT)
+        self.name = f"{what} {os.getpid()}{f'.{number}' * (number > 1)}"
         self.timings = _Timings()
         self._state: State | None = None
         self._has_state, self._closing = threading.Event(), threading.Event()
@@ -82,6 +86,7 @@ class Connection:
         self._accepted: set[int] = set()
         self._numbers, self._sending = 0, threading.Lock()
         self._outgoing: list[object] = []
+        self._has_left = False
         self._objects: OrderedDict[int, Any] = OrderedDict()
         self._asked_s: dict[int, float] = {}  # when an absent object was asked for
         self._unread: list[bytes] = []  # messages that refer to an object on its way
@@ -92,6 +97,7 @@ class Connection:
             Traveller: self._take_object,
             Accepted: self._take_acceptance,
             Answer: self._take_answer,
+            messages.Forgotten: lambda _: self._say(messages.Hello(self.name, controls=False)),
         }
         self._heard_s = self._said_s = time.monotonic()
         self._context = zmq.Context()
@@ -264,7 +270,7 @@ class Connection:
     def _send(self, request: str, *arguments: Any, **named: Any) -> Future[Any]:
         future: Future[Any] = Future()
         with self._sending:
-            if not self._thread.is_alive():
+            if self._has_left:
                 future.set_exception(self.error or RunError("the connection to the instrument is closed"))
                 return future
             self._numbers += 1
@@ -293,13 +299,14 @@ class Connection:
             while not self._closing.is_set() and self._ended is None:
                 ready = dict(poller.poll(_TICK_MS))
                 self._turn(ready)
+            self._say_outgoing()
             self._say(messages.Bye())
         except Exception as error:
             self._ended = error
             raise
         finally:
             with self._sending:
-                left, self._pending = list(self._pending.values()), {}
+                left, self._pending, self._has_left = list(self._pending.values()), {}, True
                 lost = self._ended or RunError("the connection to the instrument is closed")
             for future, _ in left:
                 future.set_exception(lost)
@@ -309,15 +316,18 @@ class Connection:
                 self._context.destroy(linger=200)
             self._frames.close()
 
-    def _turn(self, ready: dict[Any, int]) -> None:
-        while self._woken.poll(0):
-            self._woken.recv()
+    def _say_outgoing(self) -> None:
         with self._sending:
             outgoing, self._outgoing = self._outgoing, []
         for message in outgoing:
             self._say(message)
             if isinstance(message, Command):
                 self._pending[message.number] = self._pending[message.number][0], time.monotonic()
+
+    def _turn(self, ready: dict[Any, int]) -> None:
+        while self._woken.poll(0):
+            self._woken.recv()
+        self._say_outgoing()
         is_gone = self._monitor in ready and recv_monitor_message(self._monitor)["event"] == zmq.EVENT_DISCONNECTED
         while self._socket.poll(0):
             self._heard_s = time.monotonic()

@@ -66,6 +66,11 @@ class Bye:
 
 
 @dataclass(frozen=True, slots=True)
+class Forgotten:
+    """A client was silent for too long: it may say hello again."""
+
+
+@dataclass(frozen=True, slots=True)
 class Failure:
     """An exception in words."""
 

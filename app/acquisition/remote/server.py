@@ -191,7 +191,7 @@ class Server:
             self._tell(identity, self._present())
             self._tell(identity, Notice(*self._noticed))
         elif identity not in self._clients:  # forgotten, maybe while it was stopped
-            return
+            self._tell(identity, messages.Forgotten())
         elif isinstance(message, Command):
             self._execute(identity, message)
         elif isinstance(message, messages.Wanted):

@@ -23,7 +23,7 @@ from app.acquisition.remote.server import Server
 from app.acquisition.remote.wire import Packed
 from app.acquisition.session import ConnectedBench, connect
 from app.acquisition.start_up import start_up
-from app.errors import InputError, RunError
+from app.errors import InputError, Interrupted, RunError
 from app.measurement.measurement import Measurement
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingLimit
@@ -138,9 +138,49 @@ def test_control_is_free_when_its_client_leaves_or_falls_silent(monkeypatch: pyt
         monkeypatch.setattr("app.acquisition.remote.server._SILENT_S", 1.5)
         with connected("silent") as silent:
             wait_until(lambda: other.controller.startswith("silent"))
-            monkeypatch.setattr(silent, "_say", lambda _: None)
-            wait_until(lambda: not other.controller)
-            assert other.clients == (other.name,)
+            with monkeypatch.context() as silence:
+                silence.setattr(silent, "_say", lambda _: None)
+                wait_until(lambda: not other.controller)
+                assert other.clients == (other.name,)
+            wait_until(lambda: silent.name in other.clients)  # it is heard again, and only watches
+            assert not other.controller
+            with pytest.raises(WrongState, match="nobody has control"):
+                silent.submit(Instrument.take_dark, 3).result(HANG_S)
+
+
+@pytest.mark.usefixtures("server")
+def test_connections_of_one_process_are_told_apart() -> None:
+    with connected("notebook") as first, connected("notebook") as second:
+        assert first.name != second.name
+        assert first.has_control
+        assert not second.has_control
+
+
+@pytest.mark.usefixtures("server")
+def test_a_last_command_is_sent_before_leaving(tmp_path: Path) -> None:
+    with connected("watching", controls=False) as watching:
+        with connected() as connection:
+            newest(connection)
+            connection.start_recording(tmp_path / "run").result(HANG_S)
+            connection.stop_recording()
+        wait_until(lambda: watching.recording is not None and watching.recording.stage == "finished")
+
+
+@pytest.mark.usefixtures("server")
+def test_an_interrupted_recording_is_finished_before_the_client_leaves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with connect() as bench:
+        newest(bench._connection)
+
+        def interrupt(*_: object) -> None:
+            if bench.recording is not None and bench.recording.frames > 2:
+                raise Interrupted("interrupted")
+
+        monkeypatch.setattr(bench, "_progress", interrupt)
+        with pytest.raises(Interrupted):
+            bench.record(tmp_path / "run", 1000)
+        assert Recording(tmp_path / "run").is_complete
 
 
 @pytest.mark.usefixtures("server")

@@ -152,6 +152,7 @@ def test_a_frozen_client_that_wakes_up_only_watches(small_toml: Path) -> None:
             client.send_signal(signal.SIGSTOP)
             wait_until(lambda: first.clients == (first.name,))
             client.send_signal(signal.SIGCONT)
+            wait_until(lambda: len(first.clients) == 2)
             wait_for_more(first)
             assert first.has_control
 
