@@ -56,7 +56,8 @@ def main() -> None:
         print(  # noqa: T201 - a table for its reader
             f"{viewers} viewers: {acquired / span_s:.1f} frames/s, {after.reconstructed - before.reconstructed} of"
             f" {acquired} measured, {after.lost - before.lost} lost; command 50 %"
-            f" {p50_ms:.1f} ms, 99 % {p99_ms:.1f} ms; exposure to result 50 % {latency.p50_s * 1e3:.1f} ms, 99 % {latency.p99_s * 1e3:.1f} ms"
+            f" {p50_ms:.1f} ms, 99 % {p99_ms:.1f} ms; exposure to"
+            f" result 50 % {latency.p50_s * 1e3:.1f} ms, 99 % {latency.p99_s * 1e3:.1f} ms"
         )
         client.shut_down().result()
 
