@@ -53,12 +53,13 @@ class Player:
 
     def acquisition(self) -> Acquisition:
         """Make an acquisition that plays the recording."""
-        self._acquisition = Acquisition(self.bench, self.open_devices, (self.take,))
-        return self._acquisition
+        return Acquisition(self.bench, self.open_devices, (self.take,))
 
     def begin(self, acquisition: Carrier) -> tuple[Future[None], ...]:
         """Set the recorded calibration and start the camera, instead of taking dark and reference."""
-        self._asked = self._first
+        if not isinstance(acquisition, Acquisition):
+            raise TypeError("a recording is played in this process")
+        self._acquisition, self._asked = acquisition, self._first
         used = self._use(acquisition, self._first)
         return (
             used,
