@@ -1,19 +1,21 @@
 """The reference cut into subimages, one per lenslet, and the classification of each lenslet (converged, dark, ...)."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.displacement import CovarianceSource, Displacement, Outcome
+from reconstruction.displacement import CovarianceSource, Displacement, Outcome, Transmission
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.pixels import repaired
 from reconstruction.frame.spline import sample, spline_coefficients
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, require
 from reconstruction.modes.field_modes import FieldModes
+from reconstruction.runtime.deferred import Deferred
 
 _OFF_CAMERA_FRACTION = 0.5  # of the lenslets; with more, the lattice does not belong to this frame
 _SPOILT = 0.25  # of a subimage's squared gradients on bad pixels; with more, a lenslet is unlit
@@ -172,12 +174,13 @@ def classify_lenslets(
     chi_square: Floats | None = None,
     contrast: NDArray[np.floating[Any]],
     faults: dict[Outcome, Booleans],
+    transmission: Callable[[Booleans], Transmission] | None = None,
 ) -> Displacement:
     """Classify L lenslets and arrange the results on the lattice, NaN where lost.
 
     coefficients c_q, px, (L, xy, Q); covariance (L, Q, xy, Q, xy), px^2; residual_rms (L,) over the contrast of the
     reference's best subimage; contrast (L,) of the frame's subimages. `faults` are the losses (L,) found by the method;
-    of several the last counts, and darkness above all.
+    of several the last counts, and darkness above all. `transmission`, given the valid lenslets, is called when needed.
     """
     lost = np.zeros(len(coefficients), np.bool_)
     for fault in faults.values():
@@ -204,6 +207,7 @@ def classify_lenslets(
     # A source in place of the covariance is resolved on first access.
     kept = arrange(covariance, ~lost) if isinstance(covariance, np.ndarray) else cast("Floats", covariance.kept(~lost))
     unknown = np.full(len(coefficients), np.nan)
+    valid = ~lost.reshape(reference.lenslets)
     return Displacement(
         modes=modes,
         coefficients=arrange(np.swapaxes(coefficients, 1, 2), ~lost),
@@ -212,4 +216,5 @@ def classify_lenslets(
         residual_rms=arrange(residual_rms, ~lost),
         chi_square=arrange(unknown if chi_square is None else chi_square, ~lost),
         range_used=arrange(range_used, ~lost | far & (range_used > 0)),
+        transmission=None if transmission is None else cast("Transmission", Deferred(partial(transmission, valid))),
     )

@@ -55,7 +55,7 @@ class FitCovariance:
         """The same, lost for all but some lenslets (L,)."""
         return replace(self, variance=np.where(lenslets.reshape(*self.variance.shape[:2], 1), self.variance, np.nan))
 
-    def covariance(self) -> Floats:
+    def __call__(self) -> Floats:
         """The covariance, px^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)."""
         of_pixels, of_light = self.variance.reshape(-1, 2, 1, 1).swapaxes(0, 1)
         of_parameters = of_pixels * self.per_pixel.covariance + of_light * self.per_light.covariance
@@ -238,7 +238,7 @@ class GaussNewton:
         found &= ~_stands_out(unexplained, fits.square, self._unexplained, found)
         spoilt = known < _INFORMATION_LEFT
         fitted = (fits.displacement @ self._basis).astype(np.float32).astype(np.float64)
-        registered = classify_lenslets(
+        return classify_lenslets(
             reference,
             self.modes,
             fitted.reshape(len(fits.gain), 2, self.modes.count),
@@ -252,11 +252,7 @@ class GaussNewton:
                 Outcome.DARK: spoilt & reference.touched(reference.bad),
                 Outcome.SATURATED: spoilt & reference.touched(saturated),
             },
-        )
-        return replace(
-            registered,
-            covariance=registered.__dict__["covariance"],  # computed or not
-            transmission=self._transmission(fits, covariance.variance, registered.valid),
+            transmission=lambda valid: self._transmission(fits, covariance.variance, valid),
         )
 
     def _transmission(self, fits: Fits, variance: Floats, valid: Booleans) -> Transmission:
