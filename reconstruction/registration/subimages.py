@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Booleans, Floats, Image
+from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import CovarianceSource, Displacement, Outcome, Transmission
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
@@ -191,30 +191,31 @@ def classify_lenslets(
     for reason, fault in faults.items():
         outcome[fault] = reason
     contrast = np.where(np.isfinite(contrast), contrast, 0)
-    outcome[~reference.lit | ~(contrast > DARK_CONTRAST * np.median(contrast[reference.lit]))] = Outcome.DARK
+    outcome[~reference.lit | ~(contrast > DARK_CONTRAST * median(contrast[reference.lit]))] = Outcome.DARK
     outcome[reference.off_camera] = Outcome.OFF_CAMERA
     outcome[reference.excluded] = Outcome.EXCLUDED
-    lost = outcome != Outcome.CONVERGED
-    far = outcome == Outcome.LEFT_CELL
+    found = outcome == Outcome.CONVERGED
+    far = (outcome == Outcome.LEFT_CELL) & (range_used > 0)
+    all_found = bool(found.all())
 
-    def arrange(values: Floats, keep: Booleans) -> Floats:
+    def arrange(values: Floats, keep: Booleans = found) -> Floats:
         kept = values
-        if not keep.all():
+        if not all_found:
             kept = np.full_like(values, np.nan)
             kept[keep] = values[keep]
         return kept.reshape(*reference.lenslets, *values.shape[1:])
 
     # A source in place of the covariance is resolved on first access.
-    kept = arrange(covariance, ~lost) if isinstance(covariance, np.ndarray) else cast("Floats", covariance.kept(~lost))
+    kept = arrange(covariance) if isinstance(covariance, np.ndarray) else cast("Floats", covariance.kept(found))
     unknown = np.full(len(coefficients), np.nan)
-    valid = ~lost.reshape(reference.lenslets)
+    valid = found.reshape(reference.lenslets)
     return Displacement(
         modes=modes,
-        coefficients=arrange(np.swapaxes(coefficients, 1, 2), ~lost),
+        coefficients=arrange(np.swapaxes(coefficients, 1, 2)),
         covariance=kept,
         outcome=outcome.reshape(reference.lenslets),
-        residual_rms=arrange(residual_rms, ~lost),
-        chi_square=arrange(unknown if chi_square is None else chi_square, ~lost),
-        range_used=arrange(range_used, ~lost | far & (range_used > 0)),
+        residual_rms=arrange(residual_rms),
+        chi_square=arrange(unknown if chi_square is None else chi_square),
+        range_used=arrange(range_used, found | far),
         transmission=None if transmission is None else cast("Transmission", Deferred(partial(transmission, valid))),
     )

@@ -198,6 +198,7 @@ def prepare_template(
         monomials=_monomials(modes, basis),
         basis=basis.astype(np.float32),
         light=np.empty((lenslets, count), np.float32),
+        level=np.empty((lenslets, 2), np.float32),
         inverse=np.empty((lenslets, parameters, count), np.float32),
         descent=np.empty((lenslets, parameters, count), np.float32),
         weight=np.empty((lenslets, count), np.float32),
@@ -222,6 +223,7 @@ def prepare_template(
         descent = images.without_brightness(descent, weight)
         inverse = _least_squares(descent, weight)
         grid.light[some], grid.weight[some], grid.inverse[some] = light, weight, inverse
+        grid.level[some] = np.stack([light.mean(axis=1), light.std(axis=1)], axis=1)
         of_brightness[:, 0] -= inverse[:, -2]  # which is in the gain already
         brightness[some] = of_brightness
         per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent))
