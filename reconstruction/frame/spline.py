@@ -126,7 +126,7 @@ def _mirrored(index: NDArray[np.intp], count: int) -> NDArray[np.intp]:
 
 
 @compiled
-def _prefilter(  # noqa: PLR0917 - compiled code takes its arguments by their place
+def _prefilter(
     image: Image, coefficients: Image, part: tuple[int, int], work: Image, lines: Image, beyond: NDArray[np.intp]
 ) -> None:
     """Compute every `part[1]`-th strip of the coefficients (row, column), starting with strip `part[0]`.

@@ -164,7 +164,7 @@ def _typical(contrast: Floats) -> float:
     return float(np.median(contrast[contrast >= DARK_CONTRAST * bright]))
 
 
-def classify_lenslets(
+def classify_lenslets(  # noqa: PLR0913 - all that a method knows of its lenslets
     reference: ReferenceSubimages,
     modes: FieldModes,
     coefficients: Floats,

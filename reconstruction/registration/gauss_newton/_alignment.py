@@ -275,15 +275,21 @@ def _leave_out(inverse: Image, descent: Image, excluded: NDArray[np.bool_], equa
 
 
 @compiled
-def _solve(equations: Floats, x: Image) -> bool:
-    """Solve M y = x by pivoted elimination, M (P, P) the first of the `equations`, the second one's place to work.
+def _copy(equations: Floats) -> None:
+    """Copy the first of two (2, P, P) into the second, in which it is solved."""
+    for i in range(equations.shape[1]):
+        for j in range(equations.shape[1]):
+            equations[1, i, j] = equations[0, i, j]
 
-    x (P,) becomes y; False if M is singular.
+
+@compiled
+def _solve(equations: Floats, x: Image) -> bool:
+    """Solve M y = x by pivoted elimination, M the first of two equations (2, P, P), x (P,) becoming y.
+
+    False if M is singular.
     """
+    _copy(equations)
     size, matrix = x.size, equations[1]
-    for i in range(size):
-        for j in range(size):
-            matrix[i, j] = equations[0, i, j]
     for i in range(size):
         pivot_row = i
         for row in range(i + 1, size):

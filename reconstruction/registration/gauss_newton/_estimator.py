@@ -310,7 +310,7 @@ class GaussNewton:
             noise_power=np.ones((lenslets, 2)),
             is_partial=np.zeros(lenslets, np.bool_),
             excluded=np.zeros((lenslets, pixels), np.bool_),
-            residual=np.empty((lenslets, pixels), np.float32),
+            residual=np.zeros((lenslets, pixels), np.float32),
         )
         frame = FrameData(
             coefficients=coefficients,
@@ -323,14 +323,14 @@ class GaussNewton:
 
         ledger = new_ledger()
 
-        start_grid, search = self._start.grid, self._search
+        grids = self._start.grid, grid
 
         def share() -> bool:
             try:
                 workplace = self._workplaces.pop()
             except IndexError:
-                workplace = new_workplace(start_grid, grid, search)
-            ended = fit_lenslets(frame, start_grid, grid, search, self._limits, self._power, fits, workplace, ledger)
+                workplace = new_workplace(grids, self._search)
+            ended = fit_lenslets(frame, grids, self._search, self._limits, self._power, fits, workplace, ledger)
             self._workplaces.append(workplace)
             return ended
 

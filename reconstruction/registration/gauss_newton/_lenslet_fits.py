@@ -109,24 +109,17 @@ class Workplace(NamedTuple):
     again: Image  # parameters of another fit, (P - 2,)
 
 
-def new_workplace(start: Grid, warp: Grid, search: WholePixelSearch) -> Workplace:
-    """Work arrays of one thread."""
-    *scratches, patch = (
-        new_scratch(window.u.size, parameters)
-        for window, parameters in (
-            (warp.window, warp.inverse.shape[1]),
-            (start.window, start.inverse.shape[1]),
-            (search.window, 0),
-        )
-    )
-    return Workplace(*scratches, patch, np.empty(2, np.float32), np.empty(len(warp.basis), np.float32))
+def new_workplace(grids: tuple[Grid, Grid], search: WholePixelSearch) -> Workplace:
+    """Allocate the work arrays of one thread; see `fit_lenslets`."""
+    coarse, scratch = (new_scratch(grid.window.u.size, grid.inverse.shape[1]) for grid in grids)
+    patch = new_scratch(search.window.u.size, 0)
+    return Workplace(scratch, coarse, patch, np.empty(2, np.float32), np.empty(len(grids[1].basis), np.float32))
 
 
 @compiled
 def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined once more, compile to slower code
     frame: FrameData,
-    start: Grid,
-    warp: Grid,
+    grids: tuple[Grid, Grid],
     search: WholePixelSearch,
     limits: FitLimits,
     power: Floats,
@@ -136,19 +129,17 @@ def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined on
 ) -> bool:
     """Fit lenslets, shared with the threads that have the same ledger; False if others have not finished theirs.
 
-    `start` is the reference for translations on a coarse grid, `warp` that for the warps. If these fail, the
-    whole-pixel search gives another start. `power` (4,): see `spline.noise_power_polynomial`.
+    `grids` are the reference for translations on a coarse grid, and that for the warps. If these fail, the whole-pixel
+    search gives another start. `power` (4,): see `spline.noise_power_polynomial`.
     """
+    start, warp = grids
     scratch, coarse, patch, translation, again = workplace
     while True:
         lenslet = take(ledger)
         if lenslet >= fits.gain.size:
             return is_finished(ledger, fits.gain.size)
-        parameters = warp.normal.shape[1]
-        if not warp.normal[lenslet, parameters - 1, parameters - 1] > 0:  # the sum of the weights
+        if not warp.normal[lenslet, -1, -1] > 0:  # the sum of the weights
             fits.step_px[lenslet] = LOST_PX
-            for n in range(scratch.residual.size):
-                fits.residual[lenslet, n] = 0
             finish(ledger)
             continue
         displacement, settled = fits.displacement[lenslet], (limits.iterations, limits.tolerance_px[lenslet])
@@ -189,17 +180,23 @@ def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined on
                     stage = _SEARCHED
                 else:
                     stage = _DONE
-        fits.contrast[lenslet], fits.gain[lenslet] = state.contrast, state.gain
-        fits.square[lenslet], fits.step_px[lenslet] = state.square, state.step_px
-        fits.is_partial[lenslet] = state.is_partial
-        for n in range(scratch.residual.size):
-            fits.residual[lenslet, n] = scratch.residual[n]
-        if state.is_partial:
-            for n in range(scratch.excluded.size):
-                fits.excluded[lenslet, n] = scratch.excluded[n]
+        _note(state, scratch, fits, lenslet)
         light, weight = warp.light[lenslet], warp.weight[lenslet]
         _interpolated_noise(weight, light, power, scratch, fits.noise_power[lenslet])
         finish(ledger)
+
+
+@compiled
+def _note(state: State, scratch: Scratch, fits: Fits, lenslet: int) -> None:
+    """Note the fit of a lenslet."""
+    fits.contrast[lenslet], fits.gain[lenslet] = state.contrast, state.gain
+    fits.square[lenslet], fits.step_px[lenslet] = state.square, state.step_px
+    fits.is_partial[lenslet] = state.is_partial
+    for n in range(scratch.residual.size):
+        fits.residual[lenslet, n] = scratch.residual[n]
+    if state.is_partial:
+        for n in range(scratch.excluded.size):
+            fits.excluded[lenslet, n] = scratch.excluded[n]
 
 
 @compiled

@@ -62,13 +62,18 @@ class Scratch(NamedTuple):
 
 def new_scratch(pixels: int, parameters: int) -> Scratch:
     """Allocate work arrays for windows of that many pixels and that many parameters."""
-    of_pixels, whole = np.ones((6, pixels), np.float32), np.empty((2, pixels), np.int32)
+    x, y, light, stretch, fraction, residual = np.ones((6, pixels), np.float32)
+    left, above = np.empty((2, pixels), np.int32)
     return Scratch(
-        *of_pixels[:4],
-        *whole,
+        x=x,
+        y=y,
+        light=light,
+        stretch=stretch,
+        left=left,
+        above=above,
         weights=np.empty((4, pixels), np.float32),
-        fraction=of_pixels[4],
-        residual=of_pixels[5],
+        fraction=fraction,
+        residual=residual,
         excluded=np.empty(pixels, np.bool_),
         warp=np.empty((2, len(MONOMIALS)), np.float32),
         placed=np.empty((2, len(MONOMIALS)), np.float32),
@@ -116,7 +121,7 @@ def _terms(p: Image) -> Terms:
 
 
 @compiled
-def sample_warped(  # noqa: PLR0917 - compiled code takes its arguments by their place
+def sample_warped(
     coefficients: Image,
     window: Window,
     center_px: Floats,
