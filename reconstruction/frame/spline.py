@@ -11,6 +11,7 @@ sinc(nu)^4 / ((2 + cos(2 pi nu)) / 3), blurs a displaced image.
 """
 
 from functools import cache, lru_cache
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,6 @@ from reconstruction.runtime.compilation import compiled
 from reconstruction.runtime.threads import worker_pool
 
 _SHARED_FROM_PX = 150_000  # below, waking threads takes longer than they save
-_CHUNK = 20_000  # positions per call, whose arrays fit into the processor's cache
 _POLE = np.sqrt(3.0) - 2.0
 _Z = np.float32(_POLE)
 _DISTANCES = (1, 2, 4, 8)  # px, between the three numbers of each convolution; what is left out is below 1e-8
@@ -62,27 +62,31 @@ def _beyond(columns: int) -> NDArray[np.intp]:
 def sample(coefficients: Image, position_px: Floats) -> tuple[Floats, Floats]:
     """Interpolate at positions (..., xy) inside the image: values (...) and gradients (..., xy) per pixel."""
     values, gradients = np.empty(position_px.shape[:-1]), np.empty(position_px.shape)
-    flat, flat_values, flat_gradients = position_px.reshape(-1, 2), values.reshape(-1), gradients.reshape(-1, 2)
-    for first in range(0, len(flat), _CHUNK):
-        some = slice(first, first + _CHUNK)
-        flat_values[some], flat_gradients[some] = _sample(coefficients, flat[some])
+    image = np.require(coefficients, np.float32, ("C", "W"))  # so that Numba compiles one signature only
+    position = np.require(position_px, np.float64, ("C", "W"))
+    _sample(image, position.reshape(-1, 2), values.reshape(-1), gradients.reshape(-1, 2))
     return values, gradients
 
 
-def _sample(coefficients: Image, position_px: Floats) -> tuple[Floats, Floats]:
+@compiled
+def _sample(coefficients: Image, position_px: Floats, values: Floats, gradients: Floats) -> None:
     rows, columns = coefficients.shape
-    base = np.floor(position_px).astype(np.intp)
-    weights, slopes = _weights(position_px - base)
-    values = np.zeros(position_px.shape[:-1])
-    gradients = np.zeros(position_px.shape)
-    for i in range(4):
-        row = _mirrored(base[..., 1] + i - 1, rows)
-        for j in range(4):
-            tap = coefficients[row, _mirrored(base[..., 0] + j - 1, columns)]
-            values += weights[i][..., 1] * weights[j][..., 0] * tap
-            gradients[..., 0] += weights[i][..., 1] * slopes[j][..., 0] * tap
-            gradients[..., 1] += slopes[i][..., 1] * weights[j][..., 0] * tap
-    return values, gradients
+    for n in range(values.size):
+        left, above = np.floor(position_px[n, 0]), np.floor(position_px[n, 1])
+        along, along_slopes = _weights(position_px[n, 0] - left)
+        across, across_slopes = _weights(position_px[n, 1] - above)
+        value, slope_x, slope_y = 0.0, 0.0, 0.0
+        for i in range(4):
+            row = coefficients[_mirrored_index(int(above) + i - 1, rows)]
+            of_row, slope_of_row = 0.0, 0.0
+            for j in range(4):
+                tap = row[_mirrored_index(int(left) + j - 1, columns)]
+                of_row += along[j] * tap
+                slope_of_row += along_slopes[j] * tap
+            value += across[i] * of_row
+            slope_x += across[i] * slope_of_row
+            slope_y += across_slopes[i] * of_row
+        values[n], gradients[n, 0], gradients[n, 1] = value, slope_x, slope_y
 
 
 def noise_power(position_px: Floats) -> Floats:
@@ -112,17 +116,16 @@ def _noise_power_table() -> tuple[Floats, Floats]:
     return fraction, np.sum(weights**2, axis=1)
 
 
-def _weights(t: Floats) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
+_Four: TypeAlias = tuple[float, float, float, float]
+
+
+@compiled
+def _weights(t: float) -> tuple[_Four, _Four]:
     """B-spline weights of four neighbours at the pixel fraction t, and their derivatives."""
     s = 1.0 - t
     weights = (s**3 / 6, 2 / 3 - t**2 + t**3 / 2, 2 / 3 - s**2 + s**3 / 2, t**3 / 6)
     slopes = (-(s**2) / 2, -2 * t + 1.5 * t**2, 2 * s - 1.5 * s**2, t**2 / 2)
     return weights, slopes
-
-
-def _mirrored(index: NDArray[np.intp], count: int) -> NDArray[np.intp]:
-    index = np.abs(index)
-    return (count - 1) - np.abs((count - 1) - index)
 
 
 @compiled
@@ -179,6 +182,8 @@ def _convolve(line: Image, distance: int, middle: np.float32, others: np.float32
 
 @compiled
 def _mirrored_index(index: int, count: int) -> int:
+    if 0 <= index < count:
+        return index
     if count == 1:
         return 0
     index = abs(index) % (2 * count - 2)

@@ -1,7 +1,7 @@
 """The reference cut into subimages, one per lenslet, and the classification of each lenslet (converged, dark, ...)."""
 
 from collections.abc import Callable, Iterable
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, cast
 
 import numpy as np
@@ -80,8 +80,6 @@ class ReferenceSubimages:
                 f" {rows} x {columns} pixels: check [lattice] and the frame's size"
             )
         self.position_px = np.clip(position_px, 0, edge)  # of the windows on the camera, (L, N, xy)
-        nearest = np.rint(self.position_px).astype(np.intp)
-        self._nearest = nearest[..., 1], nearest[..., 0]
 
         self.bad = np.zeros(reference.shape, np.bool_) if bad is None else bad  # (row, column)
         self.coefficients = self.spline(reference)  # of the whole frame, (row, column)
@@ -89,9 +87,10 @@ class ReferenceSubimages:
         self.gradient = gradient @ self.turn.T  # per pixel, lattice frame, (L, N, xy)
         self.usable = self._usable()  # (L, N)
         self.contrast = self.light.std(axis=1)  # (L,)
-        steepness = np.sum(self.gradient**2, axis=2)
-        spoilt = np.sum(steepness * ~self.usable, axis=1) > _SPOILT * np.sum(steepness, axis=1)
-        dark = ~(self.contrast > DARK_CONTRAST * _typical(self.contrast[~self.off_camera])) | spoilt
+        dark = ~(self.contrast > DARK_CONTRAST * _typical(self.contrast[~self.off_camera]))
+        if not self.usable.all():
+            steepness = np.sum(self.gradient**2, axis=2)
+            dark |= np.sum(steepness * ~self.usable, axis=1) > _SPOILT * np.sum(steepness, axis=1)
         is_excluded = np.zeros(self.lenslets, np.bool_)
         for lenslet in excluded:
             is_excluded[lenslet] = True
@@ -117,6 +116,12 @@ class ReferenceSubimages:
         if not pixels.any():
             return np.zeros(len(self.center_px), np.bool_)
         return np.asarray(pixels[self._nearest].any(axis=1))
+
+    @cached_property
+    def _nearest(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows and columns of the pixels next to the windows' positions, (L, N)."""
+        column, row = np.moveaxis(np.rint(self.position_px).astype(np.intp), -1, 0)
+        return row, column
 
     def near(self, pixels: Booleans) -> Booleans:
         """True for lenslets with one of the pixels (row, column) in or next to their cell, (L,)."""
