@@ -177,7 +177,7 @@ def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | 
 
 
 def _stands_out(image: Floats, some: Booleans) -> Booleans:
-    """True for pixels that differ from their neighbours' mean far more than the pixels around them; `some` are asked."""
+    """True for pixels, of `some`, that differ from their neighbours' mean far more than the pixels around them do."""
     if not some.any():
         return some
     cross = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
