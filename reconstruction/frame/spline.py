@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
 from reconstruction.arrays import Floats, Image
-from reconstruction.runtime.compilation import compiled
+from reconstruction.runtime.compilation import compiled, inlined
 from reconstruction.runtime.threads import worker_pool
 
 _SHARED_FROM_PX = 150_000  # below, waking threads takes longer than they save
@@ -119,7 +119,7 @@ def _noise_power_table() -> tuple[Floats, Floats]:
 _Four: TypeAlias = tuple[float, float, float, float]
 
 
-@compiled
+@inlined
 def _weights(t: float) -> tuple[_Four, _Four]:
     """B-spline weights of four neighbours at the pixel fraction t, and their derivatives."""
     s = 1.0 - t
@@ -159,20 +159,20 @@ def _prefilter(
                 _convolve(lines[step % 2], _DISTANCES[step], _TAPS[step, 0], _TAPS[step, 1], line)
 
 
-@compiled
+@inlined
 def _add(row: Image, neighbour: Image, total: Image) -> None:
     for n in range(row.size):
         total[n] = row[n] + _Z * neighbour[n]
 
 
-@compiled
+@inlined
 def _add_to(neighbour: Image, row: Image) -> None:
     """Add in place; an array that is read and written under two names is not handled in vectors."""
     for n in range(row.size):
         row[n] += _Z * neighbour[n]
 
 
-@compiled
+@inlined
 def _convolve(line: Image, distance: int, middle: np.float32, others: np.float32, row: Image) -> None:
     """Convolve a line with three numbers at a distance from one another; it loses that distance at both ends."""
     left, center, right = line[: row.size], line[distance : distance + row.size], line[2 * distance :]

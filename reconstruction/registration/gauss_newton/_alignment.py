@@ -17,7 +17,7 @@ from reconstruction.registration.gauss_newton._warped_sampling import (
     sample_warped,
     warp_value,
 )
-from reconstruction.runtime.compilation import compiled
+from reconstruction.runtime.compilation import inlined
 
 LOST_PX = np.float32(1e6)  # last step of a lost fit
 
@@ -71,7 +71,7 @@ class State(NamedTuple):
     is_partial: bool  # some pixels were excluded
 
 
-@compiled
+@inlined
 def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles to fast code
     frame: FrameData, grid: Grid, lenslet: int, displacement: Image, limits: tuple[int, np.float32], scratch: Scratch
 ) -> State:
@@ -144,7 +144,7 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
     return State(square, step, gain, contrast, is_partial)
 
 
-@compiled
+@inlined
 def _largest(displacement: Image) -> np.float32:
     """Largest size of a parameter (P - 2,); infinite if one is not a number."""
     largest = np.float32(0.0)
@@ -154,7 +154,7 @@ def _largest(displacement: Image) -> np.float32:
     return largest
 
 
-@compiled
+@inlined
 def _second_step(displacement: Image, bend: Image) -> np.float32:
     """Expected ratio of the second step to the first, for a displacement with the parameters (P - 2,).
 
@@ -167,7 +167,7 @@ def _second_step(displacement: Image, bend: Image) -> np.float32:
     return min(_SHRINKS_UNBENT + _SHRINKS_PER_GRADIENT * np.sqrt(square), _SHRINKS)
 
 
-@compiled
+@inlined
 def _explained(normal: Image, change: Image) -> np.float32:
     """Weighted sum of squares that a change of the parameters (P,) removes from the residual."""
     total = np.float32(0.0)
@@ -177,7 +177,7 @@ def _explained(normal: Image, change: Image) -> np.float32:
     return total
 
 
-@compiled
+@inlined
 def _leaves_cell(warp: Image, edge: np.float32, per_unit: np.float32, half_cell_px: np.float32) -> bool:
     """True if a warp (xy, monomial) moves the window's border, at `edge`, into a neighbour's cell."""
     for row in range(-1, 2):
@@ -189,7 +189,7 @@ def _leaves_cell(warp: Image, edge: np.float32, per_unit: np.float32, half_cell_
     return False
 
 
-@compiled
+@inlined
 def _brightness(light: Image, level: Image) -> tuple[np.float32, np.float32, np.float32]:
     """Gain and offset that give light (N,) the mean and contrast of the template; the light's contrast."""
     pixels = np.float32(light.size)
@@ -205,7 +205,7 @@ def _brightness(light: Image, level: Image) -> tuple[np.float32, np.float32, np.
     return gain, level[0] - gain * mean, contrast
 
 
-@compiled
+@inlined
 def _subtract(gain: np.float32, offset: np.float32, template: Image, weight: Image, scratch: Scratch) -> np.float32:
     """Compute the residual; return its weighted sum of squares."""
     light, stretch, residual = scratch.light, scratch.stretch, scratch.residual
@@ -216,7 +216,7 @@ def _subtract(gain: np.float32, offset: np.float32, template: Image, weight: Ima
     return square
 
 
-@compiled
+@inlined
 def _zero_excluded(weight: Image, excluded: NDArray[np.bool_], residual: Image) -> np.float32:
     """Zero the residual of excluded pixels; return the weighted sum of squares as if none were excluded."""
     square, total, kept = np.float32(0.0), np.float32(0.0), np.float32(0.0)
@@ -230,7 +230,7 @@ def _zero_excluded(weight: Image, excluded: NDArray[np.bool_], residual: Image) 
     return square * total / max(kept, np.float32(1e-6))
 
 
-@compiled
+@inlined
 def _project(inverse: Image, residual: Image, change: Image) -> None:
     """Project a residual (N,) to a change of the parameters (P,)."""
     for p in range(change.size):
@@ -240,7 +240,7 @@ def _project(inverse: Image, residual: Image, change: Image) -> None:
         change[p] = total
 
 
-@compiled
+@inlined
 def _exclude(frame: FrameData, lenslet: int, scratch: Scratch) -> None:
     """Exclude the pixels that land in a neighbour's cell or between bad pixels."""
     cosine, sine = frame.turn[0], frame.turn[1]
@@ -260,7 +260,7 @@ def _exclude(frame: FrameData, lenslet: int, scratch: Scratch) -> None:
         )
 
 
-@compiled
+@inlined
 def _leave_out(inverse: Image, descent: Image, excluded: NDArray[np.bool_], equations: Floats) -> None:
     """Compute the equations (P, P) without the excluded pixels (N,): 1 - sum A_n J_n^T over these."""
     parameters = inverse.shape[0]
@@ -274,7 +274,7 @@ def _leave_out(inverse: Image, descent: Image, excluded: NDArray[np.bool_], equa
                     equations[i, j] -= inverse[i, n] * descent[j, n]
 
 
-@compiled
+@inlined
 def _copy(equations: Floats) -> None:
     """Copy the first of two (2, P, P) into the second, in which it is solved."""
     for i in range(equations.shape[1]):
@@ -282,7 +282,7 @@ def _copy(equations: Floats) -> None:
             equations[1, i, j] = equations[0, i, j]
 
 
-@compiled
+@inlined
 def _solve(equations: Floats, x: Image) -> bool:
     """Solve M y = x by pivoted elimination, M the first of two equations (2, P, P), x (P,) becoming y.
 

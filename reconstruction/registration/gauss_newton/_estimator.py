@@ -60,6 +60,8 @@ class FitCovariance:
 
     def kept(self, lenslets: Booleans) -> Self:
         """The same, lost for all but some lenslets (L,)."""
+        if lenslets.all():
+            return self
         return replace(self, variance=np.where(lenslets.reshape(*self.variance.shape[:2], 1), self.variance, np.nan))
 
     def __call__(self) -> Floats:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Floats, Image
 from reconstruction.registration.gauss_newton._alignment import LOST_PX, FrameData, Grid, State, fit_warp
 from reconstruction.registration.gauss_newton._warped_sampling import Scratch, Window, new_scratch, sample_warped
-from reconstruction.runtime.compilation import compiled
+from reconstruction.runtime.compilation import compiled, inlined
 
 Ledger = NDArray[np.int64]  # numbers of items taken and finished, (2,)
 
@@ -186,7 +186,7 @@ def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined on
         finish(ledger)
 
 
-@compiled
+@inlined
 def _note(state: State, scratch: Scratch, fits: Fits, lenslet: int) -> None:
     """Note the fit of a lenslet."""
     fits.contrast[lenslet], fits.gain[lenslet] = state.contrast, state.gain
@@ -199,7 +199,7 @@ def _note(state: State, scratch: Scratch, fits: Fits, lenslet: int) -> None:
             fits.excluded[lenslet, n] = scratch.excluded[n]
 
 
-@compiled
+@inlined
 def _translate(displacement: Image, x: np.float32, y: np.float32, basis: Image) -> None:
     """Set the parameters (P - 2,) of a displacement, by their basis (P - 2, 2Q), to those of a translation, px."""
     modes = basis.shape[1] // 2
@@ -207,14 +207,14 @@ def _translate(displacement: Image, x: np.float32, y: np.float32, basis: Image) 
         displacement[p] = x * basis[p, 0] + y * basis[p, modes]
 
 
-@compiled
+@inlined
 def _is_poor(state: State, poor_square: Image, converged_px: np.float32) -> bool:
     """True if another start might do better."""
     enough = state.square < poor_square[0] + state.gain * (poor_square[1] + state.gain * poor_square[2])
     return not (state.step_px < converged_px and enough)
 
 
-@compiled
+@inlined
 def _interpolated_noise(weight: Image, light: Image, power: Floats, scratch: Scratch, found: Floats) -> None:
     """Mean share of the noise that interpolation leaves in a warped window: uniform, shot noise, (2,)."""
     pixels, shot, left_pixels, left_shot = 0.0, 0.0, 0.0, 0.0
@@ -232,7 +232,7 @@ def _interpolated_noise(weight: Image, light: Image, power: Floats, scratch: Scr
     found[0], found[1] = left_pixels / max(pixels, 1e-30), left_shot / max(shot, 1e-30)
 
 
-@compiled
+@inlined
 def _best_shift(
     frame: FrameData, search: WholePixelSearch, lenslet: int, scratch: Scratch
 ) -> tuple[np.float32, np.float32]:

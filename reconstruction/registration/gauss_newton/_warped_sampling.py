@@ -16,7 +16,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
-from reconstruction.runtime.compilation import FAST_MATH, compiled
+from reconstruction.runtime.compilation import FAST_MATH, compiled, inlined
 
 MONOMIALS = tuple((degree - n, n) for degree in range(5) for n in range(degree + 1))  # powers of u and v
 _ONE, _TWO, _THREE, _FOUR, _HALF = (np.float32(value) for value in (1, 2, 3, 4, 0.5))
@@ -82,7 +82,7 @@ def new_scratch(pixels: int, parameters: int) -> Scratch:
     )
 
 
-@compiled
+@inlined
 def combine(parameters: Image, monomials: Image, warp: Image) -> None:
     """Compute polynomials (xy, monomial) of a displacement by parameters (P,), those of each being `monomials`."""
     for axis in range(2):
@@ -92,7 +92,7 @@ def combine(parameters: Image, monomials: Image, warp: Image) -> None:
                 warp[axis, m] += parameters[p] * monomials[p, axis, m]
 
 
-@compiled
+@inlined
 def warp_value(p: Image | Terms, u: np.float32, v: np.float32) -> np.float32:
     """Value of one polynomial (monomial,) at (u, v)."""
     value: np.float32 = (
@@ -104,7 +104,7 @@ def warp_value(p: Image | Terms, u: np.float32, v: np.float32) -> np.float32:
     return value
 
 
-@compiled
+@inlined
 def _slopes(p: Terms, u: np.float32, v: np.float32) -> tuple[np.float32, np.float32]:
     """Derivatives of a polynomial with respect to u and v."""
     along = p[1] + v * (p[4] + v * (p[8] + v * p[13]))
@@ -114,7 +114,7 @@ def _slopes(p: Terms, u: np.float32, v: np.float32) -> tuple[np.float32, np.floa
     return along, across
 
 
-@compiled
+@inlined
 def _terms(p: Image) -> Terms:
     """Coefficients of a polynomial (monomial,) as numbers, which nothing that is written into arrays can change."""
     return p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[13], p[14]
@@ -168,7 +168,7 @@ def sample_warped(
     _interpolate(coefficients.reshape(-1), np.uint64(columns), scratch)
 
 
-@compiled
+@inlined
 def _interpolate(flat: Image, stride: np.uint64, scratch: Scratch) -> None:
     """Interpolate the light from the flat coefficients about the pixels in `scratch`."""
     weights, light = scratch.weights, scratch.light
