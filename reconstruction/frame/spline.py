@@ -145,7 +145,7 @@ def _prefilter(
         for row in range(1, last + 1):
             _add(image[_mirrored_index(top - _RUN_IN + row, rows)], work[row - 1], work[row])
         for row in range(last - 1, _RUN_IN - 1, -1):
-            _add(work[row], work[row + 1], work[row])
+            _add_to(work[row + 1], work[row])
         for row in range(min(_STRIP, rows - top)):
             source = work[row + _RUN_IN]
             for column in range(columns):
