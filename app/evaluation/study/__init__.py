@@ -21,8 +21,8 @@ SWEEPS = (ENSEMBLES, ROUGHNESS, SIZE, EXPERIMENT, PHOTONS, EM_GAIN, SOURCE, LATT
 def chosen_studies(names: Sequence[str], frames: Path | None = None) -> list[Study]:
     """Return the studies with these names, each once; without names all sweeps.
 
-    The names after `mask` or `masks` are those of masks, see `mask_study` and `many_masks_study`. `frames` is a folder of reference frames for the
-    calibration, see `calibration_trials`.
+    The names after `mask` or `masks` are those of masks, see `mask_study` and `many_masks_study`. `frames` is a folder
+    of reference frames for the calibration, see `calibration_trials`.
     """
     of_masks = {"mask": mask_study, "masks": many_masks_study}
     place = next((index for index, name in enumerate(names) if name in of_masks), len(names))

@@ -27,7 +27,7 @@ from app.progress import Progress
 from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError
 
-_SAMPLES: dict[str, dict[str, Any]] = {"bench": {}, "source": {**NEAR_SOURCE, "rms_rad": 2.0}}  # changes of the screen
+_SAMPLES: dict[str, dict[str, Any]] = {"bench": {}, "source": NEAR_SOURCE | {"rms_rad": 2.0}}  # changes of the screen
 _BOUNDS = {peak_e: f"bound_{peak_e:.0f}_rad" for peak_e in PEAKS_E}
 _BIASES = {sample: f"bias_{sample}_rad" for sample in _SAMPLES}
 _PICTURES = (".npy", ".png", ".tif", ".tiff")
@@ -68,27 +68,26 @@ def _measure(
 
 def _predicted(bench: Bench, square: Image, seeds: range) -> dict[str, float]:
     """Light over the square's, hidden displacements, bound at each exposure, and bias: mean over the seeds."""
-    views, reference, seen, modes = lit_views(bench), NoiseFreeFrames(bench).reference(), camera(bench), None
+    views, reference, seen = lit_views(bench), NoiseFreeFrames(bench).reference(), camera(bench)
     if not views.any():
         raise InputError("no view lies inside it")
-    modes = without_prior(bench)
-    values = {"light": float(reference.sum() / square.sum()), "peak": float(reference.max() / square.max())}
+    counts = seen.counts(reference * np.float32(PEAKS_E[1] / square.max()))
+    estimator = WarpEstimator(bench, counts, WARP, noise=seen.noise, reconstruction=without_prior(bench))
+    reconstructor = estimator.reconstructor
+    light, peak = float(reference.sum() / square.sum()), float(reference.max() / square.max())
+    values = {"light": light, "peak": peak, "hidden": float(reconstructor.hidden)}
+    modes = reconstructor.register(counts).modes.count
     for peak_e, bound in _BOUNDS.items():
-        electrons = reference * np.float32(peak_e / square.max())
-        counts = seen.counts(electrons)
-        estimator = WarpEstimator(bench, counts, WARP, noise=seen.noise, reconstruction=modes)
-        at_rest = estimator.reconstructor.register(counts)
         try:
-            values[bound] = bound_rad(bench, estimator.reconstructor, at_rest.modes.count, views)
+            values[bound] = bound_rad(bench, reconstructor, modes, views, exposure=peak_e / PEAKS_E[1])
         except ReconstructionError:  # the mask shows nothing of some wavefronts
             values[bound] = math.nan
-    values["hidden"] = estimator.reconstructor.hidden
     predict = LinearPass(bench, estimator, counts)
     for sample, changes in _SAMPLES.items():
         errors = []
         for screen in seeded(with_screen(bench, **changes), seeds):
             frames = NoiseFreeFrames(screen)
-            wavefront = estimator.reconstructor.solve(predict(frames.sample))
+            wavefront = reconstructor.solve(predict(frames.sample))
             error = wavefront.views - frames.renderer.truth_wavefront(0)
             errors.append(mean_rms(error, wavefront.displacement.valid, views))
         values[_BIASES[sample]] = float(np.mean(errors))

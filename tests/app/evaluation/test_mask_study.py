@@ -184,3 +184,37 @@ def test_views_inside_the_outline_of_the_source_count(tmp_path: Path, small_toml
     np.save(file, point)
     with pytest.raises(InputError, match="a point or a line"):
         lit(mask="image", file=file)
+
+
+@pytest.mark.slow
+def test_many_masks_are_compared_as_the_study_of_each_predicts(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    (folder / "notes.txt").write_text("no picture")
+    np.save(folder / "fine.npy", (np.indices((5, 5)).sum(axis=0) % 2 == 0).astype(np.float32))
+    np.save(folder / "corner.npy", (np.indices((9, 9)).sum(axis=0) < 1).astype(np.float32))  # no view lies inside
+    words = ("study", "masks", "checkerboard:5", folder, "--bench", small_toml, "--seeds", "1", "--out", tmp_path / "o")
+    assert run(monkeypatch, *words) == 0
+    printed = capsys.readouterr().out
+    assert "corner.npy: " in printed
+    found = {Path(row["mask"]).name: row for row in json.loads((tmp_path / "o" / "masks.json").read_text())["masks"]}
+    assert set(found) == {"checkerboard:5", "fine.npy", "square"}
+    assert list(found)[-1] == "square"  # which hides the most
+    named, picture = ({**found[name], "mask": ""} for name in ("checkerboard:5", "fine.npy"))
+    assert named == pytest.approx(picture, rel=1e-3)
+    alone = studied(tmp_path / "alone", monkeypatch, "checkerboard:5", "--bench", small_toml)
+    (key,) = (name for name in alone["noise, 1000 e- in the square: bound"] if name.startswith("checkerboard"))
+    for peak_e in (300, 1000, 10000):
+        bound = alone[f"noise, {peak_e} e- in the square: bound"][key]
+        assert named[f"bound_{peak_e}_rad"] == pytest.approx(bound, rel=1e-3)
+    assert (tmp_path / "o" / "masks.csv").exists()
+    assert (tmp_path / "o" / "masks.png").exists()
+
+
+def test_folder_without_pictures_is_no_mask(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "study", "masks", str(tmp_path), "--out", str(tmp_path / "out")) == 2
+    assert "holds no picture of a mask" in capsys.readouterr().err
