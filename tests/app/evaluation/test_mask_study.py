@@ -194,11 +194,11 @@ def test_many_masks_are_compared_as_the_study_of_each_predicts(
     folder.mkdir()
     (folder / "notes.txt").write_text("no picture")
     np.save(folder / "fine.npy", (np.indices((5, 5)).sum(axis=0) % 2 == 0).astype(np.float32))
-    np.save(folder / "corner.npy", (np.indices((9, 9)).sum(axis=0) < 1).astype(np.float32))  # no view lies inside
+    np.save(folder / "between.npy", np.eye(9, dtype=np.float32)[[2]] * np.eye(9, 1, dtype=np.float32))  # the views
     words = ("study", "masks", "checkerboard:5", folder, "--bench", small_toml, "--seeds", "1", "--out", tmp_path / "o")
     assert run(monkeypatch, *words) == 0
     printed = capsys.readouterr().out
-    assert "corner.npy: " in printed
+    assert "between.npy: " in printed
     found = {Path(row["mask"]).name: row for row in json.loads((tmp_path / "o" / "masks.json").read_text())["masks"]}
     assert set(found) == {"checkerboard:5", "fine.npy", "square"}
     assert list(found)[-1] == "square"  # which hides the most
