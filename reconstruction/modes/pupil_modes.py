@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre as series
+from numpy.typing import NDArray
 
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.errors import ReconstructionError
@@ -192,7 +193,7 @@ class PupilGrid:
         return np.asarray(of_y @ (products @ of_x.T), np.float32)
 
 
-def local_wavefronts(products: Floats, sensor: Sensor, degree: int) -> Floats:
+def local_wavefronts(products: Floats, sensor: Sensor, degree: int, rows: NDArray[np.intp] | None = None) -> Floats:
     """Project pupil modes on the products P_m(xi) P_n(eta) over each lenslet.
 
     Parameters
@@ -203,6 +204,8 @@ def local_wavefronts(products: Floats, sensor: Sensor, degree: int) -> Floats:
         xi and eta are -1 ... 1 over the square around the aperture of a lenslet.
     degree : int
         Highest local m and n.
+    rows : (lenslet_row,), optional
+        Rows of lenslets to project on; all if omitted.
 
     Returns
     -------
@@ -217,10 +220,11 @@ def local_wavefronts(products: Floats, sensor: Sensor, degree: int) -> Floats:
         return np.asarray(np.einsum("cik,ij->cjk", series.legvander(at, highest), project))  # (cell, local, k)
 
     half_x_m, half_y_m = sensor.pupil_half_width_m
-    along_y = in_cells(sensor.pupil_y_m, half_y_m)
+    rows = np.arange(sensor.lenslet_rows) if rows is None else rows
+    along_y = in_cells(sensor.pupil_y_m[rows], half_y_m)
     rows_of_x = sensor.lenslet_centers_m[:2, :, 0]  # of even and of odd rows
     local = np.empty((len(along_y), rows_of_x.shape[1], degree + 1, degree + 1, len(products)))
     for first, x_m in enumerate(rows_of_x):
-        along_x, some = in_cells(x_m, half_x_m), slice(first, None, 2)
+        along_x, some = in_cells(x_m, half_x_m), rows % 2 == first
         local[some] = np.einsum("pkl,rnk,cml->rcnmp", products, along_y[some], along_x, optimize=True)
     return local

@@ -62,8 +62,10 @@ class Response:
 
     def __call__(self, modes: PupilModes, lenslets: Lenslets) -> Floats:
         """Parameters per rad of each mode; see `MeanGradients`."""
-        local = local_wavefronts(modes.products[1:], self._sensor, self.response.shape[1] - 1)
-        local = local.reshape(-1, *local.shape[2:])[lenslets][:, self._n, self._m]  # (lenslet, j, pupil_mode - 1)
+        row, column = np.divmod(np.arange(len(self.response))[lenslets], self._sensor.lenslet_columns)
+        rows, place = np.unique(row, return_inverse=True)  # only these: preparing asks for few lenslets at a time
+        local = local_wavefronts(modes.products[1:], self._sensor, self.response.shape[1] - 1, rows)
+        local = local[place[:, None], column[:, None], self._n, self._m]  # (lenslet, j, pupil_mode - 1)
         of_local = self.response[lenslets][:, self._n, self._m]
         return np.asarray(np.einsum("ljp,ljqk->lkpq", local, of_local, optimize=True))
 

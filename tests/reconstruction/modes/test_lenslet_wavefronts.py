@@ -70,3 +70,13 @@ def test_mean_gradient_is_that_of_the_pupil_modes() -> None:
     along_y = (local[:, :, 1, 0] + local[:, :, 3, 0]) * 2 / sensor.lenslet_pitch_m
     found = np.moveaxis(np.stack([along_x, along_y], axis=-1), 2, 0)
     np.testing.assert_allclose(found, modes.gradients, atol=1e-8)
+
+
+@pytest.mark.parametrize("arrangement", ["square", "hexagonal"])
+def test_some_rows_are_those_of_the_whole_lattice(arrangement: Arrangement) -> None:
+    sensor = replace(sensor_of(5, 4), arrangement=arrangement)
+    products = pupil_modes(sensor, "legendre", 15).products
+    whole = local_wavefronts(products, sensor, 3)
+    for rows in ([1], [0, 2], [1, 2, 4]):
+        some = local_wavefronts(products, sensor, 3, np.array(rows))
+        np.testing.assert_allclose(some, whole[rows], rtol=1e-13, atol=1e-13 * np.abs(whole).max())
