@@ -202,7 +202,7 @@ def test_many_masks_are_compared_as_the_study_of_each_predicts(
     found = {Path(row["mask"]).name: row for row in json.loads((tmp_path / "o" / "masks.json").read_text())["masks"]}
     assert set(found) == {"checkerboard:5", "fine.npy", "square"}
     assert list(found)[-1] == "square"  # which hides the most
-    named, picture = ({**found[name], "mask": ""} for name in ("checkerboard:5", "fine.npy"))
+    named, picture = ({**found[name], "mask": 0.0} for name in ("checkerboard:5", "fine.npy"))
     assert named == pytest.approx(picture, rel=1e-3)
     alone = studied(tmp_path / "alone", monkeypatch, "checkerboard:5", "--bench", small_toml)
     (key,) = (name for name in alone["noise, 1000 e- in the square: bound"] if name.startswith("checkerboard"))
