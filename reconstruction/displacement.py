@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.modes.field_modes import FieldModes
+from reconstruction.modes.field_modes import FieldModes, LegendreModes
 
 # Error of each coefficient without noise, taken as uncorrelated. On the screens of docs/estimator.md it is 0.001 px and
 # correlated along rows of lenslets; with 0.002 to 0.004 the residuals were least.
@@ -75,9 +75,7 @@ class _Deferred:
         instance.__dict__["covariance"] = value
 
 
-def transmission_terms(u: Floats, v: Floats) -> Floats:
-    """Terms of a transmission at field positions (...) over the field's half width: 1, linear, quadratic, (..., 6)."""
-    return np.stack(np.broadcast_arrays(1.0, u, v, u**2 - 1 / 3, u * v, v**2 - 1 / 3), axis=-1)
+TRANSMISSION_MODES = LegendreModes(6)  # constant, linear and quadratic over the field, also a circular one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,14 +85,13 @@ class Transmission:
     Rays keep their brightness, so that it is what the sample lets through, and not how it gathers light.
     """
 
-    coefficients: Floats  # of the terms, (lenslet_row, lenslet_column, 6); NaN where unknown
+    coefficients: Floats  # of `TRANSMISSION_MODES`, (lenslet_row, lenslet_column, 6); NaN where unknown
     covariance: Floats  # (lenslet_row, lenslet_column, 6, 6), of the camera's noise
 
-    def at(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:
-        """Values and standard errors at field positions (...), each (..., lenslet_row, lenslet_column)."""
-        terms = transmission_terms(u, v)
-        variance = np.einsum("...i,rcij,...j->...rc", terms, self.covariance, terms)
-        return np.einsum("...i,rci->...rc", terms, self.coefficients), np.sqrt(variance)
+    def at(self, modes: Floats) -> tuple[Floats, Floats]:
+        """Values and standard errors for values of the modes (..., 6), each (..., lenslet_row, lenslet_column)."""
+        variance = np.einsum("...i,rcij,...j->...rc", modes, self.covariance, modes)
+        return np.einsum("...i,rci->...rc", modes, self.coefficients), np.sqrt(variance)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from reconstruction.arrays import Booleans, Floats
-from reconstruction.displacement import Displacement
+from reconstruction.displacement import TRANSMISSION_MODES, Displacement
 from reconstruction.geometry import Arrangement, Field, Sensor, lenslet_centers
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import FieldModes
@@ -61,10 +61,8 @@ class Wavefront:
         """
         if (found := self.displacement.transmission) is None:
             return None
-        h_m = self.field.half_width_m
-        u, v = self.field.view_x_m / h_m, self.field.view_y_m[:, None] / h_m
-        is_inside = self.field.contains(u, v)[..., None, None]
-        value, sigma = (np.where(is_inside, each, np.nan) for each in found.at(u, v))
+        modes, is_inside = _modes_at_views(self.field, TRANSMISSION_MODES)
+        value, sigma = (np.where(is_inside[..., None, None], each, np.nan) for each in found.at(modes))
         return value, sigma
 
     def at(self, x_m: ArrayLike, y_m: ArrayLike) -> Floats:

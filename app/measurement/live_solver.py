@@ -46,7 +46,7 @@ class _Found(NamedTuple):
 
 
 class _Closed(Exception):
-    """Ends a search."""
+    """Ends a search or a rendering."""
 
 
 class LiveSolver:
@@ -77,7 +77,7 @@ class LiveSolver:
             threading.Thread(target=self._work, args=(has_model,), name="live-solver", daemon=True).start()
 
     def close(self) -> None:
-        """Stop after the current round."""
+        """Stop at once, but not amid a registration or a fit."""
         self._closing.set()
 
     def solve(self, displacement: Displacement, time_s: float) -> tuple[Wavefront, Assumptions]:
@@ -157,7 +157,7 @@ class LiveSolver:
             wavefront.sigma()  # what depends on the layers is prepared here, not when it is first shown
         if refinement is None:
             return _Found(sample)
-        bias = refinement.bias(wavefront)
+        bias = refinement.bias(wavefront, self._check_open)
         misfit_px = bias.misfit_px(newest.measured)
         if applied is None:
             self._uncorrected_px = misfit_px

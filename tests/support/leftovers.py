@@ -9,7 +9,7 @@ import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 
-_END_S = 5.0  # for threads that are about to end
+_END_S = 30.0  # for threads that are about to end, at low priority beside other tests
 _LASTING = ("zarr_io", "asyncio_", "reconstruction_")  # Zarr's, and those of `worker_pool`, last as long as the process
 
 

@@ -20,7 +20,7 @@ class TransmissionPanel(Panel):
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
-        self.grid = ViewGrid(is_captioned=False)
+        self.grid = ViewGrid((80, 50), is_captioned=False)
         self.grid.setToolTip(
             "Brightness of the source through the sample over that in the reference.\n"
             "Hatched lenslets are lost or partly covered."

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.displacement import transmission_terms
+from reconstruction.displacement import TRANSMISSION_MODES
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.spline import mean_interpolation, sample, spline_coefficients
 from reconstruction.geometry import require
@@ -135,8 +135,8 @@ class SteepestDescent:
         return np.asarray(descent - np.swapaxes(share, 1, 2) @ varying)
 
     def brightness(self, descent: Floats, weight: Floats) -> Floats:
-        """From residuals to a brightness with the terms of `transmission_terms`, fitted with all else, (L, 6, N)."""
-        varying = descent[:, -2, None] * transmission_terms(self.u, self.v).T
+        """From residuals to a brightness in `TRANSMISSION_MODES`, fitted with all else, (L, 6, N)."""
+        varying = descent[:, -2, None] * TRANSMISSION_MODES.values(self.u, self.v)
         others = np.delete(descent, -2, axis=1)
         return _least_squares(np.concatenate([varying, others], axis=1), weight)[:, : varying.shape[1]]
 

@@ -235,7 +235,7 @@ def test_light_that_cannot_be_opened_leaves_no_process(port: PtyServer) -> None:
 
 
 def test_light_that_cannot_be_taken_over_ends_all_calls(port: PtyServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever fails in the driver."""
+    """The driver fails with an error that is none of a device."""
 
     def fail(_: object) -> None:
         raise OSError("no memory left")

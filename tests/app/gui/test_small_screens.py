@@ -120,8 +120,9 @@ def test_camera_and_plots_take_turns_in_a_low_window(make_window: MakeWindow) ->
     window.resize(1280, 800)
     settle()
     assert camera.isVisible()
-    assert window.panels.corrector.isVisible()
-    assert camera.mapTo(window, QPoint()).y() < window.panels.corrector.mapTo(window, QPoint()).y()
+    shown_last = list(tabs(window).values())[-1]
+    assert shown_last.isVisible()
+    assert camera.mapTo(window, QPoint()).y() < shown_last.mapTo(window, QPoint()).y()
     window.resize(SCREEN.size())
     settle()
     window.docks.restore_default()

@@ -15,6 +15,7 @@ from support.optics import FIELD, SmallBench
 from support.patience import HANG_S, wait_until
 
 from app.bench.config import Bench
+from app.bench.imaging_model import BenchModel
 from app.measurement.live_solver import LiveSolver
 from app.measurement.measurement import Assumptions, RefinementState
 from reconstruction.displacement import Displacement
@@ -265,8 +266,8 @@ def test_bias_is_found_with_the_sample_of_the_frames(
     seen: list[tuple[AssumedSample, Bias]] = []
     original = Refinement.bias
 
-    def noted(self: Refinement, wavefront: Wavefront) -> Bias:
-        bias = original(self, wavefront)
+    def noted(self: Refinement, wavefront: Wavefront, check: Callable[[], None]) -> Bias:
+        bias = original(self, wavefront, check)
         seen.append((wavefront.sample, bias))
         return bias
 
@@ -300,6 +301,26 @@ def test_close_ends_a_search(paper_bench: SmallBench, layered: Reconstructor, mo
     solver = solver_of(paper_bench, layered, refine=False)
     solver.solve(layered.register(paper_bench.reference), 0.0)
     assert searching.wait(HANG_S)
+    solver.close()
+    wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
+
+
+def test_close_ends_a_rendering(
+    paper_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rendering = threading.Event()
+
+    def image(_: BenchModel, field: PointField | None) -> NDArray[np.float32]:
+        if field is None:
+            return paper_bench.reference
+        while True:
+            field(0.0, 0.0)
+            rendering.set()
+
+    monkeypatch.setattr(BenchModel, "image", image)
+    solver = solver_of(paper_bench, reconstructor)
+    solver.solve(reconstructor.register(paper_bench.reference), 0.0)
+    assert rendering.wait(HANG_S)
     solver.close()
     wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
 

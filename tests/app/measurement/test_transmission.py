@@ -1,4 +1,4 @@
-"""What a sample lets through, against the simulator, where the rays of each view cross its screen."""
+"""The transmission of a sample is that of the simulator's screen where the rays of each view cross it."""
 
 from __future__ import annotations
 
