@@ -127,7 +127,7 @@ class MaskComparison(Study):
         return Printed(self.title, (*headings, "bias, bench's screen", "bias, near the source"), lines, notes)
 
     def figure(self, data: pd.DataFrame) -> Figure:
-        """Draw error (bound and bias) against light, a panel for each exposure; the best three have their names."""
+        """Draw error (bound and bias) against light, a panel for each exposure, with the names of the best three."""
         masks = self.summary(data)
         figure = Figure(figsize=(12.0, 4.2), layout="constrained")
         panels = figure.subplots(1, len(PEAKS_E), sharex=True)
@@ -138,9 +138,14 @@ class MaskComparison(Study):
                 label = "bench's screen" if sample == "bench" else "near the source"
                 panel.plot(masks["light"], error, marker, markersize=4, alpha=0.7, label=label)
             panel.plot(masks["light"], bound, "k_", markersize=6, label="bound alone")
-            for row in masks.assign(bound=bound).nsmallest(3, "bound").itertuples():
-                panel.annotate(Path(str(row.mask)).stem, (row.light, row.bound), fontsize=6, rotation=-20, va="top")
-            panel.set(title=f"{peak_e:g} e-", xlabel="light over the square's", yscale="log")
+            best = masks.assign(bound=bound).nsmallest(3, "bound")
+            names = []
+            for rank, row in enumerate(best.itertuples(), 1):
+                at = (row.light, row.bound)
+                panel.annotate(f"{rank}", at, (0, -9), textcoords="offset points", fontsize=7, ha="center")
+                names.append(f"{rank}  {Path(str(row.mask)).name}")
+            panel.set(title=f"{peak_e:g} e-", yscale="log", ymargin=0.12)
+            panel.set_xlabel("\n".join(["light over the square's", *names]), fontsize=8)
             panel.grid(visible=True, which="both", linewidth=0.3)
         panels[0].set_ylabel("error: bound and bias (rad)")
         panels[0].legend(fontsize=7)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+import pandas as pd
 import pytest
 from support.command_line import run
 
@@ -16,6 +17,7 @@ from app.bench.config import load_bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, with_source
 from app.evaluation.study.estimators import WarpEstimator, mean_rms
+from app.evaluation.study.many_masks import many_masks_study
 from app.evaluation.study.mask import LinearPass, local_screen, mask_study
 from app.evaluation.study.sweeps import lit_views
 from reconstruction.modes.field_modes import LegendreModes
@@ -211,6 +213,21 @@ def test_many_masks_are_compared_as_the_study_of_each_predicts(
         assert named[f"bound_{peak_e}_rad"] == pytest.approx(bound, rel=1e-3)
     assert (tmp_path / "o" / "masks.csv").exists()
     assert (tmp_path / "o" / "masks.png").exists()
+
+
+def test_figure_of_three_masks_keeps_their_marks_inside() -> None:
+    study = many_masks_study(["optimised", "checkerboard"])
+    rows = {"mask": ["square", "optimised", "checkerboard"], "light": [1.0, 0.44, 0.5]}
+    errors = ("bound_300_rad", "bound_1000_rad", "bound_10000_rad", "bias_bench_rad", "bias_source_rad")
+    figure = study.figure(pd.DataFrame(rows | {error: [1.0, 0.02, 0.03] for error in errors}))
+    figure.draw_without_rendering()
+    for panel in figure.axes:
+        assert [text.get_text() for text in panel.texts] == ["1", "2", "3"]
+        for text in panel.texts:
+            place = text.get_window_extent()
+            assert panel.bbox.contains(place.x0, place.y0)
+            assert panel.bbox.contains(place.x1, place.y1)
+        assert panel.get_xlabel().splitlines()[1:] == ["1  optimised", "2  checkerboard", "3  square"]
 
 
 def test_folder_without_pictures_is_no_mask(
