@@ -115,6 +115,19 @@ def test_area_counts_its_pixels(window: MainWindow, qtbot: QtBot) -> None:
     assert panel.measuring.reading.text() == "no pixel lies in the area"
 
 
+def test_line_in_the_smallest_picture_has_an_end(window: MainWindow) -> None:
+    panel = window.panels.camera
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    panel._view.scaleBy((1e6, 1e6))
+    panel._view.translateBy(x=1e9)
+    panel.use_tool("line")
+    QApplication.processEvents()
+    shown = panel._view.viewRect()
+    panel.measuring.place("line", shown.topLeft(), shown.bottomRight())
+    along_px, _ = panel.measuring.curve.getData()
+    assert 430 < along_px[-1] < 50 * 430
+
+
 def test_drag_without_a_tool_moves_the_picture(window: MainWindow) -> None:
     panel = window.panels.camera
     window.show_measurement(make_measurement(dim_frame(), views()))
@@ -182,6 +195,8 @@ def test_mask_drawn_by_hand_and_undone(live: tuple[MainWindow, FakeCamera], qtbo
     qtbot.waitUntil(lambda: window.controller.is_settled)
     window.messages.clear_notice()
     qtbot.waitUntil(lambda: "All lenslets are excluded by hand" in window.messages.text.text())
+    assert "R: reference" not in window.messages.text.text()  # which would not help
+    assert window._status.reference == "good"
     panel.use_tool("use again")
     drag(panel, (1, 1), (428, 298))
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
