@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.errors import InputError
@@ -55,21 +56,24 @@ def many_masks_study(names: Sequence[str]) -> "MaskComparison":
 def _measure(
     bench: Bench, seeds: range, progress: Progress, *, sources: Mapping[str, dict[str, Any]]
 ) -> Iterator[CaseResult]:
-    square = NoiseFreeFrames(bench).reference("square")
+    square, views = NoiseFreeFrames(bench).reference("square"), lit_views(with_source(bench, mask="square"))
     for index, (name, changes) in enumerate(sources.items()):
         progress(name, index / len(sources))
         at, problem, values = {"mask": name}, "", {}
         try:
-            values = _predicted(with_source(bench, **changes), square, seeds)
+            values = _predicted(with_source(bench, **changes), square, views, seeds)
         except (InputError, ReconstructionError) as error:  # the others are still worth comparing
             problem = str(error)
         yield CaseResult(at=at, values=values, problem=problem)
 
 
-def _predicted(bench: Bench, square: Image, seeds: range) -> dict[str, float]:
-    """Light over the square's, hidden displacements, bound at each exposure, and bias: mean over the seeds."""
-    views, reference, seen = lit_views(bench), NoiseFreeFrames(bench).reference(), camera(bench)
-    if not views.any():
+def _predicted(bench: Bench, square: Image, views: NDArray[np.bool_], seeds: range) -> dict[str, float]:
+    """Light over the square's, hidden displacements, bound at each exposure, and bias: mean over the seeds.
+
+    The views are those inside the square, also where the mask is smaller: else small masks would seem better.
+    """
+    reference, seen = NoiseFreeFrames(bench).reference(), camera(bench)
+    if not lit_views(bench).any():
         raise InputError("no view lies inside it")
     counts = seen.counts(reference * np.float32(PEAKS_E[1] / square.max()))
     estimator = WarpEstimator(bench, counts, WARP, noise=seen.noise, reconstruction=without_prior(bench))

@@ -195,17 +195,20 @@ def test_many_masks_are_compared_as_the_study_of_each_predicts(
     folder = tmp_path / "pictures"
     folder.mkdir()
     (folder / "notes.txt").write_text("no picture")
-    np.save(folder / "fine.npy", (np.indices((5, 5)).sum(axis=0) % 2 == 0).astype(np.float32))
+    cells = (np.indices((5, 5)).sum(axis=0) % 2 == 0).astype(np.float32)
+    np.save(folder / "fine.npy", cells)
+    np.save(folder / "small.npy", np.pad(cells, 1))  # lights the view in the middle alone
     np.save(folder / "between.npy", np.eye(9, dtype=np.float32)[[2]] * np.eye(9, 1, dtype=np.float32))  # the views
     words = ("study", "masks", "checkerboard:5", folder, "--bench", small_toml, "--seeds", "1", "--out", tmp_path / "o")
     assert run(monkeypatch, *words) == 0
     printed = capsys.readouterr().out
     assert "between.npy: " in printed
     found = {Path(row["mask"]).name: row for row in json.loads((tmp_path / "o" / "masks.json").read_text())["masks"]}
-    assert set(found) == {"checkerboard:5", "fine.npy", "square"}
+    assert set(found) == {"checkerboard:5", "fine.npy", "small.npy", "square"}
     assert list(found)[-1] == "square"  # which hides the most
     named, picture = ({**found[name], "mask": 0.0} for name in ("checkerboard:5", "fine.npy"))
     assert named == pytest.approx(picture, rel=1e-3)
+    assert found["small.npy"]["bound_1000_rad"] > 1.5 * found["fine.npy"]["bound_1000_rad"]  # in all views
     alone = studied(tmp_path / "alone", monkeypatch, "checkerboard:5", "--bench", small_toml)
     (key,) = (name for name in alone["noise, 1000 e- in the square: bound"] if name.startswith("checkerboard"))
     for peak_e in (300, 1000, 10000):
