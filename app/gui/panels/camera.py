@@ -50,7 +50,6 @@ _LEVELS_INTERVAL_S = 0.5
 _LEVELS_PERCENT = (1.0, 99.8)
 _LEVELS_SLACK = 0.1  # of their span: smaller changes leave the levels alone
 _CLOSEST_PX = 8  # side of the smallest area that fills the view
-_FARTHEST = 10  # frames beside the picture that the view reaches, so that no line is endless
 _FARTHEST = 2.0  # widths and heights of the frame that the view shows at most
 _HINT = (
     "Wheel: zoom; drag: move; double click or 0: whole frame\n"
@@ -216,9 +215,7 @@ class CameraPanel(Panel):
         self._draw()
         if is_new_shape:
             self._placeholder.hide()
-            least, most = -_FARTHEST * max(frame.pixels.shape), (1 + _FARTHEST) * max(frame.pixels.shape)
-            limits = {"xMin": least, "xMax": most, "yMin": least, "yMax": most}
-            self._view.setLimits(minXRange=_CLOSEST_PX, minYRange=_CLOSEST_PX, **limits)
+            self._view.setLimits(minXRange=_CLOSEST_PX, minYRange=_CLOSEST_PX)
             self.reset_zoom()
         self._clipped.show_of(frame, self.shown.statistics)
         self._show_overlay()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 
@@ -115,17 +116,16 @@ def test_area_counts_its_pixels(window: MainWindow, qtbot: QtBot) -> None:
     assert panel.measuring.reading.text() == "no pixel lies in the area"
 
 
-def test_line_in_the_smallest_picture_has_an_end(window: MainWindow) -> None:
-    panel = window.panels.camera
+def test_line_ends_beside_the_picture(window: MainWindow) -> None:
+    measuring = window.panels.camera.measuring
     window.show_measurement(make_measurement(dim_frame(), views()))
-    panel._view.scaleBy((1e6, 1e6))
-    panel._view.translateBy(x=1e9)
-    panel.use_tool("line")
-    QApplication.processEvents()
-    shown = panel._view.viewRect()
-    panel.measuring.place("line", shown.topLeft(), shown.bottomRight())
-    along_px, _ = panel.measuring.curve.getData()
-    assert 430 < along_px[-1] < 50 * 430
+    window.update_text()
+    window.panels.camera.use_tool("line")
+    measuring.place("line", QPointF(-1e9, -1e9), QPointF(1e9, 1e9))
+    along_px, _ = measuring.curve.getData()
+    assert along_px[-1] == pytest.approx(3 * math.hypot(430, 300))
+    measuring.place("area", QPointF(-1e9, -1e9), QPointF(1e9, 1e9))
+    assert measuring.reading.text().startswith("430 x 300 px")
 
 
 def test_drag_without_a_tool_moves_the_picture(window: MainWindow) -> None:
