@@ -92,7 +92,7 @@ def load_bench(source: str | Path, *overrides: str) -> Bench:
     Parameters
     ----------
     source
-        Path of a TOML file, or one of the presets `live_demo`, `small_demo`, `paper_simulation` and
+        Path of a TOML file, or one of the presets `recommended`, `live_demo`, `small_demo`, `paper_simulation` and
         `paper_experiment`.
     *overrides
         Single settings as "section.key=value".

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import CovarianceSource, Displacement, Outcome, Transmission
-from reconstruction.errors import ReconstructionError
+from reconstruction.errors import ReconstructionError, UnusableSettings
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.pixels import repaired
 from reconstruction.frame.spline import sample, spline_coefficients
@@ -97,7 +97,7 @@ class ReferenceSubimages:
         self.excluded = is_excluded.ravel()
         self.lit = ~dark & ~self.off_camera & ~self.excluded
         if self.excluded.all():
-            raise ReconstructionError("all lenslets are excluded by hand: use some of them again")
+            raise UnusableSettings("all lenslets are excluded by hand: use some of them again")
         if not self.lit.any() or self._smoothness() < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
 

@@ -81,6 +81,7 @@ class Server:
             sinks=(partial(self._publish, is_shown_only=False),),
             on_show=partial(self._publish, is_shown_only=True),
         )
+        self._unwritten: tuple[Measurement, bool] | None = None  # and whether it is shown only
         self._ring: RingWriter | None = None
         self._older_rings: deque[RingWriter] = deque()
         self._writing, self._travellers = Lock(), Travellers()
@@ -144,12 +145,21 @@ class Server:
 
     def _publish(self, measurement: Measurement, *, is_shown_only: bool) -> None:
         """Write a measurement into the ring, unless a newer one follows at once; called by the worker."""
-        if measurement.problem == SKIPPED:
-            return
-        has_wavefront = measurement.wavefront is not None
-        lean = replace(measurement, wavefront=None, start=None)
-        packed = Packed(Record(lean, has_wavefront, is_shown_only), self._travellers.number)
+        if measurement.problem != SKIPPED:
+            self._unwritten = measurement, is_shown_only
+            if self._clients:
+                self._write()
+
+    def _write(self) -> None:
+        """Write the newest measurement into the ring, if that has not been done; without clients it waits for one."""
         with self._writing:
+            newest, self._unwritten = self._unwritten, None
+            if newest is None:
+                return
+            measurement, is_shown_only = newest
+            lean = replace(measurement, wavefront=None, start=None)
+            record = Record(lean, measurement.wavefront is not None, is_shown_only)
+            packed = Packed(record, self._travellers.number)
             if self._ring is None or not self._ring.fits(packed):
                 count = 0
                 if self._ring is not None:
@@ -188,6 +198,7 @@ class Server:
             self._clients[identity] = _Client(message.name, now_s)
             if message.controls and not self._controller:
                 self._controller = identity
+            self._write()
             self._tell(identity, self._present())
             self._tell(identity, Notice(*self._noticed))
         elif identity not in self._clients:  # forgotten, maybe while it was stopped

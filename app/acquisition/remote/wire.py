@@ -77,9 +77,13 @@ class Packed:
             return [self._plain(each) for each in value]
         if not is_dataclass(value):
             raise TypeError(f"a {type(value).__name__} cannot be sent to another process")
-        stored = getattr(value, "__dict__", {})  # as stored: reading an attribute might compute it
+        # A value that is computed when it is first read travels as what computes it, where that is plain data.
+        stored = getattr(value, "__dict__", {})
         names = [each.name for each in fields(value)]
-        return {name: self._plain(stored[name] if name in stored else getattr(value, name)) for name in names}
+        is_plain = {name: is_dataclass(stored[name]) for name in names if callable(stored.get(name))}
+        return {
+            name: self._plain(stored[name] if is_plain.get(name) else getattr(value, name)) for name in names
+        }
 
     def _place(self, array: NDArray[Any]) -> int:
         place, self._end = self._end, _aligned(self._end + array.nbytes)
