@@ -81,9 +81,7 @@ class Packed:
         stored = getattr(value, "__dict__", {})
         names = [each.name for each in fields(value)]
         is_plain = {name: is_dataclass(stored[name]) for name in names if callable(stored.get(name))}
-        return {
-            name: self._plain(stored[name] if is_plain.get(name) else getattr(value, name)) for name in names
-        }
+        return {name: self._plain(stored[name] if is_plain.get(name) else getattr(value, name)) for name in names}
 
     def _place(self, array: NDArray[Any]) -> int:
         place, self._end = self._end, _aligned(self._end + array.nbytes)
