@@ -4,6 +4,8 @@ import json
 import os
 import secrets
 import stat
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
@@ -15,6 +17,7 @@ import platformdirs
 from app.errors import InputError, RunError
 
 NAME = "instrument"
+_PATIENCE_S = 1.0  # with a client that looks at this moment whether the last instrument was killed
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +57,7 @@ def taken_place(name: str = NAME) -> Iterator[Place]:
 
     What a killed instrument left there is replaced. `RunError` if another one runs there; `InputError` for a bad name.
     """
-    with _lock(name):
+    with _lock(name, _PATIENCE_S):
         _clear(name)
         endpoint = f"ipc://{_file(name, 'socket')}" if os.name == "posix" else "tcp://127.0.0.1:*"
         try:
@@ -64,24 +67,34 @@ def taken_place(name: str = NAME) -> Iterator[Place]:
 
 
 @contextmanager
-def _lock(name: str) -> Iterator[None]:
+def _lock(name: str, patience_s: float = 0.0) -> Iterator[None]:
     """Hold a lock that the system releases when this process ends, however that happens; `RunError` if it is held."""
     descriptor = os.open(_file(name, "lock"), os.O_RDWR | os.O_CREAT, 0o600)
+    until_s = time.monotonic() + patience_s
     try:
-        try:
-            if os.name == "posix":
-                import fcntl  # noqa: PLC0415 - not on Windows
-
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            else:
-                import msvcrt  # noqa: PLC0415 - only on Windows
-
-                msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined] # there it has it
-        except OSError as error:
-            raise RunError(f"an instrument runs as {name} already: stop it first, or use another --name") from error
+        while not _locked(descriptor):
+            if time.monotonic() > until_s:
+                raise RunError(f"an instrument runs as {name} already: stop it first, or use another --name")
+            time.sleep(0.01)
         yield
     finally:
         os.close(descriptor)
+
+
+def _locked(descriptor: int) -> bool:
+    """Whether an open file could be locked."""
+    try:
+        if sys.platform != "win32":
+            import fcntl  # noqa: PLC0415 - not on Windows
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        else:
+            import msvcrt  # noqa: PLC0415 - only on Windows
+
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+    except OSError:
+        return False
+    return True
 
 
 def _clear(name: str) -> None:
@@ -102,7 +115,8 @@ def runtime_folder() -> Path:
     """
     made = platformdirs.user_runtime_path("svwfs")
     made.mkdir(mode=0o700, parents=True, exist_ok=True)
-    found = made.stat()
-    if hasattr(os, "getuid") and (found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077):
-        raise RunError(f"{made} belongs to another user or is open to others: remove it")
+    if sys.platform != "win32":  # where its access lists protect a user's folder
+        found = made.stat()
+        if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077:
+            raise RunError(f"{made} belongs to another user or is open to others: remove it")
     return made

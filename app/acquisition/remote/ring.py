@@ -9,6 +9,7 @@ A slow reader loses records and knows it; a dead one changes nothing.
 import mmap
 import os
 import struct
+import sys
 from contextlib import suppress
 from pathlib import Path
 
@@ -30,7 +31,7 @@ class RingWriter:
         self._slots, self._stride = slots, _SLOT_HEADER_BYTES + -(-slot_bytes // 64) * 64
         self._file: Path | None = None
         size = _HEADER_BYTES + slots * self._stride
-        if hasattr(os, "memfd_create"):
+        if sys.platform == "linux":
             self._descriptor = os.memfd_create("svwfs ring")
             self.place = f"/proc/{os.getpid()}/fd/{self._descriptor}"
         else:
