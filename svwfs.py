@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     import xarray as xr
 
-    from app.acquisition.session import LiveBench, live
+    from app.acquisition.session import ConnectedBench, LiveBench, connect, live
     from app.bench.config import Bench
     from app.errors import InputError, Interrupted, RunError
     from app.evaluation.frames import SimulatedFrames, simulate
@@ -45,15 +45,33 @@ if TYPE_CHECKING:
     from reconstruction.settings import PupilBasis
     from reconstruction.wavefront import Wavefront
 
-__all__ = ["deconvolve", "field_coefficients", "find_corrector", "find_lattice", "find_layers", "live", "load_bench"]
+__all__ = [
+    "connect",
+    "deconvolve",
+    "field_coefficients",
+    "find_corrector",
+    "find_lattice",
+    "find_layers",
+    "live",
+    "load_bench",
+]
 __all__ += ["open_recording", "open_result", "psf", "reconstructor", "refine", "save_result", "simulate", "to_dataset"]
-__all__ += ["Bench", "BenchReconstructor", "Displacement", "Lattice", "LiveBench", "Measurement", "OpenedRecording"]
+__all__ += [
+    "Bench",
+    "BenchReconstructor",
+    "ConnectedBench",
+    "Displacement",
+    "Lattice",
+    "LiveBench",
+    "Measurement",
+    "OpenedRecording",
+]
 __all__ += ["Outcome", "SimulatedFrames", "Wavefront"]
 __all__ += ["BadValue", "Busy", "DeviceError", "DeviceTimeout", "Disconnected", "FrameLost", "InputError"]
 __all__ += ["Interrupted", "ReconstructionError", "RunError", "Unsupported", "WrongState"]
 
 _ELSEWHERE = {
-    "app.acquisition.session": "LiveBench live",
+    "app.acquisition.session": "ConnectedBench LiveBench connect live",
     "app.bench.config": "Bench",
     "app.errors": "InputError Interrupted RunError",
     "app.evaluation.frames": "SimulatedFrames simulate",
@@ -74,7 +92,7 @@ def load_bench(source: str | Path, *overrides: str) -> Bench:
     Parameters
     ----------
     source
-        Path of a TOML file, or one of the presets `live_demo`, `small_demo`, `paper_simulation` and
+        Path of a TOML file, or one of the presets `recommended`, `live_demo`, `small_demo`, `paper_simulation` and
         `paper_experiment`.
     *overrides
         Single settings as "section.key=value".

@@ -16,6 +16,14 @@ Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
 Booleans = NDArray[np.bool_]
 
 
+def median(values: Floats) -> float:
+    """Median of known values (N,), N > 0; for few of them much faster than NumPy's."""
+    upper = values.size // 2
+    lower = upper - 1 + values.size % 2
+    parted = np.partition(values, (lower, upper))
+    return float(parted[lower] + parted[upper]) / 2
+
+
 @contextmanager
 def reading_npy() -> Iterator[None]:
     """Turn what `np.load` raises and warns of a damaged header into a `ValueError`."""

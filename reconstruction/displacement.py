@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, lru_cache
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +53,7 @@ class CovarianceSource(Protocol):
         """The same, lost for all but some lenslets (L,)."""
         ...
 
-    def covariance(self) -> Floats:
+    def __call__(self) -> Floats:
         """The covariance, px^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)."""
         ...
 
@@ -63,16 +63,19 @@ class CovarianceSource(Protocol):
 
 
 class _Deferred:
-    """Attribute `covariance` that holds a covariance or its source."""
+    """Attribute that holds a value or, until it is first read, the callable that computes it."""
 
-    def __get__(self, instance: object, owner: type) -> Floats:
-        held = instance.__dict__["covariance"]
-        if not isinstance(held, np.ndarray):
-            held = instance.__dict__["covariance"] = held.covariance()
-        return np.asarray(held)
+    def __init__(self, name: str) -> None:
+        self._name = name
 
-    def __set__(self, instance: object, value: Floats | CovarianceSource) -> None:
-        instance.__dict__["covariance"] = value
+    def __get__(self, instance: object, owner: type) -> Any:
+        held = instance.__dict__[self._name]
+        if callable(held):
+            held = instance.__dict__[self._name] = held()
+        return held
+
+    def __set__(self, instance: object, value: object) -> None:
+        instance.__dict__[self._name] = value
 
 
 TRANSMISSION_MODES = LegendreModes(6)  # constant, linear and quadratic over the field, also a circular one
@@ -115,8 +118,9 @@ class Displacement:
         return valid
 
     def minus(self, bias: Floats) -> Self:
-        """Subtract a known error, px, of the shape of `coefficients`; the covariance stays, computed or not."""
-        return replace(self, coefficients=self.coefficients - bias, covariance=self.__dict__["covariance"])
+        """Subtract a known error, px, of the shape of `coefficients`; the rest stays, computed or not."""
+        held = {name: self.__dict__[name] for name in _SELDOM_NEEDED}
+        return replace(self, coefficients=self.coefficients - bias, **held)
 
     @property
     def mean_variance(self) -> Floats:
@@ -143,8 +147,9 @@ def _means(modes: FieldModes) -> Floats:
     return np.asarray(np.einsum("qyx,y,x->q", modes.values(nodes, nodes[:, None]), weights, weights) / 4)
 
 
-# Large and seldom needed as a whole: computed on first access, if only its source is given.
-Displacement.covariance = _Deferred()  # type: ignore[assignment] # reading it gives an array
+_SELDOM_NEEDED = ("covariance", "transmission")  # computed when first read, if only their sources are given
+for _name in _SELDOM_NEEDED:
+    setattr(Displacement, _name, _Deferred(_name))
 
 
 def diagonal_covariance(variance: Floats) -> Floats:

@@ -12,8 +12,12 @@ class ReconstructionError(ValueError):
         self.image = image
 
 
-class TooManyModes(ReconstructionError):
-    """More pupil modes than the lenslets can tell apart: dark and reference are not to blame."""
+class UnusableSettings(ReconstructionError):
+    """Settings that leave nothing to measure: dark and reference are not to blame."""
+
+
+class TooManyModes(UnusableSettings):
+    """More pupil modes than the lenslets can tell apart."""
 
     def __init__(self, lenslets: int, modes: int) -> None:
         super().__init__(f"{lenslets} valid lenslets cannot tell {modes} pupil modes apart: take fewer, or automatic")

@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
 
     from app.gui.shell.main_window import MainWindow
 
-_WATCHED = {"gui", "acquisition"}  # others leave threads of Dask and of process pools
+_WATCHED = {"gui", "acquisition", "remote"}  # others leave threads of Dask and of process pools
 
 pytest_plugins = ["support.driver_fixtures"]
 

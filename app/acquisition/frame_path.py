@@ -29,9 +29,11 @@ class FramePath:
         sinks: tuple[Callable[[Measurement], None], ...],
         timings: Timings,
         must_stop_waiting: Callable[[Instrument], bool],
+        on_show: Callable[[Measurement], object] = lambda _: None,
     ) -> None:
-        """`must_stop_waiting` is polled at 10 Hz while waiting for a frame."""
+        """`must_stop_waiting` is polled at 10 Hz while waiting for a frame; `on_show` receives the frames of `show`."""
         self.sinks, self._timings, self._must_stop_waiting = sinks, timings, must_stop_waiting
+        self._on_show = on_show
         self.newest: Measurement | None = None  # the mailbox: written by one thread, read by all
         self.counts = FrameTotals()  # immutable: other threads read it
         self._next_index = 0
@@ -67,7 +69,8 @@ class FramePath:
     def show(self, frame: Frame, text: str, light: LightState | None) -> None:
         """Put a frame into the mailbox with a text in place of a wavefront, neither measured nor counted."""
         self._update_clock(frame)
-        self.newest = self._completed(Measurement(frame, None, text), light)
+        self.newest = shown = self._completed(Measurement(frame, None, text), light)
+        self._on_show(shown)
 
     def _newest_frame(self, instrument: Instrument, light: LightState | None) -> Frame:
         """Wait for a frame; if it is old already, skip to the newest in the camera."""

@@ -26,7 +26,7 @@ from app.progress import counted
 from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
 from reconstruction.displacement import Displacement
-from reconstruction.errors import ReconstructionError, TooManyModes
+from reconstruction.errors import ReconstructionError, UnusableSettings
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 from reconstruction.quality.verdict import Fault, Quality
@@ -108,7 +108,7 @@ class Instrument:
         self._solver: LiveSolver | None = None
         self._before: Displacement | None = None  # displacement of the previous frame
         self._previous: Frame | None = None
-        self._is_of_modes = False  # whether the problem is their number, and neither dark nor reference
+        self._is_of_settings = False  # whether they are the problem, and neither dark nor reference
         self._problem = "no reference yet: take the sample out and take one"
 
     def properties(self) -> dict[str, dict[str, Property]]:
@@ -123,7 +123,7 @@ class Instrument:
         of_dark, of_reference = self.darks.doubt(now), self.references.doubt(now)
         judged = Quality() if estimator is None else estimator.judge.of_reference
         of_reference = of_reference or judged.reasons.get(Fault.CLIPPED, "")  # its other faults are warnings
-        blamed = "" if self._is_of_modes else problem
+        blamed = "" if self._is_of_settings else problem
         return Status(
             bench=self.bench,
             camera_name=camera.name,
@@ -344,7 +344,7 @@ class Instrument:
             return
         camera, bench, now = self.devices.camera, self.bench, self._now()
         if self.references.fitting(now) is None:
-            self._problem, self._is_of_modes = self.references.doubt(now), False
+            self._problem, self._is_of_settings = self.references.doubt(now), False
             return
         dark = self.darks.fitting(now)
         self._show_preparation(f"preparing the reconstruction {cause}")
@@ -356,7 +356,7 @@ class Instrument:
                 self._solver = LiveSolver(estimator)
                 self._estimator = estimator
         except ReconstructionError as error:
-            self._problem, self._is_of_modes = str(error), isinstance(error, TooManyModes)
+            self._problem, self._is_of_settings = str(error), isinstance(error, UnusableSettings)
 
 
 def _changed(bench: Bench, changes: Iterable[tuple[str, Any]]) -> Bench:

@@ -11,7 +11,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
+from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument, Setting, Status
+from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.place import NAME
 from app.acquisition.start_up import FRAMES, calibrate, knows_sample, start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
@@ -26,6 +29,8 @@ from drivers.interface import WrongState
 T = TypeVar("T")
 
 _WAIT_S = 0.05  # between two checks whether the acquisition still runs, and how far it is
+_FINISH_S = 10.0  # for another process to finish a recording that was stopped
+_SHUT_DOWN_S = 5.0  # for the instrument to say that it will
 _HOPELESS_FRAMES = 20  # without a wavefront, when the bench is calibrated
 
 
@@ -68,6 +73,40 @@ def live(bench: Bench, *, average: int = FRAMES) -> LiveBench:
     return LiveBench(as_bench(bench), average=average)
 
 
+def connect(name: str = NAME, *, watch: bool = False) -> ConnectedBench:
+    """Connect to an instrument that `svwfs serve` runs in another process, for a `with` block.
+
+    Any number of programs may be connected. One has control, the first to come unless it watches; commands of the
+    others are refused, except that anyone may switch the light off. Leaving the block leaves the instrument running.
+
+    Parameters
+    ----------
+    name
+        Name of the instrument, as given to `svwfs serve --name`.
+    watch
+        Do not take control, even if nobody has it.
+
+    Returns
+    -------
+    ConnectedBench
+        Works as what `svwfs.live` returns, with `take_control`, `shut_down`, `controller` and `clients`.
+
+    Raises
+    ------
+    RunError
+        If no instrument of that name runs or answers.
+
+    Examples
+    --------
+    In a terminal: svwfs serve --bench small_demo
+
+    >>> with svwfs.connect() as instrument:  # doctest: +SKIP
+    ...     for measurement in instrument:
+    ...         break
+    """
+    return ConnectedBench("notebook", name, watch=watch)
+
+
 class LiveBench:
     """The devices of one bench, opened and closed by a `with` block; iterate over it for measurements."""
 
@@ -76,12 +115,15 @@ class LiveBench:
         self._bench, self._average, self._progress = bench, average, progress
         self._arrived = threading.Condition()
         self._newest: Measurement | None = None
-        self._entered: Acquisition | None = None
+        self._entered: Carrier | None = None
+
+    def _open(self) -> Carrier:
+        return Acquisition(self._bench, sinks=(self._take,))
 
     def __enter__(self) -> Self:
         if self._entered is not None:
-            raise WrongState("this live bench was entered before: call svwfs.live again")
-        self._entered = acquisition = Acquisition(self._bench, sinks=(self._take,))
+            raise WrongState("this live bench was entered before: make another one")
+        self._entered = acquisition = self._open()
         acquisition.start()
         try:
             for step in start_up(acquisition, self._average) if self._average else ():
@@ -112,7 +154,7 @@ class LiveBench:
             raise WrongState("this live bench is closed: its with block has ended")
         return self._measurements(acquisition)
 
-    def _measurements(self, acquisition: Acquisition) -> Iterator[Measurement]:
+    def _measurements(self, acquisition: Carrier) -> Iterator[Measurement]:
         while True:
             with self._arrived:
                 while self._newest is None and acquisition.is_alive:
@@ -246,11 +288,15 @@ class LiveBench:
                     self._raise_failure()
         except BaseException:  # Ctrl-C, too: the frames so far are a recording
             acquisition.stop_recording()
+            self._let_finish()
             raise
         if state is not None and state.problem:
             self._raise_failure()
             raise RunError(state.problem)
         return Path(folder)
+
+    def _let_finish(self) -> None:
+        """Wait for the end of a recording that was stopped early; closing the devices does that here."""
 
     def _start_camera(self) -> None:
         self._result(self._acquisition.submit(Instrument.set, "is_running", True))
@@ -269,7 +315,7 @@ class LiveBench:
         return status
 
     @property
-    def _acquisition(self) -> Acquisition:
+    def _acquisition(self) -> Carrier:
         if self._entered is None:
             raise WrongState("a live bench works in a with block: with svwfs.live(bench) as live: ...")
         return self._entered
@@ -306,6 +352,52 @@ class LiveBench:
     def _raise_failure(self) -> None:
         if self._acquisition.error is not None:
             raise self._acquisition.error
+
+
+class ConnectedBench(LiveBench):
+    """An instrument that runs in another process, entered and left by a `with` block; see `connect`."""
+
+    def __init__(
+        self, what: str, name: str = NAME, *, watch: bool = False, progress: Progress = lambda *_: None
+    ) -> None:
+        """The other clients know it as `what`."""
+        self._connection = connection = Connection(what, name, sinks=(self._take,), controls=not watch)
+        super().__init__(connection.bench, average=0, progress=progress)
+
+    def _open(self) -> Carrier:
+        return self._connection
+
+    @property
+    def bench(self) -> Bench:
+        """The bench with the lattice, exposure, gain and current now in force."""
+        status = self._connection.status
+        return self._bench if status is None else status.bench_in_force
+
+    def _let_finish(self) -> None:
+        ends_s = time.monotonic() + _FINISH_S
+        while time.monotonic() < ends_s and self._connection.is_alive:
+            state = self._connection.recording
+            if state is None or state.stage not in {"recording", "finishing"}:
+                break
+            time.sleep(_WAIT_S)
+
+    @property
+    def controller(self) -> str:
+        """Name of the client that has control; empty if nobody has it."""
+        return self._connection.controller
+
+    @property
+    def clients(self) -> tuple[str, ...]:
+        """Names of all clients that are connected."""
+        return self._connection.clients
+
+    def take_control(self) -> None:
+        """Take control from whoever has it."""
+        self._result(self._connection.take_control())
+
+    def shut_down(self) -> None:
+        """End the instrument for everybody: light off, devices closed, recording finished."""
+        self._connection.shut_down().result(_SHUT_DOWN_S)
 
 
 class FirstWavefront:

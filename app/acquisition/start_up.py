@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument, Setting, Status
-from app.acquisition.worker import Acquisition
 from reconstruction.geometry import Lattice
 
 FRAMES = 20  # default number averaged into the dark, and into the reference
@@ -16,7 +16,7 @@ _SAME_LATTICE = 0.05  # of the pitch; frames are doubted beyond
 
 
 def start_up(
-    acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bool = False, is_lit: bool = True
+    acquisition: Carrier, frames: int = FRAMES, *, auto_expose: bool = False, is_lit: bool = True
 ) -> tuple[Future[Any], ...]:
     """Turn the light on, take a dark and a reference, move the sample in and start the camera.
 
@@ -38,7 +38,7 @@ def start_up(
     return (*steps, acquisition.submit(Instrument.set, "is_running", True))
 
 
-def calibrate(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bool = False) -> tuple[Future[Any], ...]:
+def calibrate(acquisition: Carrier, frames: int = FRAMES, *, auto_expose: bool = False) -> tuple[Future[Any], ...]:
     """Turn the light on, take a dark and a reference.
 
     With `auto_expose` the exposure is found first, without the sample, so that the reference is not saturated.
@@ -52,7 +52,7 @@ def calibrate(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bo
     return tuple(steps)
 
 
-def knows_sample(acquisition: Acquisition) -> bool:
+def knows_sample(acquisition: Carrier) -> bool:
     """True if sample and correction of the newest frame are known, if it has any.
 
     It stays false with few frames: the first search takes some seconds, the first correction some more.
@@ -73,7 +73,7 @@ class CalibrationStep:
     request: Callable[..., Any]  # of the instrument
     averages: bool = False  # whether the request takes the number of averaged frames
 
-    def begin(self, acquisition: Acquisition, frames: int) -> Future[Any]:
+    def begin(self, acquisition: Carrier, frames: int) -> Future[Any]:
         """Send the request."""
         return acquisition.submit(self.request, *([frames] if self.averages else []))
 

@@ -10,11 +10,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from app.acquisition import devices as bench_devices
+from app.acquisition.carrier import Activity
 from app.acquisition.command_queue import CommandQueue, LightSwitch
 from app.acquisition.frame_path import FramePath, read_frame
 from app.acquisition.instrument import Instrument, Status
@@ -29,7 +30,7 @@ from app.timing import Timings, short_turns
 from drivers.interface import DeviceError, Devices, Frame, WrongState
 from reconstruction.runtime.threads import one_blas_thread
 
-__all__ = ["Acquisition", "Activity", "FrameTotals", "Measurement"]
+__all__ = ["Acquisition", "FrameTotals", "Measurement"]
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -44,15 +45,6 @@ _FIRST_FRAMES = 5
 _STATUS_SHARE = 0.1  # maximum share of the time spent polling: a slow light must not cost frames
 
 
-@dataclass(frozen=True, slots=True)
-class Activity:
-    """Work besides taking frames, with its progress; empty text if there is none."""
-
-    text: str = ""
-    progress: float = 0.0
-    may_cancel: bool = True
-
-
 class Acquisition:
     """The worker thread, with a recorder; it calls `open_devices(bench, progress)` and all that touches a device.
 
@@ -65,7 +57,9 @@ class Acquisition:
         bench: Bench,
         open_devices: Callable[[Bench, Callable[[float], None]], Devices] | None = None,
         sinks: tuple[Callable[[Measurement], None], ...] = (),
+        on_show: Callable[[Measurement], object] = lambda _: None,
     ) -> None:
+        """`sinks` receive every measurement, `on_show` the frames of routines, which are shown only."""
         self.bench = bench  # as given; the instrument has the changed settings
         self._open_devices = open_devices or bench_devices.open_devices
         self._commands = CommandQueue(self._finish_command)
@@ -76,7 +70,7 @@ class Acquisition:
         self._thread = threading.Thread(target=self._work, name="acquisition", daemon=True)
         self.timings = Timings()
         self._recorder = Recorder(self.timings)
-        self._path = FramePath((self._recorder.take, *sinks), self.timings, self._must_stop_waiting)
+        self._path = FramePath((self._recorder.take, *sinks), self.timings, self._must_stop_waiting, on_show)
         self.status: Status | None = None  # None until the devices are open
         self._status_due_s = -math.inf  # time of the next poll
         self.activity = Activity("opening the devices")

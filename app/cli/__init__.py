@@ -4,7 +4,7 @@ import os
 import sys
 from typing import NoReturn
 
-from app.commands.terminal import printable
+from app.commands.terminal import printable, shortened
 from app.errors import InputError, Interrupted, RunError, ended_by
 
 
@@ -38,5 +38,5 @@ def _interrupt(_number: int, _frame: object) -> None:
 
 
 def _exit(error: BaseException, status: int) -> NoReturn:
-    sys.stderr.write(f"svwfs: {printable(str(error))}\n")
+    sys.stderr.write(f"svwfs: {shortened(printable(str(error)))}\n")
     raise SystemExit(status) from error

@@ -23,6 +23,7 @@ from app.commands.reconstruct import reconstruct
 from app.commands.recover import recover
 from app.commands.replay import replay
 from app.commands.report import report
+from app.commands.serve import serve
 from app.commands.simulate import simulate
 from app.commands.study import paper, selftest, study
 from app.results.analysis import ANALYSES
@@ -48,7 +49,7 @@ def _common(
 
 
 # in the order of the help
-for command in (live, measure, recover, replay, batch, export, report):
+for command in (live, measure, serve, recover, replay, batch, export, report):
     cli.command(cls=OnceCommand)(command)
 for name, (_, sentence) in ANALYSES.items():
     cli.command(name, cls=AnalysisCommand, help=sentence)(lambda: None)

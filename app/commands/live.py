@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from app.acquisition.remote.place import NAME
 from app.commands import options, terminal
 from app.errors import InputError
 from app.files import check_outputs, make_folder
@@ -49,6 +50,8 @@ def live(
     out: Annotated[Path, options.folder_option("For screenshot, results and timings of such a run.")] = _LIVE_OUT,
     overwrite: options.Overwrite = False,
     trust_library: options.Trust = False,
+    attach: options.Attach = False,
+    name: options.Instrument = NAME,
 ) -> None:
     """Open the window with live wavefronts at every field position.
 
@@ -56,8 +59,15 @@ def live(
     recording with its own bench unless --bench or --set changes it; --frames selects a part.
 
     Example: svwfs live --bench live_demo --set registration.warp=affine
+
+    Example: svwfs live --attach
     """
     is_attended = use_display() and seconds is None
+    if attach:
+        options.refuse_with_attach(bench=bench, set=setting, replay=replay, frames=frames)
+        if not is_attended:
+            raise InputError("--attach needs a display: svwfs measure --attach works without a window")
+        raise typer.Exit(attached_window(name))
     if replay is None:
         if frames is not None:
             raise InputError("--frames selects frames of a recording: add --replay RECORDING")
@@ -115,6 +125,26 @@ def replay_window(player: Player) -> int:
     def open_first(window: MainWindow) -> None:
         splash.finish(window)
         window.open(player.acquisition, player.begin, player)
+
+    return run_window(None, open_first=open_first)
+
+
+def attached_window(name: str) -> int:
+    """Run the window on an instrument of another process until it is closed, and return the exit status."""
+    from app.gui.splash import Splash
+
+    splash = Splash()  # before the rest is loaded
+    from app.acquisition.remote.connection import Connection
+    from app.gui.application import run_window
+
+    connection = Connection("window", name)  # before there is a window: if none runs, the terminal tells
+
+    def connect() -> Connection:
+        return connection if connection.is_alive else Connection("window", name)
+
+    def open_first(window: MainWindow) -> None:
+        splash.finish(window)
+        window.open(connect, lambda _: ())
 
     return run_window(None, open_first=open_first)
 

@@ -7,19 +7,24 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from app.acquisition.remote.place import NAME
+from app.bench.presets import PRESETS
 from app.commands import options, terminal
 from app.errors import InputError, Interrupted, RunError
 from app.files import MEASURED, check_outputs
 from app.progress import Progress, counted
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from app.acquisition.session import LiveBench
     from app.bench.config import Bench
     from app.results.frame_tallies import Measured
 
 
 def measure(
     *,
-    bench: options.Bench,
+    bench: Annotated[str | None, options.bench_option(f"Bench TOML file, or a preset: {', '.join(PRESETS)}.")] = None,
     frames: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of frames to measure.")],
     out: Annotated[Path, options.folder_option("New folder for the recording, with results.nc beside the frames.")],
     mask: Annotated[
@@ -35,6 +40,8 @@ def measure(
     overwrite: options.Overwrite = False,
     trust_library: options.Trust = False,
     setting: options.Set = None,
+    attach: options.Attach = False,
+    name: options.Instrument = NAME,
 ) -> None:
     """Measure without a window: dark, reference, frames, results.
 
@@ -48,14 +55,32 @@ def measure(
     Example: svwfs measure --bench paper_experiment --mask stars --set registration.method=centroids --set
     reconstruction.method=zonal --set camera.amplifier=normal --set camera.readout_speed=1 --set camera.exposure_s=3.8
     --average 4 --frames 10 --out stars
+
+    Example: svwfs measure --attach --frames 100 --out run2
     """
-    loaded = options.load(bench, [*(setting or []), *([] if mask is None else [f"simulation.source.mask={mask}"])])
-    terminal.confirm_libraries(loaded, trust=trust_library)
-    with terminal.progress_bar() as progress:
-        measured = measure_bench(
-            loaded, frames, out, progress, average=average, auto_expose=auto_expose, overwrite=overwrite
-        )
+    if attach:
+        options.refuse_with_attach(bench=bench, mask=mask, average=average, auto_expose=auto_expose, set=setting)
+        with terminal.progress_bar() as progress:
+            measured = measure_attached(name, frames, out, progress, overwrite=overwrite)
+    elif bench is None:
+        raise InputError("say what to measure with: --bench TOML, or --attach for an instrument that runs")
+    else:
+        mask_setting = [] if mask is None else [f"simulation.source.mask={mask}"]
+        loaded = options.load(bench, [*(setting or []), *mask_setting])
+        terminal.confirm_libraries(loaded, trust=trust_library)
+        with terminal.progress_bar() as progress:
+            measured = measure_bench(
+                loaded, frames, out, progress, average=average, auto_expose=auto_expose, overwrite=overwrite
+            )
     print_measurement(measured, out)
+
+
+def measure_attached(name: str, frames: int, out: Path, progress: Progress, *, overwrite: bool = False) -> Measured:
+    """Let the instrument of a name record `frames` frames, and write their results; see `measure_bench`."""
+    from app.acquisition.session import ConnectedBench
+
+    live = ConnectedBench("measure", name, progress=progress)
+    return _measured(live, live.bench, frames, out, progress, lambda: None, overwrite=overwrite)
 
 
 def measure_bench(
@@ -75,13 +100,39 @@ def measure_bench(
     unusable reference, `InputError` for an impossible bench, a folder that holds a recording, or results that exist
     without `overwrite`.
     """
+    from app.acquisition.session import LiveBench
+    from app.acquisition.start_up import FRAMES
+
+    live = LiveBench(bench, average=0, progress=progress)
+
+    def calibrate() -> None:
+        live.calibrate(terminal.ask, average or FRAMES, auto_expose=auto_expose)
+
+    try:
+        return _measured(live, bench, frames, out, progress, calibrate, overwrite=overwrite)
+    finally:
+        if bench.has_manual_light:
+            terminal.remind(terminal.LIGHT_BY_HAND)
+
+
+def _measured(
+    live: LiveBench,
+    bench: Bench,
+    frames: int,
+    out: Path,
+    progress: Progress,
+    calibrate: Callable[[], object],
+    *,
+    overwrite: bool,
+) -> Measured:
+    """Record with a live bench, and write the results."""
     from app.recording.folder import RUN, check_free, remove_empty
     from app.recording.reader import Recording
     from app.results.frame_tallies import write_measured
 
     check_free(out)
     check_outputs([out / name for name in MEASURED], inputs=bench.files, overwrite=overwrite)
-    is_stopped, fault = _record(bench, frames, out, progress, average, auto_expose=auto_expose)
+    is_stopped, fault = _record(live, frames, out, calibrate)
     recording = Recording(out) if (out / RUN).exists() else None
     if not recording:
         remove_empty(out)
@@ -104,18 +155,13 @@ def measure_bench(
     return measured
 
 
-def _record(
-    bench: Bench, frames: int, out: Path, progress: Progress, average: int | None, *, auto_expose: bool
-) -> tuple[bool, str]:
+def _record(live: LiveBench, frames: int, out: Path, calibrate: Callable[[], object]) -> tuple[bool, str]:
     """Calibrate and record; return whether the user stopped it, and the fault that ended it, empty without one."""
-    from app.acquisition.session import LiveBench
-    from app.acquisition.start_up import FRAMES
     from drivers.interface import DeviceError
 
-    live = LiveBench(bench, average=0, progress=progress)
     try:
         with live:
-            live.calibrate(terminal.ask, average or FRAMES, auto_expose=auto_expose)
+            calibrate()
             live.record(out, frames, command="measure")
     except Interrupted:
         return True, ""
@@ -125,9 +171,6 @@ def _record(
         if not (live.failure or isinstance(error, DeviceError | RunError)):
             raise
         return False, live.failure or str(error)
-    finally:
-        if bench.has_manual_light:
-            terminal.remind(terminal.LIGHT_BY_HAND)
     return False, ""
 
 

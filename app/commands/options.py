@@ -34,6 +34,10 @@ def folder_option(text: str) -> Any:
 
 
 Bench = Annotated[str, bench_option(f"Bench TOML file, or a preset: {', '.join(PRESETS)}.")]
+Attach = Annotated[
+    bool, typer.Option("--attach", help="Use the instrument that svwfs serve runs, in place of devices of a bench.")
+]
+Instrument = Annotated[str, typer.Option("--name", metavar="NAME", help="Name of that instrument.")]
 Set = analysis.Set
 Frames = analysis.Frames
 Recording = Annotated[Path, typer.Argument(help="Folder of a recording.")]
@@ -62,6 +66,14 @@ def load(bench: str, setting: list[str] | None) -> config.Bench:
     from app.bench.config import load_bench
 
     return load_bench(bench, tuple(setting or ()))
+
+
+def refuse_with_attach(**given: object) -> None:
+    """Refuse options that belong to the start of an instrument, if one of them was given."""
+    names = [name for name, value in given.items() if value not in {None, False}]
+    if names:
+        listed = ", ".join(f"--{name.replace('_', '-')}" for name in names)
+        raise InputError(f"{listed} cannot go with --attach: the instrument has its bench already (svwfs serve)")
 
 
 def files_of_bench(bench: str, loaded: config.Bench) -> tuple[Path, ...]:

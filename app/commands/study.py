@@ -45,7 +45,8 @@ def study(
         typer.Argument(
             metavar="[NAME]...",
             help="Names of sweeps, or calibration, exposure, deconvolution, corrector, distances or bench; all sweeps "
-            "if omitted. mask, then the masks to predict: image files or names such as circle or checkerboard:5.",
+            "if omitted. mask or masks, then masks: image files or names such as circle or checkerboard:5; after masks "
+            "also folders of pictures.",
         ),
     ] = None,
     *,
@@ -70,12 +71,15 @@ def study(
     lattices are found, exposure how fast auto-exposure is (docs/calibration.md), deconvolution how good corrected
     images are (docs/corrected_images.md), corrector what correctors leave in frames through them and distances how well
     layers are found (docs/layers.md). bench tells what imperfections of a bench cost, and mask predicts how accurate a
-    mask will be before it is manufactured, beside the square (docs/estimator.md).
+    mask will be before it is manufactured, beside the square (docs/estimator.md); masks compares many, by prediction
+    alone (docs/masks.md).
     --workers or --scheduler share the seeds among processes (docs/many_machines.md).
 
     Example: svwfs study photons --seeds 100 --workers 8 --out study
 
     Example: svwfs study mask ring.png circle --seeds 1 --out study
+
+    Example: svwfs study masks optimised pictures --seeds 1 --out study
     """
     from app.evaluation.study import chosen_studies
 

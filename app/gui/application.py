@@ -8,6 +8,7 @@ from pathlib import Path
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 from PyQt6.QtWidgets import QApplication
 
+from app.acquisition.carrier import Carrier
 from app.acquisition.session import FirstWavefront
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
@@ -23,13 +24,13 @@ _FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run
 
 
 def run_window(
-    make_acquisition: Callable[[], Acquisition] | None,
+    make_acquisition: Callable[[], Carrier] | None,
     *,
     offscreen_s: float | None = None,
     screenshot: Path | None = None,
     on_finish: Callable[[Measurement], None] | None = None,
     until: Callable[[], bool] | None = None,
-    make_for: Callable[[Bench], Acquisition] = Acquisition,
+    make_for: Callable[[Bench], Carrier] = Acquisition,
     open_first: Callable[[MainWindow], object] = MainWindow.connect_devices,
     remembers: bool = True,
 ) -> int:
@@ -112,7 +113,8 @@ def _raise_failure(window: MainWindow, *, is_interrupted: bool) -> None:
     if is_interrupted:
         status_at_end = window.controller.status
         is_by_hand = status_at_end is not None and status_at_end.bench.has_manual_light
-        raise Interrupted(f"interrupted: {'switch the light off by hand' if is_by_hand else 'the light is off'}")
+        light = "switch the light off by hand" if is_by_hand else "the light is off"
+        raise Interrupted(f"interrupted: {'the instrument goes on' if window.controller.is_attached else light}")
 
 
 def _pass_on(_kind: QtMsgType, _context: QMessageLogContext, text: str | None) -> None:

@@ -7,6 +7,7 @@ it looks the same. Filled shapes, in PNG white ones, let light through.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -191,11 +192,13 @@ def raster(drawing: Drawing) -> tuple[NDArray[np.bool_], float]:
         corners = corners_m / pixel_m + ((columns - 1) / 2, (rows - 1) / 2)
         (left, top), (right, bottom) = np.ceil(corners.min(axis=0)), np.ceil(corners.max(axis=0))
         x, inside = np.arange(left, right), np.zeros((int(bottom - top), int(right - left)), np.bool_)
-        for one, other in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        for one, other in pairwise([*corners, corners[0]]):
             (x0, y0), (x1, y1) = sorted((one, other), key=lambda corner: float(corner[1]))
-            y = np.arange(np.ceil(y0), np.ceil(y1))  # none if the edge is horizontal
+            if y0 == y1:
+                continue
+            y = np.arange(np.ceil(y0), np.ceil(y1))
             first = int(np.ceil(y0) - top)
-            inside[first : first + len(y)] ^= x < (x0 + (y - y0) * (x1 - x0) / (y1 - y0 or 1))[:, None]
+            inside[first : first + len(y)] ^= x < (x0 + (y - y0) * (x1 - x0) / (y1 - y0))[:, None]
         pixels[int(top) : int(bottom), int(left) : int(right)] |= inside
     return pixels, pixel_m
 

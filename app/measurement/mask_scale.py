@@ -14,7 +14,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage, optimize, signal
+from scipy import ndimage, optimize
 
 from app.cache import kept_while_alive
 from reconstruction.errors import ReconstructionError
@@ -161,8 +161,10 @@ def _fitted(model: Callable[[float], Floats], subimage: Floats) -> tuple[float, 
     """
     data = subimage.ravel() / np.std(subimage)
     start = model(1.0)
-    likeness = signal.correlate(subimage - np.mean(subimage), start - np.mean(start))
-    moved = np.subtract(np.unravel_index(np.argmax(likeness), likeness.shape), len(subimage) - 1)
+    most = len(subimage) - 1  # px of shift; `scipy.signal` would take a third of a second to import
+    one, other = (np.fft.rfft2(image - np.mean(image), 2 * (2 * most + 1,)) for image in (subimage, start))
+    likeness = np.fft.irfft2(one * other.conj(), 2 * (2 * most + 1,))
+    moved = (np.array(np.unravel_index(np.argmax(likeness), likeness.shape)) + most) % (2 * most + 1) - most
 
     def residual(scale: float) -> Floats:
         """Return what light, background, shift and blur of the model leave of the data."""

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 
+from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
@@ -54,8 +55,10 @@ class Player:
         """Make an acquisition that plays the recording."""
         return Acquisition(self.bench, self.open_devices, (self.take,))
 
-    def begin(self, acquisition: Acquisition) -> tuple[Future[None], ...]:
+    def begin(self, acquisition: Carrier) -> tuple[Future[None], ...]:
         """Set the recorded calibration and start the camera, instead of taking dark and reference."""
+        if not isinstance(acquisition, Acquisition):
+            raise TypeError("a recording is played in this process")
         self._acquisition, self._asked = acquisition, self._first
         used = self._use(acquisition, self._first)
         return (
@@ -121,7 +124,7 @@ class Player:
         recorded = self._recording.calibration(number)
         return recorded if self._change is None else self._change(recorded)
 
-    def _use(self, acquisition: Acquisition, number: int) -> Future[None]:
+    def _use(self, acquisition: Carrier, number: int) -> Future[None]:
         return acquisition.submit(lambda instrument: self._set(instrument, number))
 
     def _set(self, instrument: Instrument, number: int) -> None:

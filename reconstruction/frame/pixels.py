@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -148,7 +149,7 @@ _SIGNIFICANT = 8.0  # standard deviations of the difference between a pixel and 
 _HOT_IN_DARK = 0.05  # excess in the dark over the frame's peak; less is harmless
 _OUTSTANDING = 4.0  # excess in the dark over its brightest ordinary pixels, which are single electrons
 
-_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.bool_)
+_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 _FURTHER = np.pad(np.zeros((3, 3), np.bool_), 1, constant_values=True)  # the 16 pixels around the neighbours
 
 
@@ -162,21 +163,23 @@ def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | 
     light, peak = light - background, peak - background
     if not peak > 0:
         return np.zeros(light.shape, np.bool_)
-    faintest = ndimage.minimum_filter(light, footprint=_NEIGHBOURS, mode="mirror")
-    brightest = ndimage.maximum_filter(light, footprint=_NEIGHBOURS, mode="mirror")
+    mirrored = cv2.BORDER_REFLECT_101
+    faintest, brightest = (each(light, _NEIGHBOURS, borderType=mirrored) for each in (cv2.erode, cv2.dilate))
     bad = (light < _DEAD * faintest) & (faintest > _LIT * peak)
     bad |= (light > _HOT * np.maximum(brightest, 0)) & (light > _BRIGHT * peak)
-    bad &= _stands_out(light)
+    bad &= _stands_out(light, bad)
     if dark is not None:
-        excess = np.asarray(dark, np.float64)
-        excess = excess - ndimage.median_filter(excess, 5, mode="mirror")
-        usual = _OUTSTANDING * np.percentile(excess, PEAK_PERCENT)
-        bad |= (excess > max(_HOT_IN_DARK * peak, usual)) & _stands_out(excess)
+        around = np.pad(np.asarray(dark, np.float32), 2, mode="reflect")
+        excess = np.asarray(dark, np.float64) - cv2.medianBlur(around, 5)[2:-2, 2:-2]
+        hot = excess > max(_HOT_IN_DARK * peak, _OUTSTANDING * np.percentile(excess, PEAK_PERCENT))
+        bad |= hot & _stands_out(excess, hot)
     return np.asarray(bad)
 
 
-def _stands_out(image: Floats) -> Booleans:
-    """True for pixels that differ from their neighbours' mean far more than the pixels around them do."""
+def _stands_out(image: Floats, some: Booleans) -> Booleans:
+    """True for pixels, of `some`, that differ from their neighbours' mean far more than the pixels around them do."""
+    if not some.any():
+        return some
     cross = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
     difference = image - ndimage.correlate(image, cross, mode="mirror")
     usual = ndimage.correlate(difference**2, _FURTHER / np.count_nonzero(_FURTHER), mode="mirror")

@@ -2,31 +2,34 @@
 
 Bilinear sampling and Keys' cubic convolution distort the wavefront by up to 0.2 rad; the interpolating B-spline does
 not. With z = sqrt(3) - 2 and x the shift by a pixel, its prefilter is -6 z / ((1 - z/x) (1 - z x)): recursive along
-columns, all columns of a row at once; along rows a convolution with (1 + z) / (1 - z) z^|k| is faster.
+columns, all columns of a row at once. Along rows, 1 / (1 - z x) = (1 + z x) (1 + z^2 x^2) (1 + z^4 x^4) ..., so that a
+few convolutions with three numbers, at growing distances, do the same.
 
 Interpolation at the fraction f of a pixel multiplies the wave exp(2 pi i nu x) by
 sum_j B(j - f) exp(2 pi i nu (j - f)) / sum_j B(j) exp(2 pi i nu j), B the cubic B-spline. Its mean over all fractions,
 sinc(nu)^4 / ((2 + cos(2 pi nu)) / 3), blurs a displaced image.
 """
 
-from functools import cache
+from functools import cache, lru_cache
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
 from reconstruction.arrays import Floats, Image
-from reconstruction.runtime.compilation import compiled
+from reconstruction.runtime.compilation import compiled, inlined
 from reconstruction.runtime.threads import worker_pool
 
 _SHARED_FROM_PX = 150_000  # below, waking threads takes longer than they save
-_CHUNK = 20_000  # positions per call, whose arrays fit into the processor's cache
 _POLE = np.sqrt(3.0) - 2.0
-_REACH = 10
-_RESPONSE = _POLE ** np.arange(_REACH + 1)
 _Z = np.float32(_POLE)
-# The recursion multiplies a constant by 1 / (1 - z)^2; the response along rows divides by it.
-_TAPS = (_RESPONSE / (2 * _RESPONSE.sum() - 1) * (1 - _POLE) ** 2).astype(np.float32)
+_DISTANCES = (1, 2, 4, 8)  # px, between the three numbers of each convolution; what is left out is below 1e-8
+_REACH = sum(_DISTANCES)
+# The middle one and the other two. The recursion multiplies a constant by 1 / (1 - z)^2; the convolutions divide by it.
+_TAPS = np.array([[1 + _POLE ** (2 * k), _POLE**k] for k in _DISTANCES])
+_TAPS /= np.sum(_TAPS, axis=1, keepdims=True) + _TAPS[:, 1:]
+_TAPS = (_TAPS * np.array([[(1 - _POLE) ** 2], [1], [1], [1]])).astype(np.float32)
 _RUN_IN = 14  # extra rows on both sides of a strip, after which the recursion has forgotten its start
 _STRIP = 64  # rows; fixed, so that the result does not depend on the number of threads
 
@@ -36,39 +39,54 @@ def spline_coefficients(image: NDArray[np.uint16] | Image, *, threads: int = 1) 
     light = np.require(image, np.float32, ("C", "W"))  # so that Numba compiles one signature only
     coefficients = np.empty(light.shape, np.float32)
     threads = 1 if light.size < _SHARED_FROM_PX else threads
-    others = [
-        worker_pool(threads - 1).submit(_prefilter, light, coefficients, part, threads) for part in range(1, threads)
-    ]
-    _prefilter(light, coefficients, 0, threads)
+    beyond = _beyond(light.shape[1])
+
+    def filter_strips(part: int) -> None:
+        work = np.empty((_STRIP + 2 * _RUN_IN, light.shape[1]), np.float32)
+        lines = np.empty((2, light.shape[1] + 2 * _REACH), np.float32)
+        _prefilter(light, coefficients, (part, threads), work, lines, beyond)
+
+    others = [worker_pool(threads - 1).submit(filter_strips, part) for part in range(1, threads)]
+    filter_strips(0)
     for other in others:
         other.result()
     return coefficients
 
 
+@lru_cache(maxsize=16)
+def _beyond(columns: int) -> NDArray[np.intp]:
+    """Columns that a row of so many columns has, mirrored, before its first one and after its last one."""
+    return np.array([_mirrored_index(k, columns) for k in range(-_REACH, columns + _REACH) if not 0 <= k < columns])
+
+
 def sample(coefficients: Image, position_px: Floats) -> tuple[Floats, Floats]:
     """Interpolate at positions (..., xy) inside the image: values (...) and gradients (..., xy) per pixel."""
     values, gradients = np.empty(position_px.shape[:-1]), np.empty(position_px.shape)
-    flat, flat_values, flat_gradients = position_px.reshape(-1, 2), values.reshape(-1), gradients.reshape(-1, 2)
-    for first in range(0, len(flat), _CHUNK):
-        some = slice(first, first + _CHUNK)
-        flat_values[some], flat_gradients[some] = _sample(coefficients, flat[some])
+    image = np.require(coefficients, np.float32, ("C", "W"))  # so that Numba compiles one signature only
+    position = np.require(position_px, np.float64, ("C", "W"))
+    _sample(image, position.reshape(-1, 2), values.reshape(-1), gradients.reshape(-1, 2))
     return values, gradients
 
 
-def _sample(coefficients: Image, position_px: Floats) -> tuple[Floats, Floats]:
+@compiled
+def _sample(coefficients: Image, position_px: Floats, values: Floats, gradients: Floats) -> None:
     rows, columns = coefficients.shape
-    base = np.floor(position_px).astype(np.intp)
-    weights, slopes = _weights(position_px - base)
-    values = np.zeros(position_px.shape[:-1])
-    gradients = np.zeros(position_px.shape)
-    for i in range(4):
-        row = _mirrored(base[..., 1] + i - 1, rows)
-        for j in range(4):
-            tap = coefficients[row, _mirrored(base[..., 0] + j - 1, columns)]
-            values += weights[i][..., 1] * weights[j][..., 0] * tap
-            gradients[..., 0] += weights[i][..., 1] * slopes[j][..., 0] * tap
-            gradients[..., 1] += slopes[i][..., 1] * weights[j][..., 0] * tap
-    return values, gradients
+    for n in range(values.size):
+        left, above = np.floor(position_px[n, 0]), np.floor(position_px[n, 1])
+        along, along_slopes = _weights(position_px[n, 0] - left)
+        across, across_slopes = _weights(position_px[n, 1] - above)
+        value, slope_x, slope_y = 0.0, 0.0, 0.0
+        for i in range(4):
+            row = coefficients[_mirrored_index(int(above) + i - 1, rows)]
+            of_row, slope_of_row = 0.0, 0.0
+            for j in range(4):
+                tap = row[_mirrored_index(int(left) + j - 1, columns)]
+                of_row += along[j] * tap
+                slope_of_row += along_slopes[j] * tap
+            value += across[i] * of_row
+            slope_x += across[i] * slope_of_row
+            slope_y += across_slopes[i] * of_row
+        values[n], gradients[n, 0], gradients[n, 1] = value, slope_x, slope_y
 
 
 def noise_power(position_px: Floats) -> Floats:
@@ -98,7 +116,11 @@ def _noise_power_table() -> tuple[Floats, Floats]:
     return fraction, np.sum(weights**2, axis=1)
 
 
-def _weights(t: Floats) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
+_Four: TypeAlias = tuple[float, float, float, float]
+
+
+@inlined
+def _weights(t: float) -> tuple[_Four, _Four]:
     """B-spline weights of four neighbours at the pixel fraction t, and their derivatives."""
     s = 1.0 - t
     weights = (s**3 / 6, 2 / 3 - t**2 + t**3 / 2, 2 / 3 - s**2 + s**3 / 2, t**3 / 6)
@@ -106,58 +128,62 @@ def _weights(t: Floats) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
     return weights, slopes
 
 
-def _mirrored(index: NDArray[np.intp], count: int) -> NDArray[np.intp]:
-    index = np.abs(index)
-    return (count - 1) - np.abs((count - 1) - index)
-
-
 @compiled
-def _prefilter(image: Image, coefficients: Image, first: int, step: int) -> None:
-    """Compute every `step`-th strip of the coefficients (row, column), starting with strip `first`."""
+def _prefilter(
+    image: Image, coefficients: Image, part: tuple[int, int], work: Image, lines: Image, beyond: NDArray[np.intp]
+) -> None:
+    """Compute every `part[1]`-th strip of the coefficients (row, column), starting with strip `part[0]`.
+
+    `work` (strip and its run-in, column) and `lines` (2, column and reach) are places to work.
+    """
     rows, columns = image.shape
-    work = np.empty((_STRIP + 2 * _RUN_IN, columns), np.float32)
-    line = np.empty(columns + 2 * _REACH, np.float32)
-    beyond = np.array([_mirrored_index(k, columns) for k in range(-_REACH, columns + _REACH) if not 0 <= k < columns])
-    for top in range(first * _STRIP, rows, step * _STRIP):
-        bottom = min(top + _STRIP, rows)
-        last = bottom - top + 2 * _RUN_IN - 1
-        work[0] = image[_mirrored_index(top - _RUN_IN, rows)]
+    last = _STRIP + 2 * _RUN_IN - 1
+    for top in range(part[0] * _STRIP, rows, part[1] * _STRIP):
+        first = _mirrored_index(top - _RUN_IN, rows)
+        for column in range(columns):
+            work[0, column] = image[first, column]
         for row in range(1, last + 1):
             _add(image[_mirrored_index(top - _RUN_IN + row, rows)], work[row - 1], work[row])
         for row in range(last - 1, _RUN_IN - 1, -1):
             _add_to(work[row + 1], work[row])
-        for row in range(top, bottom):
-            source = work[row - top + _RUN_IN]
-            line[_REACH : _REACH + columns] = source
+        for row in range(min(_STRIP, rows - top)):
+            source = work[row + _RUN_IN]
+            for column in range(columns):
+                lines[0, _REACH + column] = source[column]
             for k in range(_REACH):
-                line[k], line[_REACH + columns + k] = source[beyond[k]], source[beyond[_REACH + k]]
-            _convolve(line, coefficients[row])
+                lines[0, k], lines[0, _REACH + columns + k] = source[beyond[k]], source[beyond[_REACH + k]]
+            length = lines.shape[1]
+            for step in range(len(_DISTANCES)):
+                length -= 2 * _DISTANCES[step]
+                line = coefficients[top + row] if length == columns else lines[1 - step % 2, :length]
+                _convolve(lines[step % 2], _DISTANCES[step], _TAPS[step, 0], _TAPS[step, 1], line)
 
 
-@compiled
+@inlined
 def _add(row: Image, neighbour: Image, total: Image) -> None:
     for n in range(row.size):
         total[n] = row[n] + _Z * neighbour[n]
 
 
-@compiled
+@inlined
 def _add_to(neighbour: Image, row: Image) -> None:
+    """Add in place; an array that is read and written under two names is not handled in vectors."""
     for n in range(row.size):
         row[n] += _Z * neighbour[n]
 
 
-@compiled
-def _convolve(line: Image, row: Image) -> None:
-    """Convolve a line, padded by the reach of the response on both sides."""
+@inlined
+def _convolve(line: Image, distance: int, middle: np.float32, others: np.float32, row: Image) -> None:
+    """Convolve a line with three numbers at a distance from one another; it loses that distance at both ends."""
+    left, center, right = line[: row.size], line[distance : distance + row.size], line[2 * distance :]
     for n in range(row.size):
-        total = _TAPS[0] * line[n + _REACH]
-        for k in range(1, _REACH + 1):
-            total += _TAPS[k] * (line[n + _REACH - k] + line[n + _REACH + k])
-        row[n] = total
+        row[n] = middle * center[n] + others * (left[n] + right[n])
 
 
 @compiled
 def _mirrored_index(index: int, count: int) -> int:
+    if 0 <= index < count:
+        return index
     if count == 1:
         return 0
     index = abs(index) % (2 * count - 2)

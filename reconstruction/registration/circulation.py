@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import null_space
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
@@ -101,7 +101,7 @@ def measure_circulation(displacement: Displacement, half_width_px: float) -> Cir
     chi_square = 0.0
     if judged.size:
         squares = np.einsum("la,lab,lb->l", found, information, found)
-        chi_square = float(np.median(squares) / chi2.median(len(judged)))
+        chi_square = float(np.median(squares) / (2 * gammaincinv(len(judged) / 2, 0.5)))
     rotation_rad, sigma_rad = np.full((2, *valid.shape), np.nan)
     rigid = judged @ rotation  # of a rotation by 1 px at the field's edge
     if rigid @ rigid < _SHOWN * rotation @ rotation:

@@ -1,19 +1,21 @@
 """The reference cut into subimages, one per lenslet, and the classification of each lenslet (converged, dark, ...)."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import cached_property, partial
 from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.displacement import CovarianceSource, Displacement, Outcome
-from reconstruction.errors import ReconstructionError
+from reconstruction.arrays import Booleans, Floats, Image, median
+from reconstruction.displacement import CovarianceSource, Displacement, Outcome, Transmission
+from reconstruction.errors import ReconstructionError, UnusableSettings
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.pixels import repaired
 from reconstruction.frame.spline import sample, spline_coefficients
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, require
 from reconstruction.modes.field_modes import FieldModes
+from reconstruction.runtime.deferred import Deferred
 
 _OFF_CAMERA_FRACTION = 0.5  # of the lenslets; with more, the lattice does not belong to this frame
 _SPOILT = 0.25  # of a subimage's squared gradients on bad pixels; with more, a lenslet is unlit
@@ -99,8 +101,6 @@ class ReferenceSubimages:
                 f" {rows} x {columns} pixels: check [lattice] and the frame's size"
             )
         self.position_px = np.clip(position_px, 0, edge)  # of the windows on the camera, (L, N, xy)
-        nearest = np.rint(self.position_px).astype(np.intp)
-        self._nearest = nearest[..., 1], nearest[..., 0]
 
         self.bad = np.zeros(reference.shape, np.bool_) if bad is None else bad  # (row, column)
         self.coefficients = self.spline(reference)  # of the whole frame, (row, column)
@@ -108,16 +108,17 @@ class ReferenceSubimages:
         self.gradient = gradient @ self.turn.T  # per pixel, lattice frame, (L, N, xy)
         self.usable = self._usable()  # (L, N)
         self.contrast = self.light.std(axis=1)  # (L,)
-        steepness = np.sum(self.gradient**2, axis=2)
-        spoilt = np.sum(steepness * ~self.usable, axis=1) > _SPOILT * np.sum(steepness, axis=1)
-        dark = ~(self.contrast > DARK_CONTRAST * _typical(self.contrast[~self.off_camera])) | spoilt
+        dark = ~(self.contrast > DARK_CONTRAST * _typical(self.contrast[~self.off_camera]))
+        if not self.usable.all():
+            steepness = np.sum(self.gradient**2, axis=2)
+            dark |= np.sum(steepness * ~self.usable, axis=1) > _SPOILT * np.sum(steepness, axis=1)
         is_excluded = np.zeros(self.lenslets, np.bool_)
         for lenslet in excluded:
             is_excluded[lenslet] = True
         self.excluded = is_excluded.ravel()
         self.lit = ~dark & ~self.off_camera & ~self.excluded
         if self.excluded.all():
-            raise ReconstructionError("all lenslets are excluded by hand: use some of them again")
+            raise UnusableSettings("all lenslets are excluded by hand: use some of them again")
         if not self.lit.any() or self._smoothness() < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
 
@@ -136,6 +137,12 @@ class ReferenceSubimages:
         if not pixels.any():
             return np.zeros(len(self.center_px), np.bool_)
         return np.asarray(pixels[self._nearest].any(axis=1))
+
+    @cached_property
+    def _nearest(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows and columns of the pixels next to the windows' positions, (L, N)."""
+        column, row = np.moveaxis(np.rint(self.position_px).astype(np.intp), -1, 0)
+        return row, column
 
     def near(self, pixels: Booleans) -> Booleans:
         """True for lenslets with one of the pixels (row, column) in or next to their cell, (L,)."""
@@ -183,7 +190,7 @@ def _typical(contrast: Floats) -> float:
     return float(np.median(contrast[contrast >= DARK_CONTRAST * bright]))
 
 
-def classify_lenslets(
+def classify_lenslets(  # noqa: PLR0913 - all that a method knows of its lenslets
     reference: ReferenceSubimages,
     modes: FieldModes,
     coefficients: Floats,
@@ -193,12 +200,13 @@ def classify_lenslets(
     chi_square: Floats | None = None,
     contrast: NDArray[np.floating[Any]],
     faults: dict[Outcome, Booleans],
+    transmission: Callable[[Booleans], Transmission] | None = None,
 ) -> Displacement:
     """Classify L lenslets and arrange the results on the lattice, NaN where lost.
 
     coefficients c_q, px, (L, xy, Q); covariance (L, Q, xy, Q, xy), px^2; residual_rms (L,) over the contrast of the
     reference's best subimage; contrast (L,) of the frame's subimages. `faults` are the losses (L,) found by the method;
-    of several the last counts, and darkness above all.
+    of several the last counts, and darkness above all. `transmission`, given the valid lenslets, is called when needed.
     """
     lost = np.zeros(len(coefficients), np.bool_)
     for fault in faults.values():
@@ -209,28 +217,31 @@ def classify_lenslets(
     for reason, fault in faults.items():
         outcome[fault] = reason
     contrast = np.where(np.isfinite(contrast), contrast, 0)
-    outcome[~reference.lit | ~(contrast > DARK_CONTRAST * np.median(contrast[reference.lit]))] = Outcome.DARK
+    outcome[~reference.lit | ~(contrast > DARK_CONTRAST * median(contrast[reference.lit]))] = Outcome.DARK
     outcome[reference.off_camera] = Outcome.OFF_CAMERA
     outcome[reference.excluded] = Outcome.EXCLUDED
-    lost = outcome != Outcome.CONVERGED
-    far = outcome == Outcome.LEFT_CELL
+    found = outcome == Outcome.CONVERGED
+    far = (outcome == Outcome.LEFT_CELL) & (range_used > 0)
+    all_found = bool(found.all())
 
-    def arrange(values: Floats, keep: Booleans) -> Floats:
+    def arrange(values: Floats, keep: Booleans = found) -> Floats:
         kept = values
-        if not keep.all():
+        if not all_found:
             kept = np.full_like(values, np.nan)
             kept[keep] = values[keep]
         return kept.reshape(*reference.lenslets, *values.shape[1:])
 
     # A source in place of the covariance is resolved on first access.
-    kept = arrange(covariance, ~lost) if isinstance(covariance, np.ndarray) else cast("Floats", covariance.kept(~lost))
+    kept = arrange(covariance) if isinstance(covariance, np.ndarray) else cast("Floats", covariance.kept(found))
     unknown = np.full(len(coefficients), np.nan)
+    valid = found.reshape(reference.lenslets)
     return Displacement(
         modes=modes,
-        coefficients=arrange(np.swapaxes(coefficients, 1, 2), ~lost),
+        coefficients=arrange(np.swapaxes(coefficients, 1, 2)),
         covariance=kept,
         outcome=outcome.reshape(reference.lenslets),
-        residual_rms=arrange(residual_rms, ~lost),
-        chi_square=arrange(unknown if chi_square is None else chi_square, ~lost),
-        range_used=arrange(range_used, ~lost | far & (range_used > 0)),
+        residual_rms=arrange(residual_rms),
+        chi_square=arrange(unknown if chi_square is None else chi_square),
+        range_used=arrange(range_used, found | far),
+        transmission=None if transmission is None else cast("Transmission", Deferred(partial(transmission, valid))),
     )

@@ -52,7 +52,7 @@ class Components(NamedTuple):
         """
         square = self.singular**2
         relative = square / np.max(square)
-        ratio, noise = _maximize_evidence(relative, self.along, self.total, self.number)
+        ratio, noise = _maximize_evidence(relative, self.along**2, self.total, self.number)
         ratio = max(ratio, _SIGNAL * self.number / max(float(np.sum(relative)), _TINY)) / np.max(square)
         variance = ratio / (1 + ratio * square)  # over that of the noise
         freedom = self.number - float(np.sum(variance * square))
@@ -61,7 +61,7 @@ class Components(NamedTuple):
     def quality(self) -> FitQuality:
         """Quality of the fit with the most probable strength of the prior."""
         relative = (self.singular / np.max(self.singular)) ** 2
-        ratio, _ = _maximize_evidence(relative, self.along, self.total, self.number)
+        ratio, _ = _maximize_evidence(relative, self.along**2, self.total, self.number)
         kept, energy = ratio * relative / (1 + ratio * relative), self.along**2
         left = max(self.total - float(np.sum(energy * (1 - (1 - kept) ** 2))), 0.0)
         chi_square = left / max(self.number - float(np.sum(kept)), 1.0)
@@ -71,15 +71,17 @@ class Components(NamedTuple):
 
 
 @compiled
-def _maximize_evidence(square: Floats, along: Floats, total: float, count: int) -> tuple[float, float]:
+def _maximize_evidence(square: Floats, energy: Floats, total: float, count: int) -> tuple[float, float]:
     """Most probable ratio of prior to noise variance, and noise variance.
 
-    Component n, with the squared singular value `square` (n,), at most 1, has the variance noise (1 + ratio square_n),
-    the rest of the data only noise. The noise follows from the ratio in closed form; its variance is at least 1, that
-    of the expected errors.
+    Component n, with the squared singular value `square` (n,), at most 1, and the `energy` (n,) of its data, has the
+    variance noise (1 + ratio square_n), the rest of the data only noise. The noise follows from the ratio in closed
+    form; its variance is at least 1, that of the expected errors.
     """
-    energy = along**2
-    beyond = max(total - np.sum(energy), 0.0)
+    beyond = total
+    for n in range(energy.size):
+        beyond -= energy[n]
+    beyond = max(beyond, 0.0)
     decade, most_probable = 0.0, 0.0
     for tried in (_PRIOR_DECADES, _BETWEEN_DECADES):
         around, best = decade, -np.inf
@@ -93,10 +95,13 @@ def _maximize_evidence(square: Floats, along: Floats, total: float, count: int) 
 @compiled
 def _evidence(ratio: float, square: Floats, energy: Floats, beyond: float, count: int) -> tuple[float, float]:
     """Log evidence of one ratio, up to a constant, and the most probable noise variance."""
-    spread = 1.0 + ratio * square
-    total = np.sum(energy / spread) + beyond
+    total, evidence = beyond, 0.0
+    for first in range(0, square.size, _FACTORS):
+        squares, energies, product = square[first : first + _FACTORS], energy[first : first + _FACTORS], 1.0
+        for n in range(squares.size):
+            spread = 1.0 + ratio * squares[n]
+            total += energies[n] / spread
+            product *= spread
+        evidence -= np.log(product) / 2
     noise = max(total / count, 1.0)
-    evidence = -(count * np.log(noise) + total / noise) / 2
-    for first in range(0, spread.size, _FACTORS):
-        evidence -= np.log(np.prod(spread[first : first + _FACTORS])) / 2
-    return evidence, noise
+    return evidence - (count * np.log(noise) + total / noise) / 2, noise

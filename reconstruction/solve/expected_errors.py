@@ -10,12 +10,11 @@ import numpy as np
 from numpy.polynomial import legendre as series
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Booleans, Floats
+from reconstruction.arrays import Booleans, Floats, median
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement
 from reconstruction.geometry import Sensor
 from reconstruction.modes.polynomials import legendre_slopes
 from reconstruction.modes.pupil_modes import PupilModes, aperture_rule, local_wavefronts
-from reconstruction.runtime.compilation import compiled
 from reconstruction.solve.evidence import Estimate
 
 Lenslets: TypeAlias = slice | NDArray[np.intp]
@@ -180,22 +179,16 @@ def _expected_covariance(covariance: Floats, to_parameters: Floats) -> tuple[Flo
     return expected, is_known, usual / (usual + SYSTEMATIC_PX**2)
 
 
-_STEP = np.log(4.0)  # of weights, in powers of 4, so that factorisations can be reused from frame to frame
-
-
-@compiled
 def relative_weights(variance: Floats, expected: Floats) -> Floats:
     """Weights (L,) of a frame's lenslets relative to those of the reference: 1, or less for noisier ones.
 
     `variance` (L,) of the frame's displacements, px^2 (NaN: weight 0), `expected` (L,) of the reference. The weight is
-    divided by 4 for each factor of 4 by which the variance, relative to that of most lenslets, exceeds it.
+    divided by 4 for each factor of 4 by which the variance, relative to that of most lenslets, exceeds it: in powers of
+    4, so that factorisations can be reused from frame to frame.
     """
     ratio = variance / expected
     known = np.isfinite(ratio)
-    weights = np.zeros(ratio.size)
-    if known.any():
-        most = np.median(ratio[known])
-        for lenslet in range(ratio.size):
-            if known[lenslet]:
-                weights[lenslet] = 4.0 ** -max(np.rint(np.log(ratio[lenslet] / most) / _STEP), 0.0)
-    return weights
+    if not known.any():
+        return np.zeros(ratio.shape)
+    times = np.rint(np.log2(ratio / median(ratio[known])) / 2)
+    return np.where(known, np.exp2(-2 * np.maximum(times, 0)), 0.0)

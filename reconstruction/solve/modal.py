@@ -65,9 +65,11 @@ class ModalSolution:
     def extended(self, known: KnownModes) -> Self:
         """The same wavefront in more pupil modes, known at the same lenslets; the coefficients of the others are 0."""
         more = len(known.modes.degree) - len(self.coefficients)
+        coefficients = np.zeros((len(known.modes.degree), self.coefficients.shape[1]))
+        coefficients[: len(self.coefficients)] = self.coefficients
         return replace(
             self,
-            coefficients=np.pad(self.coefficients, ((0, more), (0, 0))),
+            coefficients=coefficients,
             _known=known,
             _root_covariance=Deferred(lambda: np.pad(self.root_covariance, ((0, more), (0, 0), (0, 0)))),
         )

@@ -1,4 +1,4 @@
-"""Covariances that are computed when they are needed."""
+"""Covariances and transmissions that are computed when they are needed."""
 
 import pickle
 from dataclasses import replace
@@ -74,3 +74,14 @@ def test_subtracting_an_error_computes_no_covariance(displacement: Displacement)
     np.testing.assert_array_equal(corrected.coefficients, displacement.coefficients - 0.25)
     np.testing.assert_array_equal(corrected.covariance, displacement.covariance)
     np.testing.assert_array_equal(corrected.minus(bias).covariance, displacement.covariance)
+
+
+def test_transmission_is_computed_when_it_is_read(displacement: Displacement) -> None:
+    moved = displacement.minus(np.full_like(displacement.coefficients, 0.25))
+    assert callable(displacement.__dict__["transmission"])
+    assert callable(moved.__dict__["transmission"])
+    found, of_moved = displacement.transmission, moved.transmission
+    assert found is not None
+    assert of_moved is not None
+    np.testing.assert_array_equal(of_moved.coefficients, found.coefficients)
+    np.testing.assert_array_equal(np.isnan(found.coefficients[..., 0]), ~displacement.valid)

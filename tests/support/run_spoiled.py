@@ -40,9 +40,9 @@ class Case:
 
 
 CASES = {
-    "default": Case("square", 1e4),
+    "default": Case("square", 1e4, ("simulation.source.mask=square",)),
     "checkerboard": Case("checkerboard", 1e4, ("simulation.source.mask=checkerboard",), "square"),
-    "affine": Case("square", 1e3, ("registration.warp=affine",)),
+    "affine": Case("square", 1e3, ("simulation.source.mask=square", "registration.warp=affine")),
 }
 
 

@@ -10,6 +10,7 @@ from app.evaluation.study.deconvolution import DECONVOLUTION
 from app.evaluation.study.exposure_trials import EXPOSURE
 from app.evaluation.study.lattice_trials import calibration_trials
 from app.evaluation.study.layers import CORRECTOR, DISTANCES
+from app.evaluation.study.many_masks import many_masks_study
 from app.evaluation.study.mask import mask_study
 from app.evaluation.study.noise import EM_GAIN, PHOTONS
 from app.evaluation.study.sweeps import DEAD, ENSEMBLES, EXPERIMENT, FOCAL_LENGTH, LATTICE, ROUGHNESS, SIZE, SOURCE
@@ -20,21 +21,22 @@ SWEEPS = (ENSEMBLES, ROUGHNESS, SIZE, EXPERIMENT, PHOTONS, EM_GAIN, SOURCE, LATT
 def chosen_studies(names: Sequence[str], frames: Path | None = None) -> list[Study]:
     """Return the studies with these names, each once; without names all sweeps.
 
-    The names after `mask` are those of masks, see `mask_study`. `frames` is a folder of reference frames for the
-    calibration, see `calibration_trials`.
+    The names after `mask` or `masks` are those of masks, see `mask_study` and `many_masks_study`. `frames` is a folder
+    of reference frames for the calibration, see `calibration_trials`.
     """
-    place = names.index("mask") if "mask" in names else len(names)
-    names, masks = names[:place], names[place + 1 :] if "mask" in names else None
+    of_masks = {"mask": mask_study, "masks": many_masks_study}
+    place = next((index for index, name in enumerate(names) if name in of_masks), len(names))
+    names, last = names[:place], names[place:]
     known: dict[str, Study] = {
         study.name: study
         for study in (*SWEEPS, calibration_trials(frames), EXPOSURE, DECONVOLUTION, CORRECTOR, DISTANCES, BENCH)
     }
     for name in names:
         if name not in known:
-            raise InputError(f"no sweep is called {name}; there are {', '.join(known)}, mask")
+            raise InputError(f"no sweep is called {name}; there are {', '.join([*known, *of_masks])}")
     if frames is not None and "calibration" not in names:
         raise InputError("--frames is only for the calibration study: add the name calibration")
     chosen = [known[name] for name in dict.fromkeys(names)]
-    if masks is not None:
-        chosen.append(mask_study(masks))
+    if last:
+        chosen.append(of_masks[last[0]](last[1:]))
     return chosen or [*SWEEPS]

@@ -39,10 +39,10 @@ from simulated_devices.optics.source import read_grey_image
 from simulated_devices.sample import Sample
 from simulated_devices.settings import MASKS, Source
 
-_PEAKS_E = (300.0, 1e3, 1e4)  # electrons in the brightest pixel of the reference
+PEAKS_E = (300.0, 1e3, 1e4)  # electrons in the brightest pixel of the reference
 _SIMULATED_E = (300.0, 1e3)  # light of the simulated noise
 _DRAWS = 40
-_WARP: Warp = "cubic"
+WARP: Warp = "cubic"
 _DEGREE = 5  # of the wavefronts over a lenslet, and over the field
 _NODES = 8  # of Gauss-Legendre quadrature
 
@@ -52,15 +52,20 @@ def mask_study(masks: Sequence[str]) -> Sweep:
 
     Raises `InputError` if there is none, or if one is unknown or no image.
     """
-    if not masks:
-        raise InputError(f"mask needs image files or names after it: svwfs study mask FILE..., or {_built_in()}")
-    sources = {name: _changes(name) for name in dict.fromkeys(("square", *masks))}
+    sources = mask_changes("mask", masks)
     return Sweep(
         name="mask",
-        title=f"Masks in one pass, noise with the {_WARP} warp",
+        title=f"Masks in one pass, noise with the {WARP} warp",
         axis="mask (its light over the square's; displacements of each lenslet that it hides)",
         measure=partial(_measure, sources=sources),
     )
+
+
+def mask_changes(study: str, masks: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the changes of the bench's source for the square and each mask; see `mask_study`."""
+    if not masks:
+        raise InputError(f"{study} needs image files or names after it: svwfs study {study} FILE..., or {_built_in()}")
+    return {name: _changes(name) for name in dict.fromkeys(("square", *masks))}
 
 
 def _changes(name: str) -> dict[str, Any]:
@@ -134,7 +139,7 @@ class _MaskStudy:
         """Noise of 45 modes with the bench's screen, at equal peak, and at the exposure that gives the square it."""
         frame = NoiseFreeFrames(self._bench).frame().photons
         for label, own_peak in (("", float(self._reference.max())), (" in the square", self._square_peak)):
-            for peak_e in _PEAKS_E:
+            for peak_e in PEAKS_E:
                 scale = np.float32(peak_e / own_peak)
                 yield from self._noise(at, f"noise, {peak_e:g} e-{label}", frame * scale, scale, peak_e)
 
@@ -143,7 +148,7 @@ class _MaskStudy:
     ) -> Iterator[CaseResult]:
         seen, reference_e = camera(self._bench), self._reference * electrons_per_photon
         modes = without_prior(self._bench)
-        reconstructor = seen.reconstructor(self._bench, reference_e, _WARP, reconstruction=modes)
+        reconstructor = seen.reconstructor(self._bench, reference_e, WARP, reconstruction=modes)
         without = reconstructor(seen.counts(electrons))
         try:
             bound = bound_rad(self._bench, reconstructor, without.displacement.modes.count, self._views)

@@ -214,18 +214,21 @@ def error_bar_rad(wavefront: Wavefront, views: Views = None) -> float:
     return _mean_rms(sigma if views is None else sigma[views])
 
 
-def bound_rad(bench: Bench, reconstructor: Reconstructor, field_modes: int, views: Views = None) -> float:
+def bound_rad(
+    bench: Bench, reconstructor: Reconstructor, field_modes: int, views: Views = None, *, exposure: float = 1.0
+) -> float:
     """Cramer-Rao bound of `Scatter.rms_rad` for the modes of `without_prior`, from the exact model of the bench.
 
-    The light is that of the reference, the noise that of a frame.
+    The light is that of the reference in `exposure` times its own, the noise that of a frame.
     """
     if reconstructor.noise is None:
         raise ValueError("without the noise of a frame there is no bound")
     subimages, modes = reconstructor.subimages, pupil_modes(bench.sensor, "legendre", without_prior(bench).pupil_modes)
     model, legendre = true_lenslet(bench, subimages.width), LegendreModes(field_modes)
     _, light = mean_subimage(subimages)
+    light = exposure * light / model.image().sum()
     found = layered_information(
-        model, light / model.image().sum(), reconstructor.noise, sensor=bench.sensor, modes=modes, field_modes=legendre
+        model, light, reconstructor.noise, sensor=bench.sensor, modes=modes, field_modes=legendre
     )
     bound = wavefront_bound(*found, bench.field, modes, legendre)
     return _mean_rms(bound if views is None else bound[views])

@@ -70,7 +70,7 @@ ROUGHNESS = Sweep(
     is_logarithmic=True,
 )
 # The screen of the experiment, 20 mm behind the mask.
-_EXPERIMENT: dict[str, Any] = {
+NEAR_SOURCE: dict[str, Any] = {
     "placement": "source",
     "distance_m": 0.02,
     "correlation_length_m": 1.2e-3,
@@ -83,7 +83,7 @@ EXPERIMENT = Sweep(
     axis="wavefront RMS (rad)",
     measure=_over_screens(
         (5.0, 10.0, 15.0, 20.0, 30.0, 40.0),
-        lambda bench, rms_rad: with_screen(bench, **_EXPERIMENT, rms_rad=rms_rad),
+        lambda bench, rms_rad: with_screen(bench, **NEAR_SOURCE, rms_rad=rms_rad),
         first_seed=0,
     ),
     is_logarithmic=True,

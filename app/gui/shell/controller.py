@@ -8,16 +8,17 @@ from typing import Any, TypeVar
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
+from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Status
+from app.acquisition.remote.connection import Connection
 from app.acquisition.start_up import start_up
-from app.acquisition.worker import Acquisition
 from app.cache import release_memory
 from app.errors import InputError, RunError
 from app.gui.shell.messages import MessageStrip
 from app.measurement.routines import Cancelled
 
 T = TypeVar("T")
-Begin = Callable[[Acquisition], tuple[Future[Any], ...]]  # sends the first commands to an acquisition
+Begin = Callable[[Carrier], tuple[Future[Any], ...]]  # sends the first commands to an acquisition
 Then = Callable[[Any], object] | None  # receives a result
 Otherwise = Callable[[Exception], object] | None
 
@@ -34,12 +35,12 @@ class Controller(QObject):
     connected = pyqtSignal()  # another acquisition has started
     question_closed = pyqtSignal()  # it was answered, or belongs to a closed acquisition
 
-    def __init__(self, make_acquisition: Callable[[], Acquisition] | None, messages: MessageStrip) -> None:
+    def __init__(self, make_acquisition: Callable[[], Carrier] | None, messages: MessageStrip) -> None:
         super().__init__()
         self.messages = messages
         self._make_acquisition = make_acquisition
         self._begin: Begin = start_up
-        self.acquisition: Acquisition | None = None
+        self.acquisition: Carrier | None = None
         self.is_stuck = False  # whether the worker did not end on `close`
         self._pending: list[tuple[Future[Any], Then, Otherwise]] = []
         self._on_accept: Callable[[], object] | None = None  # called if the question is accepted
@@ -50,6 +51,11 @@ class Controller(QObject):
     def status(self) -> Status | None:
         """Status of the instrument; None until the devices are open."""
         return None if self.acquisition is None else self.acquisition.status
+
+    @property
+    def is_attached(self) -> bool:
+        """True if the instrument runs in another process, which goes on when this one ends."""
+        return isinstance(self.acquisition, Connection)
 
     @property
     def failure(self) -> str:
@@ -72,7 +78,7 @@ class Controller(QObject):
         """True if all commands are finished."""
         return all(future.done() for future, _, _ in self._pending)
 
-    def use(self, make_acquisition: Callable[[], Acquisition], begin: Begin, meanwhile: Callable[[], object]) -> None:
+    def use(self, make_acquisition: Callable[[], Carrier], begin: Begin, meanwhile: Callable[[], object]) -> None:
         """Close the devices, as `close` does; use this factory at the next connection."""
         self.close(meanwhile)
         self._make_acquisition, self._begin = make_acquisition, begin
@@ -84,7 +90,11 @@ class Controller(QObject):
         if self.acquisition is not None:
             self.acquisition.close()
         self.question_closed.emit()
-        self.acquisition = self._make_acquisition()
+        try:
+            self.acquisition = self._make_acquisition()
+        except RunError as error:  # no instrument to connect to
+            self.messages.warn(str(error))
+            return
         self.acquisition.start()
         self.connected.emit()
         begin = self._begin if is_lit else partial(start_up, is_lit=False)
@@ -103,7 +113,7 @@ class Controller(QObject):
         self.is_stuck = self.acquisition.is_alive
 
     def send(
-        self, submit: Callable[[Acquisition], Future[T]], then: Then = None, otherwise: Otherwise = None
+        self, submit: Callable[[Carrier], Future[T]], then: Then = None, otherwise: Otherwise = None
     ) -> Future[T] | None:
         """Send a command to the acquisition, if there is one; an earlier notice disappears.
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Literal
 
+from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument
-from app.acquisition.worker import Acquisition
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
 from app.gui.shell.wording import is_replay
@@ -33,7 +33,7 @@ class LightControl:
         return self._switching_off is not None
 
     @property
-    def _acquisition(self) -> Acquisition | None:
+    def _acquisition(self) -> Carrier | None:
         """The acquisition, while its worker can still switch the light."""
         acquisition = self._controller.acquisition
         return acquisition if acquisition is not None and acquisition.is_alive else None
@@ -92,7 +92,7 @@ class LightControl:
             self._controls.light.setChecked(False)
             self._controls.show_switching_off()
 
-    def _is_busy(self, acquisition: Acquisition) -> bool:
+    def _is_busy(self, acquisition: Carrier) -> bool:
         """Return whether a command waits or runs."""
         return bool(acquisition.activity.text) or self.is_switching_off or not self._controller.is_idle
 

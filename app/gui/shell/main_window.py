@@ -12,15 +12,17 @@ from PyQt6.QtCore import QEventLoop, QSettings, QSize, QStandardPaths, Qt, QTime
 from PyQt6.QtGui import QCloseEvent, QResizeEvent
 from PyQt6.QtWidgets import QApplication, QFileDialog, QWidget
 
+from app.acquisition.carrier import Activity, Carrier
 from app.acquisition.instrument import Status
 from app.acquisition.start_up import start_up
-from app.acquisition.worker import Acquisition, Activity, Measurement
+from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.files import make_folder
 from app.gui.panels.panel import Entries, Shown
 from app.gui.panels.registry import make_panels
 from app.gui.shell.analyses import Analyses
+from app.gui.shell.attachment import Attachment
 from app.gui.shell.base_window import BaseWindow, ErrorReports, LateMeasurements
 from app.gui.shell.benches import Benches
 from app.gui.shell.calibration import CalibrationGuide, Routines
@@ -62,10 +64,10 @@ class MainWindow(BaseWindow):
 
     def __init__(
         self,
-        make_acquisition: Callable[[], Acquisition] | None,
+        make_acquisition: Callable[[], Carrier] | None,
         *,
         settings: QSettings | None = None,
-        make_for: Callable[[Bench], Acquisition] = Acquisition,
+        make_for: Callable[[Bench], Carrier] = Acquisition,
     ) -> None:
         """Make an empty window; `connect_devices` starts an acquisition, unless `open` does.
 
@@ -85,6 +87,7 @@ class MainWindow(BaseWindow):
         self.errors = ErrorReports(self.messages.alarm)
         self.status_line = StatusLine()
         self.controller = Controller(make_acquisition, self.messages)
+        self.attachment = Attachment(self.controller, self)
         self.settings = SettingsControl(self.controller)
         self.light = LightControl(self.controller, self.controls)
         self.routines = Routines(self.controller, self.settings, self.panels.camera)
@@ -195,6 +198,9 @@ class MainWindow(BaseWindow):
                 ("Accept the proposal", "Return", self.messages.enter),
                 ("Cancel, discard or dismiss", "Esc", self.messages.escape),
                 ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect),
+                None,
+                ("Take control of the instrument", "", self.attachment.take_control),
+                ("End the instrument's process", "", self.attachment.end_instrument),
             ),
             "&View": (
                 *of_panels("&View"),
@@ -232,7 +238,7 @@ class MainWindow(BaseWindow):
         self._timer.start()
 
     def open(
-        self, make_acquisition: Callable[[], Acquisition], begin: Begin = start_up, player: Player | None = None
+        self, make_acquisition: Callable[[], Carrier], begin: Begin = start_up, player: Player | None = None
     ) -> None:
         """Close the devices and connect others, also those of a `player`; `begin` sends the first commands.
 
@@ -304,7 +310,8 @@ class MainWindow(BaseWindow):
         """Show the state of the instrument."""
         self._status = status
         self._situation.follow(status)
-        self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}")
+        attached = ", attached" * self.controller.is_attached
+        self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}{attached}")
         self.shown.settings = status.bench.reconstruction
         self.shown.wanted, self.shown.is_settled = dict(self.settings.wanted), self.controller.is_settled
         for panel in self.panels:
@@ -328,13 +335,13 @@ class MainWindow(BaseWindow):
             panel.show_numbers()
             panel.show_liveness()
         self.recording_bar.refresh()
-        self.status_line.update_text(status, acquisition.timings if acquisition else None)
+        self.status_line.update_text(status, acquisition.timings if acquisition else None, self.attachment.place)
         self.status_line.show_verdict(shown.verdict)
         self.messages.show_state(
             failure=self._failure,
             way_out=way_out(status),
             may_reconnect=not is_replay(status),
-            warning="; ".join(filter(None, [alarm, self.replay.notice])),
+            warning="; ".join(filter(None, [alarm, self.replay.notice, self.attachment.notice])),
             advice=advice(status, self._activity, measurement),
         )
 
@@ -449,14 +456,19 @@ class MainWindow(BaseWindow):
         """Paint what the window waits for, without taking any command."""
         for panel in (self.controls, self.recording_panel):
             panel.setEnabled(False)
-        if (status := self.controller.status) is not None:
+        if (status := self.controller.status) is not None and not self.controller.is_attached:
             self.show_status(replace(status, is_running=False))
             self.messages.show_closing(light_when_closing(status))
         QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
 
     def quit(self) -> None:
-        """Close the window; if a person switches the light, ask for that first."""
-        self.light.ask_off(lambda: QTimer.singleShot(0, self.close))  # within a close event, Qt would skip `closeEvent`
+        """Close the window; ask first whether an instrument of another process goes on, or for a manual light."""
+
+        def close() -> None:
+            QTimer.singleShot(0, self.close)  # within a close event, Qt would skip `closeEvent`
+
+        if not self.attachment.ask_to_leave(close):
+            self.light.ask_off(close)
 
     def _reconnect(self) -> None:
         if self.controller.failure:

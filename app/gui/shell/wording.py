@@ -5,8 +5,9 @@ import time
 
 import numpy as np
 
+from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Status
-from app.acquisition.worker import Activity, Measurement
+from app.acquisition.worker import Measurement
 from app.gui.panels.panel import Liveness
 from app.gui.widgets.presentation import percent
 from app.measurement.auto_exposure import AutoExposure

@@ -77,7 +77,11 @@ class Measuring(QWidget):
         self.hide()
 
     def place(self, kind: str, start: QPointF, end: QPointF) -> None:
-        """Measure along a "line" between two points, or in an "area" of which they are corners."""
+        """Measure along a "line" between two points, or in an "area" of which they are corners.
+
+        Points farther from the frame than its width and height are moved there: a line has no end otherwise.
+        """
+        start, end = self._near(start), self._near(end)
         (left, right), (top, bottom) = sorted((start.x(), end.x())), sorted((start.y(), end.y()))
         if kind == "line":
             ends = [(point.x(), point.y()) for point in (start, end)]
@@ -88,6 +92,10 @@ class Measuring(QWidget):
         self.line.setVisible(kind == "line")
         self.area.setVisible(kind == "area")
         self._read()
+
+    def _near(self, point: QPointF) -> QPointF:
+        rows, columns = (0, 0) if self._frame is None else self._frame.pixels.shape
+        return QPointF(min(max(point.x(), -columns), 2 * columns), min(max(point.y(), -rows), 2 * rows))
 
     def use(self, kind: str) -> None:
         """Remove line and area, and make room for the next "line" or "area"; the picture must not move under it."""

@@ -13,11 +13,11 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.registration.gauss_newton._warped_sampling import (
     Scratch,
     Window,
+    combine,
     sample_warped,
-    warp_polynomials,
     warp_value,
 )
-from reconstruction.runtime.compilation import compiled
+from reconstruction.runtime.compilation import inlined
 
 LOST_PX = np.float32(1e6)  # last step of a lost fit
 
@@ -41,6 +41,7 @@ class Grid(NamedTuple):
     monomials: Image  # the displacement of each parameter as polynomials of u and v, (P - 2, xy, monomial)
     basis: Image  # the same as coefficients (x modes, y modes), (P - 2, 2Q)
     light: Image  # I0, counts, (L, N)
+    level: Image  # mean and standard deviation of I0, counts, (L, 2)
     inverse: Image  # A, (L, P, N)
     descent: Image  # J, the steepest-descent images, (L, P, N)
     weight: Image  # of the pixels, 1 on average, 0 for unusable ones, (L, N)
@@ -70,7 +71,7 @@ class State(NamedTuple):
     is_partial: bool  # some pixels were excluded
 
 
-@compiled
+@inlined
 def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles to fast code
     frame: FrameData, grid: Grid, lenslet: int, displacement: Image, limits: tuple[int, np.float32], scratch: Scratch
 ) -> State:
@@ -79,31 +80,33 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
     `limits`: the number of iterations, and the tolerance, px. A step that increases the residual is halved; a fit that
     still increases it, or leaves all bounds, is lost. Gain and offset start from means and contrasts.
     """
-    inverse, weight = grid.inverse[lenslet], grid.weight[lenslet]
-    change, step = np.zeros(inverse.shape[0], np.float32), np.float32(np.inf)
+    inverse, change, limit = grid.inverse[lenslet], scratch.change, _BOUND_PX
+    step = np.float32(np.inf)
     gain, offset, contrast = np.float32(1.0), np.float32(0.0), np.float32(0.0)
     gain_before, offset_before, before, square = gain, offset, np.float32(np.inf), np.float32(np.inf)
     is_partial: bool = False
     renew, halvings, settled = True, 0, False
-    left = np.empty((0, 0), np.float64)
     for iteration in range(limits[0]):
-        if not np.max(np.abs(displacement)) < _BOUND_PX:
+        if not _largest(displacement) < limit:
             return State(np.float32(np.inf), LOST_PX, gain, contrast, is_partial)
-        warp = warp_polynomials(displacement, grid.monomials)
-        sample_warped(frame.coefficients, warp, grid.window, frame.center_px[lenslet], frame.turn, grid.scale, scratch)
+        combine(displacement, grid.monomials, scratch.warp)
+        sample_warped(frame.coefficients, grid.window, frame.center_px[lenslet], frame.turn, grid.scale, scratch)
         if iteration == 0:
-            gain, offset, contrast = _brightness(scratch.light, grid.light[lenslet])
+            gain, offset, contrast = _brightness(scratch.light, grid.level[lenslet])
             gain_before, offset_before = gain, offset
             if not 0 < contrast < np.inf:  # dark, or overflow
                 return State(np.float32(np.inf), LOST_PX, gain, np.float32(0.0), is_partial)
         if renew:
-            is_partial = bool(frame.sees_bad[lenslet]) or _leaves_cell(warp, grid, frame.half_cell_px)
+            edge = abs(grid.window.v[0])
+            is_partial = bool(frame.sees_bad[lenslet]) or _leaves_cell(
+                scratch.warp, edge, grid.scale[0], frame.half_cell_px
+            )
             if is_partial:
                 _exclude(frame, lenslet, scratch)
-                left = _left_over(inverse, grid.descent[lenslet], scratch.excluded)
-        square = _subtract(gain, offset, grid, lenslet, scratch)
+                _leave_out(inverse, grid.descent[lenslet], scratch.excluded, scratch.equations[0])
+        square = _subtract(gain, offset, grid.light[lenslet], grid.weight[lenslet], scratch)
         if is_partial:
-            square = _zero_excluded(weight, scratch)
+            square = _zero_excluded(grid.weight[lenslet], scratch.excluded, scratch.residual)
         if not square < np.inf:
             return State(square, LOST_PX, gain, contrast, is_partial)
         if square > _GROWTH * before and step > _SMALL_PX:
@@ -118,45 +121,53 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
         else:
             before, gain_before, offset_before = square, gain, offset
             _project(inverse, scratch.residual, change)
-            if is_partial and not _solve(left.copy(), change):
+            if is_partial and not _solve(scratch.equations, change):
                 return State(square, LOST_PX, gain, contrast, is_partial)
             last, step = step, np.float32(0.0)
             for p in range(displacement.size):
                 displacement[p] -= change[p]
                 step = max(step, abs(change[p]))
-            shrinks = _SHRINKS if is_partial else _second_step(displacement, grid)
+            shrinks = _SHRINKS if is_partial or not grid.is_gradient else _second_step(displacement, grid.bend)
             if iteration > 0:
                 shrinks = min(max(step / last, min(shrinks, _SHRINKS_LEAST)), np.float32(0.9))
             # The remaining change, if the steps keep shrinking at this rate.
             settled = bool(step < _LAST_PX and step * shrinks / (np.float32(1.0) - shrinks) < limits[1])
         renew = bool(step > _SMALL_PX) or iteration == 0  # a fit between two sets of excluded pixels would never settle
-        fainter = np.float32(1.0) - change[-2]
-        gain, offset = gain_before * fainter, offset_before * fainter - change[-1]
+        fainter = np.float32(1.0) - change[change.size - 2]
+        gain, offset = gain_before * fainter, offset_before * fainter - change[change.size - 1]
         if settled:
             if not is_partial:
                 square = max(square - _explained(grid.normal[lenslet], change), np.float32(0.0))
             break
-    if not (gain > 0 and np.max(np.abs(displacement)) < _BOUND_PX):
+    if not (gain > 0 and _largest(displacement) < limit):
         step = LOST_PX
     return State(square, step, gain, contrast, is_partial)
 
 
-@compiled
-def _second_step(displacement: Image, grid: Grid) -> np.float32:
+@inlined
+def _largest(displacement: Image) -> np.float32:
+    """Largest size of a parameter (P - 2,); infinite if one is not a number."""
+    largest = np.float32(0.0)
+    for p in range(displacement.size):
+        if not abs(displacement[p]) <= largest:
+            largest = abs(displacement[p]) if displacement[p] == displacement[p] else np.float32(np.inf)
+    return largest
+
+
+@inlined
+def _second_step(displacement: Image, bend: Image) -> np.float32:
     """Expected ratio of the second step to the first, for a displacement with the parameters (P - 2,).
 
     The steps assume that a displaced subimage keeps its shape. On the screens of docs/estimator.md the ratio is at most
     twice the RMS gradient of the displacement, 1.1 times for most lenslets.
     """
-    if not grid.is_gradient:
-        return _SHRINKS
     square = np.float32(0.0)
     for p in range(displacement.size):
-        square += grid.bend[p] * displacement[p] * displacement[p]
+        square += bend[p] * displacement[p] * displacement[p]
     return min(_SHRINKS_UNBENT + _SHRINKS_PER_GRADIENT * np.sqrt(square), _SHRINKS)
 
 
-@compiled
+@inlined
 def _explained(normal: Image, change: Image) -> np.float32:
     """Weighted sum of squares that a change of the parameters (P,) removes from the residual."""
     total = np.float32(0.0)
@@ -166,69 +177,60 @@ def _explained(normal: Image, change: Image) -> np.float32:
     return total
 
 
-@compiled
-def _leaves_cell(warp: Image, grid: Grid, half_cell_px: np.float32) -> bool:
-    """True if a warp (xy, monomial) moves the window's border into a neighbour's cell."""
-    edge = abs(grid.window.v[0])
+@inlined
+def _leaves_cell(warp: Image, edge: np.float32, per_unit: np.float32, half_cell_px: np.float32) -> bool:
+    """True if a warp (xy, monomial) moves the window's border, at `edge`, into a neighbour's cell."""
     for row in range(-1, 2):
         for column in range(-1, 2):
             u, v = edge * np.float32(column), edge * np.float32(row)
-            x = warp_value(warp[0], u, v) + u * grid.scale[0]
-            y = warp_value(warp[1], u, v) + v * grid.scale[0]
+            x, y = warp_value(warp[0], u, v) + u * per_unit, warp_value(warp[1], u, v) + v * per_unit
             if max(abs(x), abs(y)) > half_cell_px:
                 return True
     return False
 
 
-@compiled
-def _brightness(light: Image, template: Image) -> tuple[np.float32, np.float32, np.float32]:
-    """Gain and offset that give light (N,) the mean and contrast of the template (N,); the light's contrast."""
+@inlined
+def _brightness(light: Image, level: Image) -> tuple[np.float32, np.float32, np.float32]:
+    """Gain and offset that give light (N,) the mean and contrast of the template; the light's contrast."""
     pixels = np.float32(light.size)
-    mean, template_mean = np.float32(0.0), np.float32(0.0)
+    mean = np.float32(0.0)
     for n in range(light.size):
         mean += light[n]
-        template_mean += template[n]
-    mean, template_mean = mean / pixels, template_mean / pixels
-    power, template_power = np.float32(0.0), np.float32(0.0)
+    mean /= pixels
+    power = np.float32(0.0)
     for n in range(light.size):
         power += (light[n] - mean) * (light[n] - mean)
-        template_power += (template[n] - template_mean) * (template[n] - template_mean)
-    gain = np.sqrt(template_power / power)
-    return gain, template_mean - gain * mean, np.sqrt(power / pixels)
+    contrast = np.sqrt(power / pixels)
+    gain = level[1] / contrast
+    return gain, level[0] - gain * mean, contrast
 
 
-@compiled
-def _subtract(gain: np.float32, offset: np.float32, grid: Grid, lenslet: int, scratch: Scratch) -> np.float32:
+@inlined
+def _subtract(gain: np.float32, offset: np.float32, template: Image, weight: Image, scratch: Scratch) -> np.float32:
     """Compute the residual; return its weighted sum of squares."""
-    template, weight = grid.light[lenslet], grid.weight[lenslet]
     light, stretch, residual = scratch.light, scratch.stretch, scratch.residual
     square = np.float32(0.0)
-    if grid.scale[1] > 0:
-        for n in range(light.size):
-            residual[n] = (gain * light[n] + offset) * stretch[n] - template[n]
-            square += weight[n] * residual[n] * residual[n]
-    else:
-        for n in range(light.size):
-            residual[n] = gain * light[n] + offset - template[n]
-            square += weight[n] * residual[n] * residual[n]
+    for n in range(light.size):
+        residual[n] = (gain * light[n] + offset) * stretch[n] - template[n]
+        square += weight[n] * residual[n] * residual[n]
     return square
 
 
-@compiled
-def _zero_excluded(weight: Image, scratch: Scratch) -> np.float32:
+@inlined
+def _zero_excluded(weight: Image, excluded: NDArray[np.bool_], residual: Image) -> np.float32:
     """Zero the residual of excluded pixels; return the weighted sum of squares as if none were excluded."""
     square, total, kept = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     for n in range(weight.size):
         total += weight[n]
-        if scratch.excluded[n]:
-            scratch.residual[n] = np.float32(0.0)
+        if excluded[n]:
+            residual[n] = np.float32(0.0)
         else:
             kept += weight[n]
-            square += weight[n] * scratch.residual[n] * scratch.residual[n]
+            square += weight[n] * residual[n] * residual[n]
     return square * total / max(kept, np.float32(1e-6))
 
 
-@compiled
+@inlined
 def _project(inverse: Image, residual: Image, change: Image) -> None:
     """Project a residual (N,) to a change of the parameters (P,)."""
     for p in range(change.size):
@@ -238,14 +240,14 @@ def _project(inverse: Image, residual: Image, change: Image) -> None:
         change[p] = total
 
 
-@compiled
+@inlined
 def _exclude(frame: FrameData, lenslet: int, scratch: Scratch) -> None:
     """Exclude the pixels that land in a neighbour's cell or between bad pixels."""
     cosine, sine = frame.turn[0], frame.turn[1]
     for n in range(scratch.x.size):
-        x, y = scratch.x[n], scratch.y[n]
-        column, row = int(x), int(y)
-        along, across = x - np.float32(frame.center_px[lenslet, 0]), y - np.float32(frame.center_px[lenslet, 1])
+        column, row = scratch.left[n], scratch.above[n]
+        along = scratch.x[n] - np.float32(frame.center_px[lenslet, 0])
+        across = scratch.y[n] - np.float32(frame.center_px[lenslet, 1])
         beyond = max(abs(cosine * along + sine * across), abs(cosine * across - sine * along)) > frame.half_cell_px
         scratch.excluded[n] = beyond or (
             frame.sees_bad[lenslet]
@@ -258,23 +260,36 @@ def _exclude(frame: FrameData, lenslet: int, scratch: Scratch) -> None:
         )
 
 
-@compiled
-def _left_over(inverse: Image, descent: Image, excluded: NDArray[np.bool_]) -> Floats:
-    """1 - sum A_n J_n^T over the excluded pixels (N,): (P, P)."""
+@inlined
+def _leave_out(inverse: Image, descent: Image, excluded: NDArray[np.bool_], equations: Floats) -> None:
+    """Compute the equations (P, P) without the excluded pixels (N,): 1 - sum A_n J_n^T over these."""
     parameters = inverse.shape[0]
-    left = np.eye(parameters)
+    for i in range(parameters):
+        for j in range(parameters):
+            equations[i, j] = 1.0 if i == j else 0.0
     for n in range(excluded.size):
         if excluded[n]:
             for i in range(parameters):
                 for j in range(parameters):
-                    left[i, j] -= inverse[i, n] * descent[j, n]
-    return left
+                    equations[i, j] -= inverse[i, n] * descent[j, n]
 
 
-@compiled
-def _solve(matrix: Floats, x: Image) -> bool:
-    """Solve matrix (P, P) y = x in place by pivoted elimination, x (P,) becoming y; False if singular."""
-    size = x.size
+@inlined
+def _copy(equations: Floats) -> None:
+    """Copy the first of two (2, P, P) into the second, in which it is solved."""
+    for i in range(equations.shape[1]):
+        for j in range(equations.shape[1]):
+            equations[1, i, j] = equations[0, i, j]
+
+
+@inlined
+def _solve(equations: Floats, x: Image) -> bool:
+    """Solve M y = x by pivoted elimination, M the first of two equations (2, P, P), x (P,) becoming y.
+
+    False if M is singular.
+    """
+    _copy(equations)
+    size, matrix = x.size, equations[1]
     for i in range(size):
         pivot_row = i
         for row in range(i + 1, size):

@@ -20,13 +20,20 @@ from typing import Self
 
 import numpy as np
 
-from reconstruction.arrays import Booleans, Floats, Image
+from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import Displacement, Outcome, RegistrationMethod, Transmission
 from reconstruction.frame.spline import noise_power, noise_power_polynomial
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes, gradient_basis
 from reconstruction.registration.gauss_newton._alignment import FrameData
-from reconstruction.registration.gauss_newton._lenslet_fits import FitLimits, Fits, fit_lenslets, new_ledger
+from reconstruction.registration.gauss_newton._lenslet_fits import (
+    FitLimits,
+    Fits,
+    Workplace,
+    fit_lenslets,
+    new_ledger,
+    new_workplace,
+)
 from reconstruction.registration.gauss_newton.template import (
     Propagated,
     Template,
@@ -54,9 +61,11 @@ class FitCovariance:
 
     def kept(self, lenslets: Booleans) -> Self:
         """The same, lost for all but some lenslets (L,)."""
+        if lenslets.all():
+            return self
         return replace(self, variance=np.where(lenslets.reshape(*self.variance.shape[:2], 1), self.variance, np.nan))
 
-    def covariance(self) -> Floats:
+    def __call__(self) -> Floats:
         """The covariance, px^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)."""
         of_pixels, of_light = self.variance.reshape(-1, 2, 1, 1).swapaxes(0, 1)
         of_parameters = of_pixels * self.per_pixel.covariance + of_light * self.per_light.covariance
@@ -114,9 +123,10 @@ class ErrorPropagation:
                 whole.replaced(partial, part) for whole, part in zip((per_pixel, per_light), of_partial, strict=True)
             )
         noise = (self._shot, self._read) if self._knows_noise else (np.nan, np.nan)
-        variance, chi_square, unexplained = _propagate(
-            fits, per_pixel, per_light, *noise, self._of_reference, self._reference_power
-        )
+        lenslets = len(fits.gain)
+        variance, chi_square, unexplained = np.zeros((lenslets, 2)), np.full(lenslets, np.nan), np.empty(lenslets)
+        found = variance, chi_square, unexplained
+        _propagate(fits, per_pixel, per_light, *noise, self._of_reference, self._reference_power, found)
         covariance = FitCovariance(variance.reshape(*self._lattice, 2), per_pixel, per_light, self._basis)
         return covariance, chi_square, unexplained, known
 
@@ -130,15 +140,15 @@ def _propagate(  # noqa: PLR0917 - compiled code takes its arguments by their pl
     read: float,
     of_reference: float,
     reference_power: Floats,
-) -> tuple[Floats, Floats, Floats]:
-    """Noise variances (L, 2), reduced chi-squares and unexplained squares (L,).
+    found: tuple[Floats, Floats, Floats],
+) -> None:
+    """Find noise variances (L, 2), reduced chi-squares and unexplained squares (L,).
 
     `shot` (counts^2 per count of light) and `read` (counts^2) are NaN if unknown; the reference has the share
     `of_reference` of them, reduced by interpolation to `reference_power` (L, 2).
     """
-    lenslets = fits.gain.size
-    variance, chi_square, unexplained = np.zeros((lenslets, 2)), np.full(lenslets, np.nan), np.empty(lenslets)
-    for lenslet in range(lenslets):
+    variance, chi_square, unexplained = found
+    for lenslet in range(fits.gain.size):
         gain, square, power = fits.gain[lenslet], fits.square[lenslet], fits.noise_power[lenslet]
         still, expected = reference_power[lenslet], 0.0
         if np.isnan(shot):
@@ -155,7 +165,6 @@ def _propagate(  # noqa: PLR0917 - compiled code takes its arguments by their pl
             chi_square[lenslet] = square / expected
             variance[lenslet, 0], variance[lenslet, 1] = of_pixels, of_light
         unexplained[lenslet] = square - expected
-    return variance, chi_square, unexplained
 
 
 # Margin of the pixels used beyond the field's edge, in blurs. Further out there is only scattered light, which no warp
@@ -235,6 +244,7 @@ class GaussNewton:
         self._errors = ErrorPropagation(reference, self._warp, self._warp.pixels.ravel())
         self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (_MISFIT * self._warp.contrast) ** 2
         self._power = noise_power_polynomial()
+        self._workplaces: list[Workplace] = []  # that no thread uses now
         poor_square = _NOISE_AT_MOST * self._errors.expected_square
         poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(self._warp.pixels)
         self._limits = FitLimits(
@@ -260,7 +270,7 @@ class GaussNewton:
         found &= ~_stands_out(unexplained, fits.square, self._unexplained, found)
         spoilt = known < _INFORMATION_LEFT
         fitted = (fits.displacement @ self._basis).astype(np.float32).astype(np.float64)
-        registered = classify_lenslets(
+        return classify_lenslets(
             reference,
             self.modes,
             fitted.reshape(len(fits.gain), 2, self.modes.count),
@@ -274,11 +284,7 @@ class GaussNewton:
                 Outcome.DARK: spoilt & reference.touched(reference.bad),
                 Outcome.SATURATED: spoilt & reference.touched(saturated),
             },
-        )
-        return replace(
-            registered,
-            covariance=registered.__dict__["covariance"],  # computed or not
-            transmission=self._transmission(fits, covariance.variance, registered.valid),
+            transmission=lambda valid: self._transmission(fits, covariance.variance, valid),
         )
 
     def _transmission(self, fits: Fits, variance: Floats, valid: Booleans) -> Transmission:
@@ -341,8 +347,16 @@ class GaussNewton:
 
         ledger = new_ledger()
 
+        grids = self._start.grid, grid
+
         def share() -> bool:
-            return fit_lenslets(frame, self._start.grid, grid, self._search, self._limits, self._power, fits, ledger)
+            try:
+                workplace = self._workplaces.pop()
+            except IndexError:
+                workplace = new_workplace(grids, self._search)
+            ended = fit_lenslets(frame, grids, self._search, self._limits, self._power, fits, workplace, ledger)
+            self._workplaces.append(workplace)
+            return ended
 
         others = [worker_pool(self._threads - 1).submit(share) for _ in range(1, self._threads)]
         is_finished = share()
@@ -370,5 +384,5 @@ def _stands_out(unexplained: Floats, square: Floats, at_most: Floats, found: Boo
         return np.zeros_like(found)
     with np.errstate(divide="ignore", invalid="ignore"):  # of lost lenslets
         share, noise = unexplained * (_MISFIT**2 / at_most), (square - unexplained) * (_MISFIT**2 / at_most)
-        usual = float(np.median(np.maximum(share[found], 0.0)))
+        usual = max(median(share[found]), 0.0)
         return np.asarray(share > max(_ODD**2, _OUTLYING**2 * usual) + _NOISE_SHARE * noise)

@@ -14,14 +14,8 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.registration.gauss_newton._alignment import LOST_PX, FrameData, Grid, State, fit_warp
-from reconstruction.registration.gauss_newton._warped_sampling import (
-    MONOMIALS,
-    Scratch,
-    Window,
-    new_scratch,
-    sample_warped,
-)
-from reconstruction.runtime.compilation import compiled
+from reconstruction.registration.gauss_newton._warped_sampling import Scratch, Window, new_scratch, sample_warped
+from reconstruction.runtime.compilation import compiled, inlined
 
 Ledger = NDArray[np.int64]  # numbers of items taken and finished, (2,)
 
@@ -68,7 +62,7 @@ def is_finished(ledger: Ledger, items: int) -> bool:
 
 
 _NOISE_STRIDE = 7  # pixels between samples of the interpolation noise; no divisor of a window's width
-_GIVEN, _TRANSLATED, _SEARCHED, _REPEATED, _DONE = range(5)  # from what a lenslet's fit starts
+_GIVEN, _TRANSLATING, _TRANSLATED, _SEARCHED, _REPEATED, _DONE = range(6)  # from what a lenslet's fit starts
 
 
 class WholePixelSearch(NamedTuple):
@@ -105,96 +99,127 @@ class Fits(NamedTuple):
     residual: Image  # after the last step but one, 0 in excluded pixels, counts, (L, N)
 
 
+class Workplace(NamedTuple):
+    """One thread's work arrays."""
+
+    scratch: Scratch  # for warps
+    coarse: Scratch  # for translations
+    patch: Scratch  # for the whole-pixel search
+    translation: Image  # px, (xy,)
+    again: Image  # parameters of another fit, (P - 2,)
+
+
+def new_workplace(grids: tuple[Grid, Grid], search: WholePixelSearch) -> Workplace:
+    """Allocate the work arrays of one thread; see `fit_lenslets`."""
+    coarse, scratch = (new_scratch(grid.window.u.size, grid.inverse.shape[1]) for grid in grids)
+    patch = new_scratch(search.window.u.size, 0)
+    return Workplace(scratch, coarse, patch, np.empty(2, np.float32), np.empty(len(grids[1].basis), np.float32))
+
+
 @compiled
 def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined once more, compile to slower code
     frame: FrameData,
-    start: Grid,
-    warp: Grid,
+    grids: tuple[Grid, Grid],
     search: WholePixelSearch,
     limits: FitLimits,
     power: Floats,
     fits: Fits,
+    workplace: Workplace,
     ledger: Ledger,
 ) -> bool:
     """Fit lenslets, shared with the threads that have the same ledger; False if others have not finished theirs.
 
-    `start` is the reference for translations on a coarse grid, `warp` that for the warps. If these fail, the
-    whole-pixel search gives another start. `power` (4,): see `spline.noise_power_polynomial`.
+    `grids` are the reference for translations on a coarse grid, and that for the warps. If these fail, the whole-pixel
+    search gives another start. `power` (4,): see `spline.noise_power_polynomial`.
     """
-    scratch = new_scratch(warp.window.u.size)
-    coarse = new_scratch(start.window.u.size)
-    patch = new_scratch(search.window.u.size)
+    start, warp = grids
+    scratch, coarse, patch, translation, again = workplace
     while True:
         lenslet = take(ledger)
         if lenslet >= fits.gain.size:
             return is_finished(ledger, fits.gain.size)
-        if not np.any(warp.weight[lenslet]):
+        if not warp.normal[lenslet, -1, -1] > 0:  # the sum of the weights
             fits.step_px[lenslet] = LOST_PX
             finish(ledger)
             continue
         displacement, settled = fits.displacement[lenslet], (limits.iterations, limits.tolerance_px[lenslet])
-        again = np.zeros_like(displacement)
         state = State(np.float32(np.inf), LOST_PX, np.float32(1.0), np.float32(0.0), False)
-        stage = _GIVEN if np.all(np.isfinite(displacement)) else _TRANSLATED
-        while stage != _DONE:  # one call for all warps: each is compiled anew, since all code is inlined
-            if stage == _TRANSLATED:
-                translation = np.zeros(2, np.float32)
-                fit_warp(
-                    frame, start, lenslet, translation, (limits.start_iterations, limits.start_tolerance_px), coarse
-                )
-                displacement[:] = 0
-                if max(abs(translation[0]), abs(translation[1])) < frame.half_cell_px:
-                    _translate(displacement, translation[0], translation[1], warp)
-            fit = fit_warp(frame, warp, lenslet, again if stage == _SEARCHED else displacement, settled, scratch)
-            if stage == _SEARCHED:
+        translation[0] = translation[1] = 0
+        stage = _GIVEN
+        for p in range(displacement.size):
+            if not np.isfinite(displacement[p]):
+                stage = _TRANSLATING
+        while stage != _DONE:  # one call for all fits: each is compiled anew, since all code is inlined
+            grid, work, fitted, until = warp, scratch, displacement, settled
+            if stage == _TRANSLATING:
+                grid, work, fitted = start, coarse, translation
+                until = (limits.start_iterations, limits.start_tolerance_px)
+            elif stage == _SEARCHED:
+                fitted = again
+            fit = fit_warp(frame, grid, lenslet, fitted, until, work)
+            if stage == _TRANSLATING:
+                if not max(abs(translation[0]), abs(translation[1])) < frame.half_cell_px:
+                    translation[0] = translation[1] = 0
+                _translate(displacement, translation[0], translation[1], warp.basis)
+                stage = _TRANSLATED
+            elif stage == _SEARCHED:
                 is_converged = state.step_px < limits.converged_px
                 stage = _REPEATED if is_converged else _DONE  # to restore the excluded pixels
                 if fit.step_px < limits.converged_px and (fit.square < state.square or not is_converged):
-                    displacement[:], state, stage = again, fit, _DONE
+                    for p in range(displacement.size):
+                        displacement[p] = again[p]
+                    state, stage = fit, _DONE
             else:
                 state = fit
-                poor = stage != _REPEATED and _is_poor(state, limits, lenslet)
+                poor = stage != _REPEATED and _is_poor(state, limits.poor_square[lenslet], limits.converged_px)
                 if poor and stage == _GIVEN:
-                    stage = _TRANSLATED
+                    stage = _TRANSLATING
                 elif poor and search.reach > 0:
                     x, y = _best_shift(frame, search, lenslet, patch)
-                    _translate(again, x, y, warp)
+                    _translate(again, x, y, warp.basis)
                     stage = _SEARCHED
                 else:
                     stage = _DONE
-        fits.contrast[lenslet], fits.gain[lenslet] = state.contrast, state.gain
-        fits.square[lenslet], fits.step_px[lenslet] = state.square, state.step_px
-        fits.is_partial[lenslet] = state.is_partial
-        fits.residual[lenslet] = scratch.residual
-        if state.is_partial:
-            fits.excluded[lenslet] = scratch.excluded
+        _note(state, scratch, fits, lenslet)
         light, weight = warp.light[lenslet], warp.weight[lenslet]
         _interpolated_noise(weight, light, power, scratch, fits.noise_power[lenslet])
         finish(ledger)
 
 
-@compiled
-def _translate(displacement: Image, x: np.float32, y: np.float32, warp: Grid) -> None:
-    """Set the parameters (P - 2,) of a displacement to those of a translation, px."""
-    modes = warp.basis.shape[1] // 2
+@inlined
+def _note(state: State, scratch: Scratch, fits: Fits, lenslet: int) -> None:
+    """Note the fit of a lenslet."""
+    fits.contrast[lenslet], fits.gain[lenslet] = state.contrast, state.gain
+    fits.square[lenslet], fits.step_px[lenslet] = state.square, state.step_px
+    fits.is_partial[lenslet] = state.is_partial
+    for n in range(scratch.residual.size):
+        fits.residual[lenslet, n] = scratch.residual[n]
+    if state.is_partial:
+        for n in range(scratch.excluded.size):
+            fits.excluded[lenslet, n] = scratch.excluded[n]
+
+
+@inlined
+def _translate(displacement: Image, x: np.float32, y: np.float32, basis: Image) -> None:
+    """Set the parameters (P - 2,) of a displacement, by their basis (P - 2, 2Q), to those of a translation, px."""
+    modes = basis.shape[1] // 2
     for p in range(displacement.size):
-        displacement[p] = x * warp.basis[p, 0] + y * warp.basis[p, modes]
+        displacement[p] = x * basis[p, 0] + y * basis[p, modes]
 
 
-@compiled
-def _is_poor(state: State, limits: FitLimits, lenslet: int) -> bool:
+@inlined
+def _is_poor(state: State, poor_square: Image, converged_px: np.float32) -> bool:
     """True if another start might do better."""
-    poor = limits.poor_square[lenslet]
-    enough = state.square < poor[0] + state.gain * (poor[1] + state.gain * poor[2])
-    return not (state.step_px < limits.converged_px and enough)
+    enough = state.square < poor_square[0] + state.gain * (poor_square[1] + state.gain * poor_square[2])
+    return not (state.step_px < converged_px and enough)
 
 
-@compiled
+@inlined
 def _interpolated_noise(weight: Image, light: Image, power: Floats, scratch: Scratch, found: Floats) -> None:
     """Mean share of the noise that interpolation leaves in a warped window: uniform, shot noise, (2,)."""
     pixels, shot, left_pixels, left_shot = 0.0, 0.0, 0.0, 0.0
     for n in range(0, weight.size, _NOISE_STRIDE):
-        x, y = scratch.x[n] - np.floor(scratch.x[n]), scratch.y[n] - np.floor(scratch.y[n])
+        x, y = scratch.fraction[n], scratch.y[n] - np.float32(scratch.above[n])
         p, q = x * (1 - x), y * (1 - y)
         left = power[0] + p * (power[1] + p * (power[2] + p * power[3]))
         left *= power[0] + q * (power[1] + q * (power[2] + q * power[3]))
@@ -207,13 +232,15 @@ def _interpolated_noise(weight: Image, light: Image, power: Floats, scratch: Scr
     found[0], found[1] = left_pixels / max(pixels, 1e-30), left_shot / max(shot, 1e-30)
 
 
-@compiled
+@inlined
 def _best_shift(
     frame: FrameData, search: WholePixelSearch, lenslet: int, scratch: Scratch
 ) -> tuple[np.float32, np.float32]:
     """Whole-pixel shift (x, y) with the best correlation."""
-    still = np.zeros((2, len(MONOMIALS)), np.float32)
-    sample_warped(frame.coefficients, still, search.window, frame.center_px[lenslet], frame.turn, search.scale, scratch)
+    for axis in range(2):
+        for m in range(scratch.warp.shape[1]):
+            scratch.warp[axis, m] = 0
+    sample_warped(frame.coefficients, search.window, frame.center_px[lenslet], frame.turn, search.scale, scratch)
     template, reach = search.light[lenslet], search.reach
     rows, columns = template.shape
     width = columns + 2 * reach

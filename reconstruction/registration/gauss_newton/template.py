@@ -37,7 +37,7 @@ _LINEAR, _CUBIC = 3, LegendreModes(10)  # brightness over the field; linear with
 # RMS of a brightness in each cubic polynomial, for the choice: behind a sample with 8 % RMS of absorption over 0.5 mm.
 _CUBIC_RMS = 0.011
 _UNSEEN = 1e-6  # singular value over the largest, below which a reference does not show a parameter
-_AT_ONCE = 64  # lenslets at a time, whose arrays fit into the processor's cache
+_AT_ONCE = 32  # lenslets at a time, whose arrays fit into the processor's cache
 # Standard error over the least one, of a displacement that the reference hardly shows.
 _BLIND = 6.0
 _ROUGHER = 3.0  # weight of a degree over the one below it, in choosing the smoothest of displacements that look alike
@@ -220,13 +220,19 @@ def respond(
     blur, slope = mean_interpolation(reference.width)
     slopes = np.stack([blur @ image @ slope.T, slope @ image @ blur.T], axis=-1)
     moved = descent((blur @ image @ blur.T)[row, column], slopes[row, column])[0]
-    # Not the lenslet's own light: it may lie beside the middle of its window, where the image is.
-    weight = np.asarray(template.grid.weight, np.float64)
-    projected = images.without_brightness(still, weight) * weight[:, None]  # (lenslet, P, pixel)
-    found = projected @ (blur @ changes @ blur.T)[..., row, column].reshape(-1, len(row)).T  # (lenslet, P, change)
-    found = -np.linalg.pinv(projected @ moved.T, rcond=_UNSEEN**2) @ found  # of squares
-    warp = np.swapaxes(found[:, : len(basis)], 1, 2)
-    return np.asarray(warp.reshape(len(projected), *changes.shape[:-2], -1))
+    pixel_changes = (blur @ changes @ blur.T)[..., row, column].reshape(-1, len(row)).T
+
+    def found(some: slice) -> Floats:
+        # Not the lenslet's own light: it may lie beside the middle of its window, where the image is.
+        weight = np.asarray(template.grid.weight[some], np.float64)
+        projected = images.without_brightness(still, weight) * weight[:, None]  # (lenslet, P, pixel)
+        # (lenslet, P, change); of squares
+        parameters = -np.linalg.pinv(projected @ moved.T, rcond=_UNSEEN**2) @ (projected @ pixel_changes)
+        return np.swapaxes(parameters[:, : len(basis)], 1, 2)
+
+    lenslets = len(template.grid.weight)
+    warp = np.concatenate([found(slice(first, first + _AT_ONCE)) for first in range(0, lenslets, _AT_ONCE)])
+    return warp.reshape(lenslets, *changes.shape[:-2], -1)
 
 
 def prepare_template(
@@ -257,6 +263,7 @@ def prepare_template(
         monomials=_monomials(modes, basis),
         basis=basis.astype(np.float32),
         light=np.empty((lenslets, count), np.float32),
+        level=np.empty((lenslets, 2), np.float32),
         inverse=np.empty((lenslets, parameters, count), np.float32),
         descent=np.empty((lenslets, parameters, count), np.float32),
         weight=np.empty((lenslets, count), np.float32),
@@ -281,6 +288,7 @@ def prepare_template(
         descent = images.without_brightness(descent, weight)
         inverse = _least_squares(descent, weight)
         grid.light[some], grid.weight[some], grid.inverse[some] = light, weight, inverse
+        grid.level[some] = np.stack([light.mean(axis=1), light.std(axis=1)], axis=1)
         of_brightness[:, 0] -= inverse[:, -2]  # which is in the gain already
         to_brightness[some] = of_brightness
         per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent))

@@ -30,9 +30,14 @@ def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Rec
 
 @pytest.fixture(scope="module")
 def result(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of the recording, and beside them `single.nc`, of one frame and view."""
     path = tmp_path_factory.mktemp("result") / "result.nc"
     (piece,) = results_in_pieces((made, {}) for made in reprocess(recording))
     write_results(path, piece, bench=recording.bench, inputs={})
+    with open_results(path) as results:
+        one_view = results.isel(frame=0, view_row=[1], view_column=[1]).drop_vars("coefficients").load()
+    one_view.encoding.clear()
+    one_view.to_netcdf(path.with_name("single.nc"), engine="h5netcdf")
     return path
 
 
@@ -125,14 +130,11 @@ def test_geometry_comes_from_toml_and_options(
 
 
 def refusals(tmp_path: Path, result: Path) -> dict[str, tuple[list[str | Path], str]]:
-    rgb, broken, taken, single = (tmp_path / name for name in ("rgb.tif", "nan.tif", "taken.tif", "single.nc"))
+    single = result.with_name("single.nc")
+    rgb, broken, taken = (tmp_path / name for name in ("rgb.tif", "nan.tif", "taken.tif"))
     tifffile.imwrite(rgb, np.full((20, 30, 3), (0, 9, 0), np.uint8), photometric="rgb")
     tifffile.imwrite(broken, np.where(np.eye(150, 160), np.nan, 1).astype(np.float32))
     tifffile.imwrite(taken, np.zeros((5, 5), np.uint8))
-    with open_results(result) as results:
-        one_view = results.isel(frame=0, view_row=[1], view_column=[1]).drop_vars("coefficients").load()
-    one_view.encoding.clear()
-    one_view.to_netcdf(single, engine="h5netcdf")
     good: str | Path = tmp_path / "image.tif"
     with_result: list[str | Path] = ["--with", result]
     out: list[str | Path] = ["--out", tmp_path / "new.tif"]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+import pandas as pd
 import pytest
 from support.command_line import run
 
@@ -16,6 +17,7 @@ from app.bench.config import load_bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, with_source
 from app.evaluation.study.estimators import WarpEstimator, mean_rms
+from app.evaluation.study.many_masks import many_masks_study
 from app.evaluation.study.mask import LinearPass, local_screen, mask_study
 from app.evaluation.study.sweeps import lit_views
 from reconstruction.modes.field_modes import LegendreModes
@@ -184,3 +186,55 @@ def test_views_inside_the_outline_of_the_source_count(tmp_path: Path, small_toml
     np.save(file, point)
     with pytest.raises(InputError, match="a point or a line"):
         lit(mask="image", file=file)
+
+
+@pytest.mark.slow
+def test_many_masks_are_compared_as_the_study_of_each_predicts(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    (folder / "notes.txt").write_text("no picture")
+    cells = (np.indices((5, 5)).sum(axis=0) % 2 == 0).astype(np.float32)
+    np.save(folder / "fine.npy", cells)
+    np.save(folder / "small.npy", np.pad(cells, 1))  # lights the view in the middle alone
+    np.save(folder / "between.npy", np.eye(9, dtype=np.float32)[[2]] * np.eye(9, 1, dtype=np.float32))  # the views
+    words = ("study", "masks", "checkerboard:5", folder, "--bench", small_toml, "--seeds", "1", "--out", tmp_path / "o")
+    assert run(monkeypatch, *words) == 0
+    printed = capsys.readouterr().out
+    assert "between.npy: " in printed
+    found = {Path(row["mask"]).name: row for row in json.loads((tmp_path / "o" / "masks.json").read_text())["masks"]}
+    assert set(found) == {"checkerboard:5", "fine.npy", "small.npy", "square"}
+    assert list(found)[-1] == "square"  # which hides the most
+    named, picture = ({**found[name], "mask": 0.0} for name in ("checkerboard:5", "fine.npy"))
+    assert named == pytest.approx(picture, rel=1e-3)
+    assert found["small.npy"]["bound_1000_rad"] > 1.5 * found["fine.npy"]["bound_1000_rad"]  # in all views
+    alone = studied(tmp_path / "alone", monkeypatch, "checkerboard:5", "--bench", small_toml)
+    (key,) = (name for name in alone["noise, 1000 e- in the square: bound"] if name.startswith("checkerboard"))
+    for peak_e in (300, 1000, 10000):
+        bound = alone[f"noise, {peak_e} e- in the square: bound"][key]
+        assert named[f"bound_{peak_e}_rad"] == pytest.approx(bound, rel=1e-3)
+    assert (tmp_path / "o" / "masks.csv").exists()
+    assert (tmp_path / "o" / "masks.png").exists()
+
+
+def test_figure_of_three_masks_keeps_their_marks_inside() -> None:
+    study = many_masks_study(["optimised", "checkerboard"])
+    rows = {"mask": ["square", "optimised", "checkerboard"], "light": [1.0, 0.44, 0.5]}
+    errors = ("bound_300_rad", "bound_1000_rad", "bound_10000_rad", "bias_bench_rad", "bias_source_rad")
+    figure = study.figure(pd.DataFrame(rows | {error: [1.0, 0.02, 0.03] for error in errors}))
+    figure.draw_without_rendering()
+    for panel in figure.axes:
+        assert [text.get_text() for text in panel.texts] == ["1", "2", "3"]
+        for text in panel.texts:
+            place = text.get_window_extent()
+            assert panel.bbox.contains(place.x0, place.y0)
+            assert panel.bbox.contains(place.x1, place.y1)
+        assert panel.get_xlabel().splitlines()[1:] == ["1  optimised", "2  checkerboard", "3  square"]
+
+
+def test_folder_without_pictures_is_no_mask(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "study", "masks", str(tmp_path), "--out", str(tmp_path / "out")) == 2
+    assert "holds no picture of a mask" in capsys.readouterr().err

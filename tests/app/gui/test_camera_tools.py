@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 
@@ -115,6 +116,18 @@ def test_area_counts_its_pixels(window: MainWindow, qtbot: QtBot) -> None:
     assert panel.measuring.reading.text() == "no pixel lies in the area"
 
 
+def test_line_ends_beside_the_picture(window: MainWindow) -> None:
+    measuring = window.panels.camera.measuring
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    window.update_text()
+    window.panels.camera.use_tool("line")
+    measuring.place("line", QPointF(-1e9, -1e9), QPointF(1e9, 1e9))
+    along_px, _ = measuring.curve.getData()
+    assert along_px[-1] == pytest.approx(3 * math.hypot(430, 300))
+    measuring.place("area", QPointF(-1e9, -1e9), QPointF(1e9, 1e9))
+    assert measuring.reading.text().startswith("430 x 300 px")
+
+
 def test_drag_without_a_tool_moves_the_picture(window: MainWindow) -> None:
     panel = window.panels.camera
     window.show_measurement(make_measurement(dim_frame(), views()))
@@ -182,6 +195,8 @@ def test_mask_drawn_by_hand_and_undone(live: tuple[MainWindow, FakeCamera], qtbo
     qtbot.waitUntil(lambda: window.controller.is_settled)
     window.messages.clear_notice()
     qtbot.waitUntil(lambda: "All lenslets are excluded by hand" in window.messages.text.text())
+    assert "R: reference" not in window.messages.text.text()  # which would not help
+    assert window._status.reference == "good"
     panel.use_tool("use again")
     drag(panel, (1, 1), (428, 298))
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")

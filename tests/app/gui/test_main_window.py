@@ -17,7 +17,8 @@ from support.gui_bench import BENCH, FakeCamera, make_measurement, opener
 from support.patience import HANG_S, own_time, wait_until
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, press, views, wait_for_wavefront
 
-from app.acquisition.worker import Acquisition, Activity
+from app.acquisition.carrier import Activity
+from app.acquisition.worker import Acquisition
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.measurement.calibration import Calibration
@@ -197,7 +198,7 @@ def test_failure_during_refresh_changes_message_and_light_together(
 ) -> None:
     window, _ = live
     acquisition, text = window.controller.acquisition, window.messages.text
-    assert acquisition is not None
+    assert isinstance(acquisition, Acquisition)
 
     def fail(*_: object, **__: object) -> None:
         acquisition.error = Disconnected("the camera was unplugged")

@@ -22,7 +22,7 @@ from app.gui.shell.main_window import MainWindow
 def references(window: MainWindow) -> dict[str, weakref.ref[object]]:
     """Large objects of the open bench that allow weak references."""
     acquisition, measurement = window.controller.acquisition, window.shown.measurement
-    assert acquisition is not None
+    assert isinstance(acquisition, Acquisition)
     assert measurement is not None
     assert measurement.wavefront is not None
     assert measurement.calibration is not None

@@ -13,6 +13,7 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, press, wait_for_wavefront
 
+from app.acquisition.worker import Acquisition
 from app.gui.shell.main_window import MainWindow
 from app.recording.reader import Recording
 from drivers.interface import Disconnected
@@ -100,8 +101,9 @@ def test_early_end_is_shown_until_dismissed(live: tuple[MainWindow, FakeCamera],
     window.recording_bar.recordings_folder = tmp_path
     window.recording_panel.record.click()
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
-    assert window.controller.acquisition is not None
-    window.controller.acquisition._recorder.stop("the disk is full")
+    acquisition = window.controller.acquisition
+    assert isinstance(acquisition, Acquisition)
+    acquisition._recorder.stop("the disk is full")
     qtbot.waitUntil(window.messages.dismiss.isVisible)
     assert "the disk is full" in window.messages.text.text()
     assert camera.light.shines  # only the recording has ended

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import cv2
@@ -98,3 +99,11 @@ def test_enlarged_picture_is_the_same_mask(tmp_path: Path) -> None:
         large.touching,
         len(large.polygons_m),
     )
+
+
+def test_area_of_many_polygons_is_theirs(tmp_path: Path) -> None:
+    np.save(tmp_path / "chequer.npy", np.indices((200, 200)).sum(axis=0) % 2)
+    drawn = openings(str(tmp_path / "chequer.npy"), Source(), 1e-3)
+    assert len(drawn.polygons_m) == 20_000
+    assert drawn.area_m2 == pytest.approx(0.5e-6)
+    assert drawn.reach_m == pytest.approx(1e-3 / math.sqrt(2))

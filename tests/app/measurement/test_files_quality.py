@@ -16,13 +16,14 @@ from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.quality.verdict import Fault, Quality
 
+SQUARE = ("simulation.source.mask=square",)
 ELECTRONS, READ_NOISE, OFFSET = 4000.0, 5.0, 500.0  # in the brightest pixel; counts
 
 
 @cache
 def light() -> tuple[Image, Image]:
     """Reference and frame without noise, counts."""
-    frames = NoiseFreeFrames(load_bench("small_demo"))
+    frames = NoiseFreeFrames(load_bench("small_demo", SQUARE))
     reference, frame = frames.reference("square"), frames.frame("square").photons
     scale = np.float32(ELECTRONS / reference.max())
     return reference * scale, frame * scale
@@ -41,7 +42,7 @@ def dark() -> NDArray[np.uint16]:
 
 def measured(frame: NDArray[np.uint16]) -> tuple[Quality, float]:
     """Verdict on a frame, and the median chi-square of its lenslets."""
-    bench = load_bench("small_demo")
+    bench = load_bench("small_demo", SQUARE)
     reconstructor = BenchReconstructor(bench, exposed(light()[0], 1), dark=dark(), frame=frame)
     wavefront = reconstructor(frame)
     displacement = wavefront.displacement
@@ -67,7 +68,7 @@ def test_reference_itself_as_frame_is_flagged(form: type[np.number[Any]]) -> Non
 
 
 def test_averaged_reference_rounded_to_a_frame_is_flagged() -> None:
-    bench = load_bench("small_demo")
+    bench = load_bench("small_demo", SQUARE)
     reference = np.asarray(np.mean([exposed(light()[0], seed) for seed in range(3)], axis=0), np.float32)
     frame = np.rint(reference).astype(np.uint16)
     reconstructor = BenchReconstructor(bench, reference, dark=dark(), frame=frame)
@@ -79,7 +80,7 @@ def test_averaged_reference_of_little_light_is_not_clipped() -> None:
     reference, frame = (image * np.float32(200 / ELECTRONS) for image in light())
     averaged = np.asarray(np.mean([exposed(reference, seed) for seed in range(16)], axis=0), np.float32)
     image = exposed(frame, 99)
-    reconstructor = BenchReconstructor(load_bench("small_demo"), averaged, dark=dark(), frame=image)
+    reconstructor = BenchReconstructor(load_bench("small_demo", SQUARE), averaged, dark=dark(), frame=image)
     quality = reconstructor.quality(image, reconstructor(image))
     assert quality.faults == Fault(0), quality.sentence
 
@@ -87,7 +88,7 @@ def test_averaged_reference_of_little_light_is_not_clipped() -> None:
 @pytest.mark.slow
 def test_images_without_noise_leave_misfit_unjudged() -> None:
     """Their noise cannot be estimated, and blur or gamma would not be seen."""
-    bench = load_bench("small_demo")
+    bench = load_bench("small_demo", SQUARE)
     reference, frame = (np.rint(image + OFFSET).astype(np.uint16) for image in light())
     for images, said in (
         ((reference, frame), "the noise of the images is unknown"),
@@ -118,7 +119,7 @@ def test_fault_that_hides_the_noise_is_flagged(process: str) -> None:
 
 
 def test_exchanged_frame_and_reference_are_flagged() -> None:
-    reconstructor = BenchReconstructor(load_bench("small_demo"), exposed(light()[1], 1), dark=dark())
+    reconstructor = BenchReconstructor(load_bench("small_demo", SQUARE), exposed(light()[1], 1), dark=dark())
     frame = exposed(light()[0], 2)
     quality = reconstructor.quality(frame, reconstructor(frame))
     assert Fault.SAMPLE in quality.faults
@@ -138,7 +139,7 @@ def test_compressed_counts_are_flagged(images: str) -> None:
         return np.asarray(np.rint(OFFSET + full_well * (1 - np.exp(-above / full_well))), np.uint16)
 
     reference, frame = compressed(exposed(light()[0], 1), "reference"), compressed(exposed(light()[1], 2), "frame")
-    reconstructor = BenchReconstructor(load_bench("small_demo"), reference, dark=dark(), frame=frame)
+    reconstructor = BenchReconstructor(load_bench("small_demo", SQUARE), reference, dark=dark(), frame=frame)
     quality = reconstructor.quality(frame, reconstructor(frame))
     assert Fault.LINEARITY in quality.faults
     assert "too small" in quality.reasons[Fault.LINEARITY]
@@ -158,7 +159,7 @@ def test_gamma_in_one_image_is_flagged(image: str, power: float) -> None:
         frame = gamma(frame, power)
     else:
         reference = gamma(reference, power)
-    reconstructor = BenchReconstructor(load_bench("small_demo"), reference, dark=dark(), frame=frame)
+    reconstructor = BenchReconstructor(load_bench("small_demo", SQUARE), reference, dark=dark(), frame=frame)
     quality = reconstructor.quality(frame, reconstructor(frame))
     assert Fault.LINEARITY in quality.faults
     if power > 1:
@@ -171,7 +172,7 @@ def test_uneven_pixels_and_a_dimmer_frame_are_no_gamma(averaged: int) -> None:
     uneven = 1 + 0.01 * np.random.default_rng(7).normal(size=light()[0].shape)
     images = [exposed(light()[0] * uneven, seed) for seed in range(10, 10 + averaged)]
     reference, frame = np.asarray(np.mean(images, axis=0), np.float32), exposed(0.5 * light()[1] * uneven, 2)
-    reconstructor = BenchReconstructor(load_bench("small_demo"), reference, dark=dark(), frame=frame)
+    reconstructor = BenchReconstructor(load_bench("small_demo", SQUARE), reference, dark=dark(), frame=frame)
     quality = reconstructor.quality(frame, reconstructor(frame))
     assert quality.faults == Fault(0), quality.sentence
 
@@ -210,7 +211,7 @@ def test_strong_cubic_wavefront_is_no_stray_light(tmp_path: Path) -> None:
 
 def test_grey_values_are_not_compared_without_a_dark() -> None:
     frame = gamma(exposed(light()[1], 2), 1.8)
-    reconstructor = BenchReconstructor(load_bench("small_demo"), exposed(light()[0], 1), frame=frame)
+    reconstructor = BenchReconstructor(load_bench("small_demo", SQUARE), exposed(light()[0], 1), frame=frame)
     assert "not alike" not in reconstructor.quality(frame, reconstructor(frame)).sentence
 
 
@@ -238,4 +239,6 @@ def test_black_frame_is_refused() -> None:
 def test_dark_with_more_light_than_the_reference_is_refused(counts: int) -> None:
     bright = np.full(light()[0].shape, counts, np.uint16)
     with pytest.raises(ReconstructionError, match="the reference shows no light above the dark"):
-        BenchReconstructor(load_bench("small_demo"), exposed(light()[0], 1), dark=bright)(exposed(light()[1], 1))
+        BenchReconstructor(load_bench("small_demo", SQUARE), exposed(light()[0], 1), dark=bright)(
+            exposed(light()[1], 1)
+        )

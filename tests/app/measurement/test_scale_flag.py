@@ -59,7 +59,8 @@ def test_mirrored_mask_is_flagged(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_bench_that_does_not_describe_its_mask_is_not_judged() -> None:
     """Field and mask are 5 % larger than the square that stands in for a `[simulation.source]` that is left out."""
-    bench = load_bench("small_demo", ("field.half_width_m=0.63e-3", "simulation.source.half_width_m=0.63e-3"))
+    larger = ("field.half_width_m=0.63e-3", "simulation.source.half_width_m=0.63e-3")
+    bench = load_bench("small_demo", ("simulation.source.mask=square", *larger))
     left_out = replace(bench, simulation=replace(bench.simulation, source=Source()))
     assert Fault.SCALE not in judged(bench, left_out).faults
     named = replace(bench, simulation=replace(bench.simulation, source=Source(checker_cells=7)))

@@ -58,11 +58,12 @@ def test_compiled_warp_sampling_matches_scipy_and_determinant() -> None:
     polynomials = rng.uniform(-0.4, 0.4, (2, 15)).astype(np.float32)
     powers = np.array([[degree - n, n] for degree in range(5) for n in range(degree + 1)])
     monomial = u[:, None] ** powers[:, 0] * v[:, None] ** powers[:, 1]
-    scratch = new_scratch(100)
+    scratch = new_scratch(100, 0)
+    scratch.warp[:] = polynomials
     center_px, turn, per_unit = np.array([30.3, 19.8]), np.array([np.cos(0.1), np.sin(0.1)], np.float32), 9.0
     scale = (np.float32(per_unit), np.float32(1 / per_unit))
     window = window_of(np.ones((10, 10), np.bool_), steps)
-    sample_warped(coefficients, polynomials, window, center_px, turn, scale, scratch)
+    sample_warped(coefficients, window, center_px, turn, scale, scratch)
     along, across = np.array([u, v]) * per_unit + polynomials @ monomial.T
     x, y = 30.3 + turn[0] * along - turn[1] * across, 19.8 + turn[1] * along + turn[0] * across
     by_u = np.where(powers[:, 0] > 0, powers[:, 0] * u[:, None] ** np.maximum(powers[:, 0] - 1, 0), 0)

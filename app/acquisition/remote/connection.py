@@ -1,0 +1,400 @@
+"""A client's end: the acquisition of an instrument that runs in another process, as if it were in this one.
+
+One thread speaks with the instrument; another one reads its frames, see `NewestFrames`.
+"""
+
+import itertools
+import math
+import os
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeout
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+import zmq
+from zmq.utils.monitor import recv_monitor_message
+
+from app.acquisition.carrier import Activity
+from app.acquisition.instrument import Instrument, Status
+from app.acquisition.remote import messages
+from app.acquisition.remote.frames import Absent, NewestFrames
+from app.acquisition.remote.messages import Accepted, Answer, Command, Notice, State, Traveller
+from app.acquisition.remote.place import NAME, Place
+from app.acquisition.remote.wire import Packed, unpacked
+from app.bench.config import Bench
+from app.errors import RunError
+from app.measurement.measurement import FrameTotals, Measurement
+from app.measurement.sensor_region import SensorArea
+from app.recording.recorder import RecordingLimit, RecordingState
+from app.timing import Stage, StageTimes, Timings
+
+_COUNT = itertools.count(1)  # of connections of this process
+
+T = TypeVar("T")
+P = ParamSpec("P")
+
+_ANSWER_S = 5.0  # for the first state, and for a command to be accepted
+_ALIVE_S = 1.0  # between two signs of life
+_SILENT_S = 2.0  # after which the instrument counts as frozen
+_TICK_MS = 50
+_SHOWN_S = 0.025  # between two measurements for a mailbox that a window reads
+_ASK_AGAIN_S = 3.0
+_KEPT = 8  # objects that travelled by themselves
+
+
+class _Timings(Timings):
+    """Times of this process, with those of the instrument's stages."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.there: dict[Stage, StageTimes] = {}
+
+    def summary(self) -> dict[Stage, StageTimes]:
+        """Statistics of every stage."""
+        here = super().summary()
+        return here | self.there | {stage: times for stage, times in here.items() if times.count}
+
+
+class Connection:
+    """The acquisition of another process; the newest measurements go to the sinks, from a thread of this one."""
+
+    def __init__(
+        self,
+        what: str,
+        name: str = NAME,
+        *,
+        sinks: tuple[Callable[[Measurement], None], ...] = (),
+        controls: bool = True,
+    ) -> None:
+        """Connect to the instrument of a name, as `what`; with `controls`, take control if nobody has it.
+
+        `RunError` if no instrument runs or answers there.
+        """
+        self.place = Place.of(name)
+        number = next(_COUNT)
+        self.name = f"{what} {os.getpid()}{f'.{number}' * (number > 1)}"
+        self.timings = _Timings()
+        self._state: State | None = None
+        self._has_state, self._closing = threading.Event(), threading.Event()
+        self._ended: Exception | None = None
+        self._pending: dict[int, tuple[Future[Any], float]] = {}  # with the time when it was sent
+        self._accepted: set[int] = set()
+        self._numbers, self._sending = 0, threading.Lock()
+        self._outgoing: list[object] = []
+        self._has_left = False
+        self._objects: OrderedDict[int, Any] = OrderedDict()
+        self._asked_s: dict[int, float] = {}  # when an absent object was asked for
+        self._unread: list[bytes] = []  # messages that refer to an object on its way
+        self._frames = NewestFrames(self._find, (self._note, *sinks), 0.0 if sinks else _SHOWN_S)
+        self._takers: dict[type, Callable[[Any], None]] = {
+            State: self._take_state,
+            Notice: self._frames.announce,
+            Traveller: self._take_object,
+            Accepted: self._take_acceptance,
+            Answer: self._take_answer,
+            messages.Forgotten: lambda _: self._say(messages.Hello(self.name, controls=False)),
+        }
+        self._heard_s = self._said_s = time.monotonic()
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.DEALER)
+        self._socket.setsockopt(zmq.LINGER, 200)
+        self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        self._socket.connect(self.place.endpoint)
+        self._wake = self._context.socket(zmq.PAIR)
+        self._wake.bind("inproc://wake")
+        self._woken = self._context.socket(zmq.PAIR)
+        self._woken.connect("inproc://wake")
+        self._say(messages.Hello(self.name, controls))
+        self._thread = threading.Thread(target=self._work, name="connection", daemon=True)
+        self._thread.start()
+        if not self._has_state.wait(_ANSWER_S):
+            self.close()
+            raise self._ended or RunError(
+                f"the instrument of process {self.place.process} does not answer: stop it, and start it again"
+            )
+
+    @property
+    def _now(self) -> State:
+        assert self._state is not None  # noqa: S101 - the constructor waits for it
+        return self._state
+
+    @property
+    def bench(self) -> Bench:
+        """The bench as the instrument was started with."""
+        return self._now.bench
+
+    @property
+    def status(self) -> Status | None:
+        """Newest status; None until the devices are open."""
+        return self._now.status
+
+    @property
+    def activity(self) -> Activity:
+        """Work besides taking frames; also that the instrument does not answer."""
+        if self.is_alive and time.monotonic() > self._heard_s + _SILENT_S:
+            return Activity("the instrument's process does not answer", may_cancel=False)
+        return self._now.activity
+
+    @property
+    def counts(self) -> FrameTotals:
+        """Numbers of frames acquired, reconstructed and lost by the instrument."""
+        return self._now.counts
+
+    @property
+    def recording(self) -> RecordingState | None:
+        """State of the current or last recording."""
+        return self._now.recording
+
+    @property
+    def kept(self) -> RecordingState | None:
+        """State of the recording of the last seconds."""
+        return self._now.kept
+
+    @property
+    def newest(self) -> Measurement | None:
+        """The newest measurement."""
+        return self._frames.newest
+
+    @property
+    def error(self) -> Exception | None:
+        """Why the instrument ended, or was lost."""
+        if self._closing.is_set():
+            return None
+        there = self._now.ended_by
+        return self._ended if there is None else there.error()
+
+    @property
+    def failure(self) -> str:
+        """`error` in words."""
+        return str(self.error or "")
+
+    @property
+    def is_alive(self) -> bool:
+        """True while the instrument runs and this connection is open."""
+        return self._thread.is_alive()
+
+    @property
+    def has_control(self) -> bool:
+        """Whether commands of this client are executed."""
+        return self._now.controls == self.name
+
+    @property
+    def controller(self) -> str:
+        """Name of the client that has control; empty: nobody."""
+        return self._now.controls
+
+    @property
+    def clients(self) -> tuple[str, ...]:
+        """Names of all clients."""
+        return self._now.clients
+
+    def start(self) -> None:
+        """Do nothing: the instrument runs."""
+
+    def submit(
+        self, request: Callable[Concatenate[Instrument, P], T], *arguments: P.args, **named: P.kwargs
+    ) -> Future[T]:
+        """Execute a request of the instrument between two frames, as `submit(Instrument.take_dark, 20)`."""
+        return self._send(request.__name__, *arguments, **named)
+
+    def cancel(self) -> None:
+        """End the current routine."""
+        self._send("cancel")
+
+    def switch_light_off(self) -> Future[None]:
+        """Switch the light off at once; watching clients may, too."""
+        return self._send("switch_light_off")
+
+    def set_area(self, area: SensorArea) -> Future[SensorArea]:
+        """Read out another area of the sensor."""
+        return self._send("set_area", area)
+
+    def show_file(self, path: Path) -> Future[None]:
+        """Stop the camera, and show an image file as if it came from there."""
+        return self._send("show_file", path.absolute())
+
+    def start_recording(
+        self,
+        folder: Path,
+        *,
+        command: str = "live",
+        limit: RecordingLimit = RecordingLimit(),  # noqa: B008 - immutable
+        may_rename: bool = False,
+    ) -> Future[None]:
+        """Let the instrument record every frame; see `Acquisition.start_recording`."""
+        return self._send("start_recording", folder.absolute(), command=command, limit=limit, may_rename=may_rename)
+
+    def limit_recording(self, limit: RecordingLimit) -> None:
+        """Replace the limit of the current recording."""
+        self._send("limit_recording", limit)
+
+    def stop_recording(self) -> None:
+        """End the current recording."""
+        self._send("stop_recording")
+
+    def keep_recent(self, folder: Path, *, command: str = "live", may_rename: bool = False) -> Future[None]:
+        """Let the instrument write its last ten seconds as a recording."""
+        return self._send("keep_recent", folder.absolute(), command=command, may_rename=may_rename)
+
+    def free_minutes(self, folder: Path) -> float:
+        """Recording time left in a folder at the current rate."""
+        try:
+            return float(self._send("free_minutes", folder.absolute()).result(_ANSWER_S))
+        except (FutureTimeout, RunError) as error:
+            raise OSError("the instrument does not answer") from error
+
+    def take_control(self) -> Future[None]:
+        """Take control from whoever has it."""
+        return self._send("take_control")
+
+    def shut_down(self) -> Future[None]:
+        """End the instrument: light off, devices closed, recording finished."""
+        return self._send("shut_down")
+
+    def begin_close(self) -> None:
+        """Leave; the instrument goes on."""
+        self._closing.set()
+        self._notify()
+
+    def close(self, timeout_s: float | None = None) -> None:
+        """Leave, and wait for that."""
+        self.begin_close()
+        self._thread.join(timeout_s)
+        self._frames.join(timeout_s)
+
+    def _send(self, request: str, *arguments: Any, **named: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        with self._sending:
+            if self._has_left:
+                future.set_exception(self.error or RunError("the connection to the instrument is closed"))
+                return future
+            self._numbers += 1
+            self._pending[self._numbers] = future, math.inf
+            self._outgoing.append(Command(self._numbers, request, arguments, named))
+        self._notify()
+        return future
+
+    def _note(self, measurement: Measurement) -> None:
+        self.timings.note("to_result", measurement.latency_s)
+
+    def _notify(self) -> None:
+        with self._sending, suppress(zmq.ZMQError):  # notified often enough, or closed
+            self._wake.send(b"", zmq.NOBLOCK)
+
+    def _say(self, message: object) -> None:
+        with suppress(zmq.Again):  # the instrument stands still
+            self._socket.send_multipart([self.place.key.encode(), Packed(message).message()], zmq.NOBLOCK)
+        self._said_s = time.monotonic()
+
+    def _work(self) -> None:
+        poller = zmq.Poller()
+        for each in (self._socket, self._woken, self._monitor):
+            poller.register(each, zmq.POLLIN)
+        try:
+            while not self._closing.is_set() and self._ended is None:
+                ready = dict(poller.poll(_TICK_MS))
+                self._turn(ready)
+            self._say_outgoing()
+            self._say(messages.Bye())
+        except Exception as error:
+            self._ended = error
+            raise
+        finally:
+            with self._sending:
+                left, self._pending, self._has_left = list(self._pending.values()), {}, True
+                lost = self._ended or RunError("the connection to the instrument is closed")
+            for future, _ in left:
+                future.set_exception(lost)
+            self._has_state.set()
+            self._socket.disable_monitor()
+            with self._sending:
+                self._context.destroy(linger=200)
+            self._frames.close()
+
+    def _say_outgoing(self) -> None:
+        with self._sending:
+            outgoing, self._outgoing = self._outgoing, []
+        for message in outgoing:
+            self._say(message)
+            if isinstance(message, Command):
+                self._pending[message.number] = self._pending[message.number][0], time.monotonic()
+
+    def _turn(self, ready: dict[Any, int]) -> None:
+        while self._woken.poll(0):
+            self._woken.recv()
+        self._say_outgoing()
+        is_gone = self._monitor in ready and recv_monitor_message(self._monitor)["event"] == zmq.EVENT_DISCONNECTED
+        while self._socket.poll(0):
+            self._heard_s = time.monotonic()
+            self._hear(self._socket.recv())
+        if is_gone and self._ended is None:
+            self._ended = RunError(
+                f"the instrument's process {self.place.process} has ended: its light is off, unless that is manual"
+            )
+        now_s = time.monotonic()
+        if now_s > self._said_s + _ALIVE_S:
+            self._say(messages.Alive())
+        for number, (future, sent_s) in list(self._pending.items()):
+            if number not in self._accepted and now_s > sent_s + _ANSWER_S:
+                del self._pending[number]
+                future.set_exception(RunError("the instrument does not answer"))
+
+    def _hear(self, body: bytes) -> None:
+        try:
+            message = unpacked(body, self._find)
+        except Absent:
+            self._unread.append(body)
+            return
+        take = self._takers.get(type(message))
+        if take is not None:
+            take(message)
+
+    def _take_object(self, traveller: Traveller) -> None:
+        with self._sending:
+            self._objects[traveller.number] = traveller.value
+            self._asked_s.pop(traveller.number, None)
+            while len(self._objects) > _KEPT:
+                self._objects.popitem(last=False)
+        self._frames.try_again()
+        unread, self._unread = self._unread, []
+        for body in unread:
+            self._hear(body)
+
+    def _take_acceptance(self, accepted: Accepted) -> None:
+        self._accepted.add(accepted.number)
+
+    def _take_answer(self, answer: Answer) -> None:
+        self._take_state(answer.state)
+        self._frames.outdate(answer.count)
+        self._accepted.discard(answer.number)
+        future, _ = self._pending.pop(answer.number, (None, 0.0))
+        if future is not None and future.set_running_or_notify_cancel():
+            if answer.failure is None:
+                future.set_result(answer.result)
+            else:
+                future.set_exception(answer.failure.error())
+
+    def _take_state(self, state: State) -> None:
+        self._state = state
+        self.timings.there = dict(state.timings)
+        self._has_state.set()
+        if not state.is_alive and self._ended is None:
+            ended_by = state.ended_by
+            self._ended = RunError("the instrument was shut down") if ended_by is None else ended_by.error()
+
+    def _find(self, number: int) -> Any:
+        """An object that travels by itself; asked for, and `Absent`, if it has not come. Called by both threads."""
+        with self._sending:
+            if number in self._objects:
+                self._objects.move_to_end(number)
+                return self._objects[number]
+            if time.monotonic() > self._asked_s.get(number, -math.inf) + _ASK_AGAIN_S:
+                self._asked_s[number] = time.monotonic()
+                self._outgoing.append(messages.Wanted(number))
+        self._notify()
+        raise Absent

@@ -1,0 +1,183 @@
+"""What an instrument and its clients say to each other, and the number of each object that travels by itself."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from app.acquisition.carrier import Activity
+from app.acquisition.instrument import Status
+from app.bench.config import Bench
+from app.errors import InputError, RunError
+from app.measurement.calibration import Calibration
+from app.measurement.measurement import FrameTotals, Measurement
+from app.measurement.routines import Cancelled, RoutineError
+from app.recording.recorder import RecordingState
+from app.timing import Stage, StageTimes
+from drivers import errors
+from reconstruction.errors import ReconstructionError
+from reconstruction.registration.gauss_newton.template import Propagated
+
+_KEPT = 8  # objects; in use are two or three
+_ERRORS: dict[str, type[Exception]] = {
+    each.__name__: each
+    for each in (
+        *(errors.BadValue, errors.Busy, errors.DeviceError, errors.DeviceTimeout, errors.Disconnected),
+        *(errors.FrameLost, errors.Unsupported, errors.WrongState),
+        *(InputError, RunError, Cancelled, RoutineError, ReconstructionError),
+    )
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """A client enters; with `controls`, it takes control if nobody has it."""
+
+    name: str
+    controls: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A request with its arguments; its answers have its number."""
+
+    number: int
+    request: str
+    arguments: tuple[Any, ...] = ()
+    named: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A client lacks an object."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Alive:
+    """A sign of life."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bye:
+    """A client leaves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Forgotten:
+    """A client was silent for too long: it may say hello again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """An exception in words."""
+
+    kind: str
+    text: str
+
+    @classmethod
+    def of(cls, error: BaseException) -> "Failure":
+        """Describe an exception; an unexpected one is a `RunError` with its name."""
+        known = next((kind.__name__ for kind in type(error).__mro__ if kind.__name__ in _ERRORS), None)
+        return cls("RunError", f"{type(error).__name__}: {error}") if known is None else cls(known, str(error))
+
+    def error(self) -> Exception:
+        """The exception."""
+        return _ERRORS.get(self.kind, RunError)(self.text)
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Everything about the instrument but its frames."""
+
+    bench: Bench  # as given
+    status: Status | None
+    activity: Activity
+    counts: FrameTotals
+    recording: RecordingState | None
+    kept: RecordingState | None
+    ended_by: Failure | None
+    is_alive: bool
+    timings: Mapping[Stage, StageTimes]
+    clients: tuple[str, ...]
+    controls: str  # name of the client that has control; empty: nobody
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """The count of the newest record, in the ring at a place."""
+
+    place: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One slot of the ring: a measurement without what the client computes itself."""
+
+    measurement: Measurement  # without wavefront and start
+    has_wavefront: bool
+    is_shown_only: bool  # a routine's frame
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """A command has arrived and will be executed."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A command is done: its result or its failure, the state after it, and the count of the newest frame then."""
+
+    number: int
+    result: Any
+    failure: Failure | None
+    state: State
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Traveller:
+    """An object by itself."""
+
+    number: int
+    value: Any
+
+
+class Travellers:
+    """Numbers the objects that travel by themselves, and keeps the latest; used by two threads."""
+
+    def __init__(self) -> None:
+        self._last, self._lock = 0, threading.Lock()
+        self._numbered: OrderedDict[int, tuple[int, Any]] = OrderedDict()  # by id, which objects kept do not lose
+        self._seen: OrderedDict[int, Any] = OrderedDict()
+
+    def number(self, value: object) -> int | None:
+        """The number of a bench or calibration, and of the errors of a reference once they come again."""
+        if not isinstance(value, Bench | Calibration | Propagated):
+            return None
+        with self._lock:
+            if found := self._numbered.get(id(value)):
+                self._numbered.move_to_end(id(value))
+                return found[0]
+            if isinstance(value, Propagated) and id(value) not in self._seen:  # with lost pixels, of one frame only
+                self._seen[id(value)] = value
+                self._trim(self._seen)
+                return None
+            self._last += 1
+            self._numbered[id(value)] = self._last, value
+            self._trim(self._numbered)
+            return self._last
+
+    def __getitem__(self, number: int) -> Any:
+        with self._lock:
+            return next((value for found, value in self._numbered.values() if found == number), None)
+
+    @staticmethod
+    def _trim(kept: OrderedDict[int, Any]) -> None:
+        while len(kept) > _KEPT:
+            kept.popitem(last=False)

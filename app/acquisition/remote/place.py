@@ -1,0 +1,108 @@
+"""Where the clients of an instrument find it: a folder of this user alone, with its address and the key to it."""
+
+import json
+import os
+import secrets
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Self
+
+import platformdirs
+
+from app.errors import InputError, RunError
+
+NAME = "instrument"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Address of a running instrument."""
+
+    name: str
+    process: int
+    endpoint: str  # ZeroMQ's
+    key: str  # every message must have it
+
+    @classmethod
+    def of(cls, name: str = NAME) -> Self:
+        """Read the place of the instrument that runs under a name; `RunError` if there is none."""
+        file = _file(name, "json")
+        with suppress(RunError), _lock(name):  # what a killed instrument has left there
+            _clear(name)
+        try:
+            return cls(**json.loads(file.read_text()))
+        except OSError as error:
+            raise RunError(f"no instrument runs as {name}: start one with svwfs serve --bench BENCH") from error
+        except (ValueError, TypeError) as error:
+            raise RunError(f"{file} cannot be read: start the instrument again") from error
+
+    def announce(self) -> None:
+        """Let clients find it, now that it can be reached."""
+        file = _file(self.name, "json")
+        part = file.with_suffix(".part")
+        part.touch(mode=0o600)
+        part.write_text(json.dumps(asdict(self)))
+        part.replace(file)
+
+
+@contextmanager
+def taken_place(name: str = NAME) -> Iterator[Place]:
+    """Take the place of a name for this process until the end of a `with`.
+
+    What a killed instrument left there is replaced. `RunError` if another one runs there; `InputError` for a bad name.
+    """
+    with _lock(name):
+        _clear(name)
+        endpoint = f"ipc://{_file(name, 'socket')}" if os.name == "posix" else "tcp://127.0.0.1:*"
+        try:
+            yield Place(name, os.getpid(), endpoint, secrets.token_hex(16))
+        finally:
+            _clear(name)
+
+
+@contextmanager
+def _lock(name: str) -> Iterator[None]:
+    """Hold a lock that the system releases when this process ends, however that happens; `RunError` if it is held."""
+    descriptor = os.open(_file(name, "lock"), os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        try:
+            if os.name == "posix":
+                import fcntl  # noqa: PLC0415 - not on Windows
+
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            else:
+                import msvcrt  # noqa: PLC0415 - only on Windows
+
+                msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined] # there it has it
+        except OSError as error:
+            raise RunError(f"an instrument runs as {name} already: stop it first, or use another --name") from error
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _clear(name: str) -> None:
+    for ending in ("json", "socket"):
+        _file(name, ending).unlink(missing_ok=True)
+
+
+def _file(name: str, ending: str) -> Path:
+    if not name.isidentifier():
+        raise InputError(f"an instrument cannot have the name {name!r}: use letters, digits and _")
+    return runtime_folder() / f"{name}.{ending}"
+
+
+def runtime_folder() -> Path:
+    """The folder of all instruments of this user, made if need be.
+
+    `RunError` if it belongs to someone else or others may enter it.
+    """
+    made = platformdirs.user_runtime_path("svwfs")
+    made.mkdir(mode=0o700, parents=True, exist_ok=True)
+    found = made.stat()
+    if hasattr(os, "getuid") and (found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077):
+        raise RunError(f"{made} belongs to another user or is open to others: remove it")
+    return made

@@ -1,0 +1,310 @@
+"""The instrument's end: serves frames, state and commands to any number of clients, and waits for none of them.
+
+Frames go into a shared ring, everything else through one ZeroMQ socket, whose messages keep their order. One client has
+control; the others watch. Whoever falls silent loses it; the measurement goes on.
+"""
+
+import inspect
+import socket
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from threading import Lock
+from typing import Any
+
+import zmq
+
+from app.acquisition.instrument import Instrument
+from app.acquisition.remote import messages
+from app.acquisition.remote.messages import Answer, Command, Failure, Notice, Record, State, Traveller, Travellers
+from app.acquisition.remote.place import Place, runtime_folder
+from app.acquisition.remote.ring import RingWriter
+from app.acquisition.remote.wire import Packed, unpacked
+from app.acquisition.worker import Acquisition
+from app.bench.config import Bench
+from app.errors import RunError
+from app.measurement.measurement import SKIPPED, Measurement
+from app.timing import Stage, StageTimes
+from drivers.errors import BadValue, WrongState
+from drivers.interface import Devices
+
+_TICK_MS = 50
+_STATE_S = 0.1  # between two states that differ
+_PULSE_S = 0.5  # between two that do not
+_SILENT_S = 5.0  # after which a client counts as gone
+_QUEUED = 200  # messages to one client; beyond, new ones are dropped for it
+_LINGER_MS = 300
+_SPARE = 1.5  # a slot's size over that of the first record which needs it
+
+_OF_INSTRUMENT: dict[str, Callable[..., Any]] = {
+    each.__name__: each
+    for each in (
+        *(Instrument.take_dark, Instrument.take_reference, Instrument.use, Instrument.set),
+        *(Instrument.auto_expose, Instrument.expose_without_sample, Instrument.check_background),
+        *(Instrument.find_lattice, Instrument.survey_lattice, Instrument.change_settings),
+    )
+}
+_OF_ACQUISITION: dict[str, Callable[..., Any]] = {
+    each.__name__: each
+    for each in (
+        *(Acquisition.set_area, Acquisition.show_file, Acquisition.start_recording, Acquisition.limit_recording),
+        *(Acquisition.stop_recording, Acquisition.keep_recent, Acquisition.cancel),
+        *(Acquisition.free_minutes, Acquisition.switch_light_off),
+    )
+}
+_FOR_ALL = {"take_control", "switch_light_off", "free_minutes"}
+
+
+@dataclass(slots=True)
+class _Client:
+    name: str
+    heard_s: float
+
+
+class Server:
+    """An acquisition with its clients; `run` serves them in the calling thread."""
+
+    def __init__(
+        self,
+        bench: Bench,
+        place: Place,
+        open_devices: Callable[[Bench, Callable[[float], None]], Devices] | None = None,
+    ) -> None:
+        """Open the socket of the place; `RunError` if that fails."""
+        self.acquisition = Acquisition(
+            bench,
+            open_devices,
+            sinks=(partial(self._publish, is_shown_only=False),),
+            on_show=partial(self._publish, is_shown_only=True),
+        )
+        self._unwritten: tuple[Measurement, bool] | None = None  # and whether it is shown only
+        self._ring: RingWriter | None = None
+        self._older_rings: deque[RingWriter] = deque()
+        self._writing, self._travellers = Lock(), Travellers()
+        self._clients: dict[bytes, _Client] = {}
+        self._controller = b""
+        self._done: deque[tuple[bytes, int, Future[Any]]] = deque()
+        self._state: State | None = None
+        self._sent_s, self._timings_s = -float("inf"), -float("inf")
+        self._timings: dict[Stage, StageTimes] = {}
+        self._noticed = ("", 0)
+        self._is_over = False
+        self._wake, self._woken = socket.socketpair()  # an event that can be polled together with ZeroMQ's sockets
+        self._wake.setblocking(False)
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.ROUTER)
+        self._socket.setsockopt(zmq.SNDHWM, _QUEUED)
+        self._socket.setsockopt(zmq.LINGER, _LINGER_MS)
+        try:
+            self._socket.bind(place.endpoint)
+        except zmq.ZMQError as error:
+            self._context.destroy(linger=0)
+            raise RunError(f"clients cannot be served at {place.endpoint}: {error}") from error
+        self._key = place.key.encode()
+        self.place = replace(place, endpoint=self._socket.getsockopt_string(zmq.LAST_ENDPOINT))
+
+    def run(self, begin: Callable[[Acquisition], object]) -> None:
+        """Start the acquisition, send its first commands by `begin`, and serve until it ends or a client ends it.
+
+        Raises what ended the acquisition, if it was not asked to.
+        """
+        poller = zmq.Poller()
+        for each in (self._socket, self._woken):
+            poller.register(each, zmq.POLLIN)
+        try:
+            self.acquisition.start()
+            begin(self.acquisition)
+            self.place.announce()
+            while self.acquisition.is_alive and not self._is_over:
+                if (self._woken.fileno(), zmq.POLLIN) in poller.poll(_TICK_MS):
+                    self._woken.recv(4096)
+                self._turn()
+        finally:
+            self.acquisition.begin_close()
+            self._tell_state(is_over=True)  # the light is off or going off: clients need not wait for the rest
+            self.acquisition.close()
+            self._turn()
+            self._tell_state(is_over=True)
+            self._socket.close()
+            self._context.destroy()
+            for ring in (*self._older_rings, *([self._ring] if self._ring else [])):
+                ring.close()
+            self._wake.close()
+            self._woken.close()
+        if self.acquisition.error is not None:
+            raise self.acquisition.error
+
+    def end(self) -> None:
+        """Let `run` end, from any thread."""
+        self._is_over = True
+        self._notify()
+
+    def _publish(self, measurement: Measurement, *, is_shown_only: bool) -> None:
+        """Write a measurement into the ring, unless a newer one follows at once; called by the worker."""
+        if measurement.problem != SKIPPED:
+            self._unwritten = measurement, is_shown_only
+            if self._clients:
+                self._write()
+
+    def _write(self) -> None:
+        """Write the newest measurement into the ring, if that has not been done; without clients it waits for one."""
+        with self._writing:
+            newest, self._unwritten = self._unwritten, None
+            if newest is None:
+                return
+            measurement, is_shown_only = newest
+            lean = replace(measurement, wavefront=None, start=None)
+            record = Record(lean, measurement.wavefront is not None, is_shown_only)
+            packed = Packed(record, self._travellers.number)
+            if self._ring is None or not self._ring.fits(packed):
+                count = 0
+                if self._ring is not None:
+                    count = self._ring.count
+                    self._older_rings.append(self._ring)  # the newest: a reader may be about to open it
+                    while len(self._older_rings) > 1:
+                        self._older_rings.popleft().close()
+                self._ring = RingWriter(int(_SPARE * packed.nbytes), runtime_folder(), count=count)
+            self._ring.write(packed)
+        self._notify()
+
+    def _notify(self) -> None:
+        with suppress(OSError):  # notified often enough, or closed
+            self._wake.send(b"\0")
+
+    def _turn(self) -> None:
+        now_s = time.monotonic()
+        while self._socket.poll(0):
+            identity, key, body = (*self._socket.recv_multipart(), b"", b"")[:3]
+            if key == self._key:
+                with suppress(RunError):  # of another version
+                    self._hear(identity, unpacked(body), now_s)
+        for identity in [each for each, client in self._clients.items() if now_s > client.heard_s + _SILENT_S]:
+            self._forget(identity)
+        while self._done:
+            self._answer(*self._done.popleft())
+        noticed = ("", 0) if (ring := self._ring) is None else (ring.place, ring.count)
+        if noticed != self._noticed:
+            self._noticed = noticed
+            self._tell_all(Notice(*noticed))
+        if now_s > self._sent_s + _STATE_S:
+            self._tell_state()
+
+    def _hear(self, identity: bytes, message: Any, now_s: float) -> None:
+        if isinstance(message, messages.Hello):
+            self._clients[identity] = _Client(message.name, now_s)
+            if message.controls and not self._controller:
+                self._controller = identity
+            self._write()
+            self._tell(identity, self._present())
+            self._tell(identity, Notice(*self._noticed))
+        elif identity not in self._clients:  # forgotten, maybe while it was stopped
+            self._tell(identity, messages.Forgotten())
+        elif isinstance(message, Command):
+            self._execute(identity, message)
+        elif isinstance(message, messages.Wanted):
+            self._tell(identity, Traveller(message.number, self._travellers[message.number]), is_whole=True)
+        elif isinstance(message, messages.Bye):
+            self._forget(identity)
+        if identity in self._clients:
+            self._clients[identity].heard_s = now_s
+
+    def _forget(self, identity: bytes) -> None:
+        del self._clients[identity]
+        if self._controller == identity:
+            self._controller = b""
+
+    def _execute(self, identity: bytes, command: Command) -> None:
+        """Begin a command; its future is answered when it is done."""
+        self._tell(identity, messages.Accepted(command.number))
+        future: Future[Any]
+        try:
+            found = self._begin(identity, command)
+        except Exception as error:  # noqa: BLE001 - the client is told
+            future = Future()
+            future.set_exception(error)
+        else:
+            future = found if isinstance(found, Future) else Future()
+            if future is not found:
+                future.set_result(found)
+
+        def note(done: Future[Any]) -> None:
+            self._done.append((identity, command.number, done))
+            self._notify()
+
+        future.add_done_callback(note)
+
+    def _begin(self, identity: bytes, command: Command) -> Any:
+        name = command.request
+        if identity != self._controller and name not in _FOR_ALL:
+            holder = self._clients.get(self._controller)
+            whose = "nobody has control" if holder is None else f"{holder.name} has control"
+            raise WrongState(f"this program only watches: {whose}; take control first")
+        if name == "take_control":
+            self._controller = identity
+            return None
+        if name == "shut_down":
+            self._is_over = True  # after this turn, in which it is answered
+            return None
+        is_instruments = name in _OF_INSTRUMENT
+        request = _OF_INSTRUMENT.get(name) or _OF_ACQUISITION.get(name)
+        if request is None:
+            raise BadValue(f"the instrument knows no command {name}")
+        try:
+            inspect.signature(request).bind(None, *command.arguments, **command.named)
+        except TypeError as error:
+            raise BadValue(f"{name}: {error}") from error
+        if is_instruments:
+            return self.acquisition.submit(request, *command.arguments, **command.named)
+        return request(self.acquisition, *command.arguments, **command.named)
+
+    def _answer(self, identity: bytes, number: int, future: Future[Any]) -> None:
+        error = future.exception()
+        count = 0 if self._ring is None else self._ring.count
+        result = None if error is not None else future.result()
+        failure = None if error is None else Failure.of(error)
+        try:
+            self._tell(identity, Answer(number, result, failure, self._present(), count))
+        except TypeError as unsendable:
+            self._tell(identity, Answer(number, None, Failure.of(unsendable), self._present(), count))
+
+    def _present(self, *, is_over: bool = False) -> State:
+        acquisition, now_s = self.acquisition, time.monotonic()
+        if now_s > self._timings_s + _PULSE_S:
+            self._timings, self._timings_s = acquisition.timings.summary(), now_s
+        controller = self._clients.get(self._controller)
+        return State(
+            bench=acquisition.bench,
+            activity=acquisition.activity,  # before the status, which is that after a routine as soon as it ends
+            status=acquisition.status,
+            counts=acquisition.counts,
+            recording=acquisition.recording,
+            kept=acquisition.kept,
+            ended_by=None if acquisition.error is None else Failure.of(acquisition.error),
+            is_alive=not is_over,
+            timings=self._timings,
+            clients=tuple(client.name for client in self._clients.values()),
+            controls="" if controller is None else controller.name,
+        )
+
+    def _tell_state(self, *, is_over: bool = False) -> None:
+        state, now_s = self._present(is_over=is_over), time.monotonic()
+        if state != self._state or now_s > self._sent_s + _PULSE_S:
+            self._state, self._sent_s = state, now_s
+            self._tell_all(state)
+
+    def _tell_all(self, message: object) -> None:
+        packed = Packed(message, self._travellers.number).message()
+        for identity in self._clients:
+            self._send(identity, packed)
+
+    def _tell(self, identity: bytes, message: object, *, is_whole: bool = False) -> None:
+        packed = Packed(message) if is_whole else Packed(message, self._travellers.number)
+        self._send(identity, packed.message())
+
+    def _send(self, identity: bytes, packed: bytearray) -> None:
+        with suppress(zmq.Again):  # dropped for a client that is behind
+            self._socket.send_multipart([identity, packed], zmq.NOBLOCK)

@@ -1,0 +1,59 @@
+"""`svwfs serve`: the instrument in a process of its own, for windows, notebooks and commands that attach to it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from app.acquisition.remote.place import NAME, taken_place
+from app.commands import options, terminal
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from app.acquisition.worker import Acquisition
+
+
+def serve(
+    *,
+    bench: options.Bench,
+    name: Annotated[str, typer.Option(metavar="NAME", help="Name by which clients find it.")] = NAME,
+    trust_library: options.Trust = False,
+    setting: options.Set = None,
+) -> None:
+    """Run a bench without a window, for any number of windows, notebooks and commands that attach to it.
+
+    It takes dark and reference, moves the sample in, and measures until Ctrl-C, or until a client shuts it down; then
+    the light is off. svwfs live --attach, svwfs measure --attach and svwfs.connect() attach to it; one that hangs or is
+    killed changes nothing. See docs/processes.md.
+
+    Example: svwfs serve --bench live_demo
+
+    Example: svwfs serve --bench lab.toml --name left
+    """
+    from app.acquisition.remote.server import Server
+    from app.acquisition.start_up import start_up
+
+    def begin(acquisition: Acquisition) -> None:
+        def tell(step: Future[Any]) -> None:
+            error = step.exception()
+            if error is not None and acquisition.error is None:  # else the command ends with that
+                terminal.print_warning(str(error))
+
+        for step in start_up(acquisition):
+            step.add_done_callback(tell)
+
+    loaded = options.load(bench, setting)
+    terminal.confirm_libraries(loaded, trust=trust_library)
+    with taken_place(name) as place:
+        server = Server(loaded, place)
+        which = "" if name == NAME else f" --name {name}"
+        terminal.print_sentence(
+            f"the instrument runs as process {place.process}; attach with svwfs live --attach{which}; Ctrl-C ends it"
+        )
+        try:
+            server.run(begin)
+        finally:
+            if loaded.has_manual_light:
+                terminal.remind(terminal.LIGHT_BY_HAND)

@@ -1,0 +1,80 @@
+"""The window on an instrument of another process: who has control, and whether the instrument goes on without it."""
+
+from collections.abc import Callable
+
+from PyQt6.QtWidgets import QMessageBox, QWidget
+
+from app.acquisition.remote.connection import Connection
+from app.gui.shell.controller import Controller
+
+_NOT_ATTACHED = "this window runs the instrument itself: svwfs live --attach opens one on another process"
+
+
+class Attachment:
+    """Commands about the process of the instrument, if that is not this one."""
+
+    def __init__(self, controller: Controller, parent: QWidget) -> None:
+        self._controller, self._parent = controller, parent
+
+    @property
+    def connection(self) -> Connection | None:
+        """The connection to the instrument's process, while there is one."""
+        acquisition = self._controller.acquisition
+        return acquisition if isinstance(acquisition, Connection) and acquisition.is_alive else None
+
+    @property
+    def notice(self) -> str:
+        """Why commands would be refused; empty if they are not."""
+        connection = self.connection
+        if connection is None or connection.has_control:
+            return ""
+        who = f"{connection.controller} has control" if connection.controller else "nobody has control"
+        return f"this window only watches: {who}; Bench, Take control"
+
+    @property
+    def place(self) -> str:
+        """Which process has the devices, and who else is connected; empty if this one has them."""
+        connection = self.connection
+        if connection is None:
+            return ""
+        return f"in process {connection.place.process}, connected: {', '.join(connection.clients)}"
+
+    def take_control(self) -> None:
+        """Take control from another client."""
+        if (connection := self.connection) is None:
+            self._controller.messages.warn(_NOT_ATTACHED)
+        else:
+            self._controller.send(lambda _: connection.take_control())
+
+    def end_instrument(self) -> None:
+        """End the process of the instrument, after the user has agreed."""
+        if (connection := self.connection) is None:
+            self._controller.messages.warn(_NOT_ATTACHED)
+        else:
+            self._controller.ask(
+                "the instrument ends for everybody: the light goes off, recordings are finished",
+                lambda: self._controller.send(lambda _: connection.shut_down()),
+                "End it",
+                "Keep it",
+                loses=True,
+            )
+
+    def ask_to_leave(self, then: Callable[[], object]) -> bool:
+        """Ask whether the instrument goes on, and call `then`; return False without asking if this process has it."""
+        if (connection := self.connection) is None:
+            return False
+        box = QMessageBox(self._parent)
+        box.setIcon(QMessageBox.Icon.Question)
+        box.setWindowTitle("svwfs")
+        box.setText("Does the instrument go on without this window?")
+        box.setInformativeText("If it goes on, the light stays as it is, and recordings are continued.")
+        goes_on = box.addButton("It goes on", QMessageBox.ButtonRole.AcceptRole)
+        ends = box.addButton("End it", QMessageBox.ButtonRole.DestructiveRole)
+        box.setDefaultButton(goes_on)
+        box.addButton(QMessageBox.StandardButton.Cancel)
+        box.exec()
+        if box.clickedButton() is ends:
+            self._controller.send(lambda _: connection.shut_down(), lambda _: then(), lambda _: None)
+        elif box.clickedButton() is goes_on:
+            then()
+        return True

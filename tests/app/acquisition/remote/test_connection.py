@@ -1,0 +1,366 @@
+"""An instrument and its clients: the same frames, states and commands as within one process, and who may command."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+import zmq
+from support.gui_bench import BENCH, FakeCamera
+from support.patience import HANG_S, wait_until
+from support.served import connected, served, use_runtime_folder
+
+from app.acquisition.instrument import Instrument
+from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.messages import Alive, Command, Hello
+from app.acquisition.remote.place import Place, runtime_folder, taken_place
+from app.acquisition.remote.server import Server
+from app.acquisition.remote.wire import Packed
+from app.acquisition.session import ConnectedBench, connect
+from app.acquisition.start_up import start_up
+from app.errors import InputError, Interrupted, RunError
+from app.measurement.measurement import Measurement
+from app.recording.reader import Recording
+from app.recording.recorder import RecordingLimit
+from drivers.interface import BadValue, Disconnected, WrongState
+
+pytestmark = pytest.mark.slow  # each prepares a reference
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with TemporaryDirectory(prefix="svwfs", dir="/tmp") as folder:
+        use_runtime_folder(monkeypatch, Path(folder))
+        yield
+
+
+@pytest.fixture
+def camera() -> FakeCamera:
+    return FakeCamera()
+
+
+@pytest.fixture
+def server(camera: FakeCamera) -> Iterator[Server]:
+    with served(camera) as running:
+        yield running
+
+
+def newest(connection: Connection, holds: Callable[[Measurement], object] = lambda made: made.wavefront) -> Measurement:
+    wait_until(lambda: connection.newest is not None and holds(connection.newest))
+    assert connection.newest is not None
+    return connection.newest
+
+
+def test_wavefronts_are_those_of_the_instrument(server: Server) -> None:
+    there: dict[int, Measurement] = {}
+    acquisition = server.acquisition
+    acquisition._path.sinks = (*acquisition._path.sinks, lambda made: there.update({made.frame.index: made}))
+    with connected() as connection:
+        wait_until(lambda: connection.newest is not None and connection.newest.frame.index in there)
+        found = newest(connection, lambda made: made.wavefront and made.frame.index in there)
+        sent = there[found.frame.index]
+        assert found.wavefront is not None
+        assert sent.wavefront is not None
+        np.testing.assert_array_equal(found.frame.pixels, sent.frame.pixels)
+        np.testing.assert_array_equal(found.wavefront.views, sent.wavefront.views)
+        np.testing.assert_array_equal(found.wavefront.sigma(), sent.wavefront.sigma())
+        assert (found.counts, found.quality.faults) == (sent.counts, sent.quality.faults)
+        assert found.latency_s == sent.latency_s
+        assert connection.bench == BENCH
+        assert connection.timings.summary()["register"].count > 0
+
+
+@pytest.mark.usefixtures("server")
+def test_commands_act_and_the_status_has_changed_when_they_are_done(camera: FakeCamera) -> None:
+    with connected() as connection:
+        newest(connection)
+        assert connection.has_control
+        assert connection.submit(Instrument.set, "exposure_s", 0.03, paused=True).result(HANG_S) == 0.03
+        assert connection.status is not None
+        assert connection.status.exposure_s == 0.03
+        assert connection.status.dark_note.endswith("take it again")
+        connection.submit(Instrument.take_dark, 3).result(HANG_S)
+        assert connection.status.dark == "good"
+        area = connection.status.area
+        assert connection.set_area(area).result(HANG_S) == area
+        assert connection.free_minutes(Path.cwd()) > 0
+        assert camera.light.shines
+        connection.switch_light_off().result(HANG_S)
+        assert not camera.light.shines
+        assert not connection.status.is_light_on
+
+
+@pytest.mark.usefixtures("server")
+def test_impossible_commands_are_refused() -> None:
+    commands: list[tuple[str, tuple[object, ...], type[Exception]]] = [
+        ("set", ("exposure_s", 0.055), BadValue),
+        ("take_dark", (), BadValue),
+        ("take_dark", (3, 4), BadValue),
+        ("close", (), BadValue),
+        ("_prepare", ("x",), BadValue),
+        ("show_file", (Path("/nothing.tif"),), InputError),
+    ]
+    with connected() as connection:
+        for name, arguments, error in commands:
+            assert isinstance(connection._send(name, *arguments).exception(HANG_S), error)
+        newest(connection)  # it goes on
+
+
+@pytest.mark.usefixtures("server")
+def test_one_client_has_control_and_the_others_watch(camera: FakeCamera) -> None:
+    with connected("first") as first, connected("second") as second:
+        wait_until(lambda: len(first.clients) == 2)
+        assert first.has_control
+        assert not second.has_control
+        with pytest.raises(WrongState, match=r"only watches: first \d+ has control"):
+            second.submit(Instrument.take_dark, 3).result(HANG_S)
+        assert newest(second).wavefront is not None
+        second.switch_light_off().result(HANG_S)  # anyone may
+        assert not camera.light.shines
+        second.take_control().result(HANG_S)
+        assert second.has_control
+        second.submit(Instrument.set, "is_light_on", True).result(HANG_S)
+        with pytest.raises(WrongState, match="second"):
+            first._send("cancel").result(HANG_S)
+
+
+@pytest.mark.usefixtures("server")
+def test_control_is_free_when_its_client_leaves_or_falls_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    with connected("watching", controls=False) as other:
+        with connected("first"):
+            wait_until(lambda: other.controller.startswith("first"))
+        wait_until(lambda: not other.controller)
+        monkeypatch.setattr("app.acquisition.remote.server._SILENT_S", 1.5)
+        with connected("silent") as silent:
+            wait_until(lambda: other.controller.startswith("silent"))
+            with monkeypatch.context() as silence:
+                silence.setattr(silent, "_say", lambda _: None)
+                wait_until(lambda: not other.controller)
+                assert other.clients == (other.name,)
+            wait_until(lambda: silent.name in other.clients)  # it is heard again, and only watches
+            assert not other.controller
+            with pytest.raises(WrongState, match="nobody has control"):
+                silent.submit(Instrument.take_dark, 3).result(HANG_S)
+
+
+@pytest.mark.usefixtures("server")
+def test_connections_of_one_process_are_told_apart() -> None:
+    with connected("notebook") as first, connected("notebook") as second:
+        assert first.name != second.name
+        assert first.has_control
+        assert not second.has_control
+
+
+@pytest.mark.usefixtures("server")
+def test_a_last_command_is_sent_before_leaving(tmp_path: Path) -> None:
+    with connected("watching", controls=False) as watching:
+        with connected() as connection:
+            newest(connection)
+            connection.start_recording(tmp_path / "run").result(HANG_S)
+            connection.stop_recording()
+        wait_until(lambda: watching.recording is not None and watching.recording.stage == "finished")
+
+
+@pytest.mark.usefixtures("server")
+def test_an_interrupted_recording_is_finished_before_the_client_leaves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with connect() as bench:
+        newest(bench._connection)
+
+        def interrupt(*_: object) -> None:
+            if bench.recording is not None and bench.recording.frames > 2:
+                raise Interrupted("interrupted")
+
+        monkeypatch.setattr(bench, "_progress", interrupt)
+        with pytest.raises(Interrupted):
+            bench.record(tmp_path / "run", 1000)
+        assert Recording(tmp_path / "run").is_complete
+
+
+@pytest.mark.usefixtures("server")
+def test_a_late_client_gets_everything() -> None:
+    with connected() as first:
+        newest(first)
+    with connected() as second:
+        found = newest(second)
+        assert found.calibration is not None
+        assert found.calibration.dark is not None
+        assert found.calibration.bench == BENCH
+
+
+@pytest.mark.usefixtures("server")
+def test_frames_of_routines_are_shown_but_not_measured(camera: FakeCamera) -> None:
+    taken: list[Measurement] = []
+    connection = Connection("test", sinks=(taken.append,))
+    try:
+        newest(connection)
+        camera.period_s = 0.1
+        future = connection.submit(Instrument.take_reference, 20)
+        shown = newest(connection, lambda made: "taking the reference" in made.problem)
+        assert shown.wavefront is None
+        assert "taking the reference" in connection.activity.text
+        connection.cancel()
+        assert future.exception(HANG_S) is not None
+        assert not any("taking" in made.problem for made in taken)
+    finally:
+        connection.close()
+
+
+@pytest.mark.usefixtures("server")
+def test_recordings_are_made_by_the_instrument(tmp_path: Path) -> None:
+    with connected() as connection:
+        newest(connection)
+        connection.start_recording(tmp_path / "run", limit=RecordingLimit(frames=5)).result(HANG_S)
+        wait_until(lambda: connection.recording is not None and connection.recording.stage == "finished")
+        with pytest.raises(InputError):
+            connection.start_recording(tmp_path / "run").result(HANG_S)
+    assert len(Recording(tmp_path / "run")) == 5
+
+
+def test_a_failing_device_ends_the_instrument_and_its_clients_say_why(camera: FakeCamera) -> None:
+    with served(camera), connected() as connection:
+        newest(connection)
+        camera.fault = Disconnected("the camera was unplugged")
+        wait_until(lambda: not connection.is_alive)
+        assert isinstance(connection.error, Disconnected)
+        assert connection.failure == "the camera was unplugged"
+        assert isinstance(connection.submit(Instrument.take_dark, 3).exception(HANG_S), Disconnected)
+    assert not camera.light.shines
+
+
+def test_a_client_ends_the_instrument(camera: FakeCamera) -> None:
+    with served(camera) as server, connected() as connection, connected() as other:
+        newest(connection)
+        connection.shut_down().result(HANG_S)
+        wait_until(lambda: not connection.is_alive)
+        wait_until(lambda: not other.is_alive)
+        assert other.failure == "the instrument was shut down"
+        wait_until(lambda: not server.acquisition.is_alive)
+        assert not camera.light.shines
+
+
+def test_strangers_are_not_heard(server: Server) -> None:
+    with connected(controls=False) as watching, zmq.Context() as context:
+        wait_until(lambda: server.acquisition.status is not None)
+        messages: list[list[bytes | bytearray]] = [
+            [b"wrong key", Packed(Hello("stranger", controls=True)).message()],
+            [server.place.key.encode(), b"no message"],
+            [server.place.key.encode()],
+            [b""],
+            [server.place.key.encode(), Packed(Command(1, "shut_down")).message()],  # without a hello
+            [server.place.key.encode(), Packed(Alive()).message(), b"more"],
+        ]
+        for parts in messages:
+            with context.socket(zmq.DEALER) as socket:
+                socket.connect(server.place.endpoint)
+                socket.send_multipart(parts)
+        newest(watching)
+        time.sleep(0.3)
+        assert watching.clients == (watching.name,)
+        assert watching.is_alive
+        assert not watching.controller
+
+
+def test_larger_frames_get_a_larger_ring(server: Server) -> None:
+    with connected() as connection:
+        found = newest(connection)
+        before = server._ring
+        assert before is not None
+        assert connection.status is not None
+        assert found.frame.pixels.nbytes < before._stride
+        server._publish(
+            Measurement(found.frame.__class__(np.zeros((900, 900), np.uint16), 7, 0.0, 0.0, 0.1, 1.0), None, "large"),
+            is_shown_only=True,
+        )
+        wait_until(lambda: server._ring is not before)
+        newest(connection)  # goes on in the new one
+
+
+def test_live_bench_in_another_process_works_as_in_this(server: Server, tmp_path: Path) -> None:
+    with connect() as bench:
+        for measurement in bench:
+            if measurement.wavefront is not None:
+                break
+        assert bench.set_exposure(0.03) == 0.03
+        assert bench.bench.sensor == BENCH.sensor
+        bench.take_dark(3)
+        bench.take_reference(3)
+        assert next(iter(bench)).frame.exposure_s is not None
+        bench.note_sample_in()
+        assert len(Recording(bench.record(tmp_path / "run", 4))) == 4
+        assert bench.controller in bench.clients
+    assert server.acquisition.is_alive
+    with ConnectedBench("other") as again:
+        again.shut_down()
+        wait_until(lambda: again.failure)
+
+
+@pytest.mark.usefixtures("server")
+def test_a_measurement_after_a_command_was_taken_after_it(camera: FakeCamera) -> None:
+    with connect() as bench:
+        for measurement in bench:
+            if measurement.wavefront is not None:
+                break
+        for exposure_s in (0.03, 0.04, 0.045):
+            bench.set_exposure(exposure_s)
+            after = camera._index
+            assert next(iter(bench)).frame.index >= after - 2
+
+
+def test_without_an_instrument_the_sentence_says_how_to_start_one() -> None:
+    with pytest.raises(RunError, match=r"no instrument runs as instrument: start one with svwfs serve"):
+        Connection("test")
+    (runtime_folder() / "instrument.json").write_text("{")  # of a killed one
+    with pytest.raises(RunError, match="no instrument runs"):
+        Connection("test")
+    assert [each.name for each in runtime_folder().iterdir()] == ["instrument.lock"]
+
+
+def test_a_place_belongs_to_one_instrument() -> None:
+    with taken_place() as place:
+        place.announce()
+        assert Place.of() == place
+        with pytest.raises(RunError, match="runs as instrument already"), taken_place():
+            pass
+        with taken_place("second") as second:
+            assert second.endpoint != place.endpoint
+    with pytest.raises(RunError, match="no instrument runs"):
+        Place.of()
+
+
+@pytest.mark.parametrize("name", ["", "../x", "a b", "a/b"])
+def test_names_that_are_no_words_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match="cannot have the name"), taken_place(name):
+        pass
+    with pytest.raises(InputError, match="cannot have the name"):
+        Place.of(name)
+
+
+def test_a_folder_that_others_may_enter_is_refused() -> None:
+    runtime_folder().chmod(0o755)
+    with pytest.raises(RunError, match="open to others"), taken_place():
+        pass
+
+
+def test_an_instrument_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.acquisition.remote.connection._ANSWER_S", 0.5)
+    with taken_place() as place, zmq.Context() as context, context.socket(zmq.ROUTER) as socket:
+        socket.bind(place.endpoint)
+        place.announce()
+        with pytest.raises(RunError, match=f"process {place.process} does not answer"):
+            Connection("test")
+    assert not [each for each in threading.enumerate() if each.name.startswith("connection")]
+
+
+def test_commands_sent_at_start_up_are_those_of_any_instrument(camera: FakeCamera) -> None:
+    with served(camera, begin=lambda _: None), connected() as connection:
+        wait_until(lambda: connection.status is not None)
+        for step in start_up(connection, 3):
+            step.result(HANG_S)
+        assert newest(connection).wavefront is not None

@@ -1,0 +1,194 @@
+"""Instrument and clients as programs: what each of them does when another is killed, stopped or frozen.
+
+`SVWFS_KILLS=100` repeats each death.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+from support.command_line import run
+from support.patience import HANG_S, wait_until
+from support.served import connected
+
+from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.place import Place, runtime_folder
+from app.errors import RunError
+from app.recording.reader import Recording
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")]
+
+KILLS = int(os.environ.get("SVWFS_KILLS", "1"))
+
+CLIENT = """
+import sys, time
+from app.acquisition.remote.connection import Connection
+connection = Connection("client")
+while connection.newest is None or connection.newest.wavefront is None:
+    time.sleep(0.01)
+print("sees", flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    with TemporaryDirectory(prefix="svwfs", dir="/tmp") as made:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", made)
+        yield Path(made)
+
+
+@contextmanager
+def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as made:  # noqa: S603 - this interpreter
+        try:
+            yield made
+        finally:
+            made.send_signal(signal.SIGCONT)
+            made.kill()
+
+
+@contextmanager
+def instrument(bench: Path) -> Iterator[subprocess.Popen[str]]:
+    code = "import sys; from app.cli import main; sys.argv = ['svwfs', *sys.argv[1:]]; main()"
+    with program("-c", code, "serve", "--bench", str(bench)) as made:
+        assert made.stdout is not None
+        assert f"runs as process {made.pid}" in made.stdout.readline()
+        wait_until(is_announced)
+        yield made
+
+
+def is_announced() -> bool:
+    try:
+        Place.of()
+    except RunError:
+        return False
+    return True
+
+
+def wait_for_wavefront(connection: Connection) -> None:
+    wait_until(lambda: connection.newest is not None and connection.newest.wavefront is not None)
+
+
+def wait_for_more(connection: Connection, frames: int = 3) -> None:
+    enough = connection.counts.reconstructed + frames
+    wait_until(lambda: connection.counts.reconstructed >= enough)
+
+
+@contextmanager
+def watching_client() -> Iterator[subprocess.Popen[str]]:
+    with program("-c", CLIENT) as made:
+        assert made.stdout is not None
+        assert made.stdout.readline() == "sees\n"
+        yield made
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSEGV])
+def test_clients_notice_the_death_of_the_instrument_and_nothing_is_left(how: signal.Signals, small_toml: Path) -> None:
+    for _ in range(KILLS):
+        with instrument(small_toml) as running, connected() as connection:
+            wait_for_wavefront(connection)
+            running.send_signal(how)
+            running.wait()
+            died_s = time.monotonic()
+            wait_until(lambda: not connection.is_alive)
+            assert time.monotonic() - died_s < 3.0
+            assert connection.failure.startswith(f"the instrument's process {running.pid} has ended")
+            assert connection.newest is not None  # the last one stays
+        with pytest.raises(RunError, match="no instrument runs"):
+            Connection("test")
+        assert [each.name for each in runtime_folder().iterdir()] == ["instrument.lock"]
+
+
+def test_a_frozen_instrument_is_shown_and_goes_on(small_toml: Path) -> None:
+    with instrument(small_toml) as running, connected() as connection:
+        wait_for_wavefront(connection)
+        running.send_signal(signal.SIGSTOP)
+        wait_until(lambda: "does not answer" in connection.activity.text)
+        assert connection.is_alive
+        running.send_signal(signal.SIGCONT)
+        wait_until(lambda: not connection.activity.text)
+        wait_for_more(connection)
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSEGV, signal.SIGSTOP])
+def test_a_client_that_dies_or_freezes_changes_nothing_but_who_has_control(
+    how: signal.Signals, small_toml: Path, tmp_path: Path
+) -> None:
+    with instrument(small_toml):
+        for turn in range(KILLS):
+            with connected(controls=False) as watching, watching_client() as client:
+                wait_for_wavefront(watching)
+                wait_until(lambda: watching.controller.startswith("client"))
+                client.send_signal(how)
+                wait_until(lambda: not watching.controller)
+                watching.take_control().result(HANG_S)
+                folder = tmp_path / f"run{turn}"
+                watching.start_recording(folder).result(HANG_S)
+                wait_for_more(watching)
+                watching.stop_recording()
+                wait_until(lambda: is_finished(watching))
+                assert len(Recording(folder)) > 1
+
+
+def is_finished(connection: Connection) -> bool:
+    return connection.recording is not None and connection.recording.stage == "finished"
+
+
+def test_a_frozen_client_that_wakes_up_only_watches(small_toml: Path) -> None:
+    with instrument(small_toml), connected("first") as first:
+        wait_for_wavefront(first)
+        with watching_client() as client:
+            client.send_signal(signal.SIGSTOP)
+            wait_until(lambda: first.clients == (first.name,))
+            client.send_signal(signal.SIGCONT)
+            wait_until(lambda: len(first.clients) == 2)
+            wait_for_more(first)
+            assert first.has_control
+
+
+def test_ctrl_c_ends_the_instrument_in_order(small_toml: Path, tmp_path: Path) -> None:
+    with instrument(small_toml) as running, connected() as connection:
+        wait_for_wavefront(connection)
+        connection.start_recording(tmp_path / "run").result(HANG_S)
+        wait_for_more(connection)
+        running.send_signal(signal.SIGINT)
+        assert running.wait(HANG_S) == 130
+        wait_until(lambda: not connection.is_alive)
+        assert connection.failure == "the instrument was shut down"
+        assert connection.status is not None
+        assert not connection.status.is_light_on
+    assert len(Recording(tmp_path / "run")) > 0
+    assert not is_announced()
+
+
+def test_measure_attaches(
+    small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(status: int, sentence: str, *arguments: str | Path) -> None:
+        assert run(monkeypatch, *arguments) == status
+        assert sentence in capsys.readouterr().err
+
+    attached: tuple[str | Path, ...] = ("measure", "--attach", "--frames", "4", "--out")
+    fails(2, "--bench cannot go with --attach", *attached, tmp_path / "x", "--bench", "small_demo")
+    fails(1, "no instrument runs as instrument", *attached, tmp_path / "x")
+    with instrument(small_toml):
+        with connected(controls=False) as watching:
+            wait_for_wavefront(watching)
+            assert run(monkeypatch, *attached, tmp_path / "run") == 0
+            assert "4 frames, 0 lost by the camera" in capsys.readouterr().out
+            assert (tmp_path / "run" / "results.nc").exists()
+        fails(1, "an instrument runs as instrument already", "serve", "--bench", small_toml)
+        with connected():
+            fails(1, "only watches", *attached, tmp_path / "other")
+        assert not (tmp_path / "other").exists()

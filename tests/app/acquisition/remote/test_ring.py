@@ -1,0 +1,166 @@
+"""The shared ring: every record is whole or refused, whoever reads, however slowly, and nothing stays behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.patience import wait_until
+
+from app.acquisition.remote.ring import RingReader, RingWriter
+from app.acquisition.remote.wire import Packed, unpacked
+
+
+@pytest.fixture(params=["memory", "file"])
+def ring(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RingWriter]:
+    if request.param == "file":  # as on other systems than Linux
+        monkeypatch.delattr(os, "memfd_create", raising=False)
+    with closing(RingWriter(20_000, tmp_path, slots=4)) as made:
+        yield made
+
+
+def record(number: int) -> Packed:
+    return Packed((number, np.full(2000, number, np.int64)))
+
+
+def test_records_arrive_until_they_are_overwritten(ring: RingWriter) -> None:
+    with closing(RingReader(ring.place)) as reader:
+        assert (reader.count, reader.read(0), reader.read(1)) == (0, None, None)
+        for number in range(1, 11):
+            assert ring.fits(record(number))
+            assert ring.write(record(number)) == reader.count == number
+        kept = [count for count in range(-3, 15) if reader.read(count) is not None]
+        assert kept == [7, 8, 9, 10]
+        for count in kept:
+            body = reader.read(count)
+            assert body is not None
+            number, array = unpacked(body)
+            assert number == count
+            assert (array == number).all()
+
+
+def test_larger_records_do_not_fit(ring: RingWriter) -> None:
+    assert not ring.fits(Packed(np.zeros(3000)))
+
+
+def test_counts_go_on_in_the_next_ring(tmp_path: Path) -> None:
+    with closing(RingWriter(20_000, tmp_path, count=41)) as ring, closing(RingReader(ring.place)) as reader:
+        assert ring.write(record(42)) == 42
+        assert reader.read(42) is not None
+        assert reader.read(41) is None
+
+
+def test_a_record_being_written_is_not_returned(ring: RingWriter) -> None:
+    seen: list[bytes | None] = []
+    with closing(RingReader(ring.place)) as reader:
+        for number in (1, 2, 3, 4):
+            ring.write(record(number))
+
+        class Slow(Packed):
+            def write(self, buffer: memoryview) -> None:
+                seen.append(reader.read(1))  # the slot that is being replaced
+                seen.append(reader.read(5))
+                super().write(buffer)
+                seen.append(reader.read(5))
+
+        ring.write(Slow((5, np.zeros(3))))
+        assert seen == [None, None, None]
+        assert reader.read(5) is not None
+
+
+def test_records_overwritten_while_they_are_copied_are_refused(
+    ring: RingWriter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing(RingReader(ring.place)) as reader:
+        ring.write(record(1))
+
+        class Overtaken:
+            def __init__(self, memory: object) -> None:
+                self.memory = memory
+
+            def __getitem__(self, part: slice) -> bytes:
+                for number in (2, 3, 4, 5):  # while the reader copies
+                    ring.write(record(number))
+                return bytes(self.memory[part])  # type: ignore[index] # of a mapped file
+
+            def __buffer__(self, flags: int) -> memoryview:  # pragma: no cover - newer Pythons
+                return memoryview(self.memory)  # type: ignore[arg-type] # the same
+
+        memory = reader._memory
+        unpack_from = __import__("struct").unpack_from
+        monkeypatch.setattr(
+            "app.acquisition.remote.ring.struct.unpack_from", lambda form, _, start: unpack_from(form, memory, start)
+        )
+        monkeypatch.setattr(reader, "_memory", Overtaken(memory))
+        assert reader.read(1) is None
+        monkeypatch.setattr(reader, "_memory", memory)
+
+
+def test_a_busy_writer_never_gives_a_torn_record(ring: RingWriter) -> None:
+    whole, over = 0, threading.Event()
+
+    def write() -> None:
+        number = 0
+        while not over.is_set():
+            number += 1
+            ring.write(record(number))
+
+    thread = threading.Thread(target=write, name="writer")
+    thread.start()
+    try:
+        with closing(RingReader(ring.place)) as reader:
+            while whole < 300:
+                if (body := reader.read(count := reader.count)) is not None:
+                    number, array = unpacked(body)
+                    assert number == count
+                    assert (array == number).all()
+                    whole += 1
+    finally:
+        over.set()
+        thread.join()
+
+
+OWNER = """
+import sys, time
+from pathlib import Path
+from app.acquisition.remote.ring import RingWriter
+from app.acquisition.remote.wire import Packed
+ring = RingWriter(1000, Path(sys.argv[1]))
+ring.write(Packed("whole"))
+print(ring.place, flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="elsewhere the ring is a file")
+def test_nothing_stays_of_a_killed_writer_and_readers_keep_what_they_have(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", OWNER, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as owner:  # noqa: S603 - this interpreter
+        assert owner.stdout is not None
+        place = owner.stdout.readline().strip()
+        with closing(RingReader(place)) as reader:
+            owner.send_signal(signal.SIGKILL)
+            owner.wait()
+            wait_until(lambda: not Path(place).exists())
+            body = reader.read(1)
+            assert body is not None
+            assert unpacked(body) == "whole"
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_file_is_no_ring(tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    other.write_bytes(b"x" * 1000)
+    with pytest.raises(ValueError, match="no ring"):
+        RingReader(str(other))
+    with pytest.raises(OSError, match="nothing"):
+        RingReader(str(tmp_path / "nothing"))

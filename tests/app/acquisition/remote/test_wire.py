@@ -1,0 +1,193 @@
+"""Data between processes: what arrives equals what was sent, and nothing but plain data of this program can arrive."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as some
+from hypothesis.extra import numpy as some_numpy
+from support.optics import SmallBench
+
+from app.acquisition.remote.messages import Command, Failure, Notice, Travellers
+from app.acquisition.remote.wire import Packed, unpacked
+from app.bench.config import load_bench
+from app.bench.presets import PRESETS
+from app.errors import InputError, RunError
+from app.measurement.calibration import Calibration
+from drivers.interface import Disconnected
+from reconstruction.displacement import Displacement
+from reconstruction.quality.verdict import Fault, Quality
+
+SCALARS = (
+    some.none() | some.booleans() | some.integers() | some.floats() | some.text() | some.builds(Path, some.just("a/b"))
+)
+ARRAYS = some_numpy.arrays(
+    some.sampled_from(["u1", "u2", "f4", "f8", "?", "i8"]), some_numpy.array_shapes(min_dims=0, min_side=0)
+)
+VALUES = some.recursive(
+    SCALARS | ARRAYS,
+    lambda inner: (
+        some.lists(inner)
+        | some.lists(inner).map(tuple)
+        | some.dictionaries(some.text() | some.integers(), inner)
+        | some.builds(Command, some.integers(), some.text(), some.lists(inner).map(tuple))
+    ),
+    max_leaves=12,
+)
+
+
+def there_and_back(value: object) -> Any:
+    return unpacked(Packed(value).message())
+
+
+def assert_same(found: Any, sent: Any) -> None:
+    assert type(found) is type(sent)
+    if isinstance(sent, np.ndarray):
+        assert found.dtype == sent.dtype
+        np.testing.assert_array_equal(found, sent)
+        assert not found.flags.writeable
+    elif isinstance(sent, float) and math.isnan(sent):
+        assert math.isnan(found)
+    elif isinstance(sent, list | tuple):
+        assert len(found) == len(sent)
+        for one, other in zip(found, sent, strict=True):
+            assert_same(one, other)
+    elif isinstance(sent, Mapping):
+        assert list(found) == list(sent)
+        for key, value in sent.items():
+            assert_same(found[key], value)
+    elif isinstance(sent, Command):
+        assert_same(found.arguments, sent.arguments)
+    else:
+        assert found == sent
+
+
+@given(VALUES)
+def test_values_arrive_as_they_were_sent(value: object) -> None:
+    assert_same(there_and_back(value), value)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_benches_arrive_whole(preset: str) -> None:
+    bench = load_bench(preset)
+    assert there_and_back(bench) == bench
+
+
+def test_slices_and_turned_arrays_arrive() -> None:
+    array = np.arange(24).reshape(4, 6)
+    for part in (array[::2, 1:5], array.T, np.broadcast_to(np.float32(3), (2, 3))):
+        np.testing.assert_array_equal(there_and_back(part), part)
+
+
+def test_enums_and_mappings_arrive() -> None:
+    quality = Quality({Fault.SCALE: "the scale", Fault.CLIPPED | Fault.SCALE: "both"})
+    assert there_and_back(quality).reasons == quality.reasons
+
+
+def test_a_registered_frame_arrives_without_its_covariance_being_computed(checker_bench: SmallBench) -> None:
+    reconstructor = checker_bench.reconstructor("quadratic", pupil_modes=15)
+    sent = reconstructor.register(checker_bench.reference)
+    assert not isinstance(sent.__dict__["covariance"], np.ndarray)
+    found = there_and_back(sent)
+    assert isinstance(found, Displacement)
+    assert not isinstance(sent.__dict__["covariance"], np.ndarray)
+    np.testing.assert_array_equal(found.covariance, sent.covariance)
+    np.testing.assert_array_equal(reconstructor.solve(found).views, reconstructor.solve(sent).views)
+    np.testing.assert_array_equal(reconstructor.solve(found).sigma(), reconstructor.solve(sent).sigma())
+
+
+@pytest.mark.parametrize("value", [{1, 2}, print, b"bytes", os.stat_result(range(10)), object()])
+def test_other_things_cannot_be_sent(value: object) -> None:
+    with pytest.raises((TypeError, RunError)):
+        there_and_back(value)
+
+
+@pytest.mark.parametrize(
+    "plain",
+    [
+        {"of": ["os:system", ["true"]]},
+        {"of": ["subprocess:Popen", {"args": ["true"]}]},
+        {"of": ["app.acquisition.worker:Acquisition", {"bench": None}]},
+        {"of": ["app.files:Path", ["x"]]},
+        {"of": ["app.acquisition.remote.messages:Notice", {"place": "x"}]},
+        {"of": ["app.nothing:Notice", {}]},
+        {"code": "1"},
+        {"array": ["f8", [1000], 0]},
+        {"array": ["O", [1], 0]},
+        {"number": 7},
+        {"a": 1, "b": 2},
+    ],
+)
+def test_nothing_but_plain_data_of_this_program_arrives(plain: object) -> None:
+    text = json.dumps(plain).encode()
+    with pytest.raises(RunError, match="cannot be read"):
+        unpacked(len(text).to_bytes(8, "little") + bytes(56) + text + bytes(128))
+
+
+@pytest.mark.parametrize("kept", [0, 7, 8, 64, 80, -60])
+def test_a_message_that_is_cut_short_is_refused(kept: int) -> None:
+    message = bytes(Packed(Command(1, "take_dark", (np.arange(50),))).message())
+    with pytest.raises(RunError, match="cannot be read"):
+        unpacked(message[:kept])
+
+
+@pytest.mark.parametrize("error", [InputError("no file"), Disconnected("unplugged"), RunError("x")])
+def test_errors_keep_kind_and_sentence(error: Exception) -> None:
+    made = there_and_back(Failure.of(error)).error()
+    assert type(made) is type(error)
+    assert str(made) == str(error)
+
+
+def test_unexpected_errors_are_named() -> None:
+    assert str(Failure.of(ZeroDivisionError("division by zero")).error()) == "ZeroDivisionError: division by zero"
+
+
+def test_large_objects_travel_once() -> None:
+    travellers = Travellers()
+    bench = load_bench("small_demo")
+    first, again = (Packed((bench, 1), travellers.number) for _ in range(2))
+    number = travellers.number(bench)
+    assert number is not None
+    assert travellers[number] is bench
+    assert travellers[number + 1] is None
+    assert first.nbytes == again.nbytes < 200
+    assert unpacked(first.message(), travellers.__getitem__) == (bench, 1)
+    assert travellers.number(replace(bench)) != number
+    assert travellers.number(Notice("", 1)) is None
+
+
+def test_errors_of_a_reference_travel_once_if_they_come_again(checker_bench: SmallBench) -> None:
+    reconstructor, travellers = checker_bench.reconstructor("quadratic", pupil_modes=15), Travellers()
+    sizes = [Packed(reconstructor.register(checker_bench.reference), travellers.number).nbytes for _ in range(3)]
+    assert sizes[0] > 2 * sizes[1] == 2 * sizes[2]
+
+
+def test_travellers_forget_what_is_not_used() -> None:
+    travellers, bench = Travellers(), load_bench("small_demo")
+    number = travellers.number(bench)
+    others = [replace(bench) for _ in range(20)]
+    for other in others:
+        travellers.number(other)
+        assert travellers.number(bench) == number  # in use
+    first = travellers.number(others[0])
+    assert first is not None
+    assert first > 21  # forgotten, and numbered again
+
+
+def test_calibration_arrives_whole(checker_bench: SmallBench) -> None:
+    bench = load_bench("small_demo")
+    sent = Calibration.of_images(bench, checker_bench.reference, lattice=checker_bench.lattice)
+    found = there_and_back(sent)
+    np.testing.assert_array_equal(found.reference.mean, sent.reference.mean)
+    assert found.bench == bench
+    assert found.lattice == sent.lattice
+    assert math.isinf(found.full_scale)

@@ -1,0 +1,117 @@
+"""The window on an instrument of another process: it shows the same, tells who has control, and asks when it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+from PyQt6.QtWidgets import QMessageBox
+from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
+from support.served import connected, served, use_runtime_folder
+from support.window_tools import MakeWindow, wait_for_wavefront
+
+from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.server import Server
+from app.gui.shell.main_window import MainWindow
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    with TemporaryDirectory(prefix="svwfs", dir="/tmp") as folder:
+        use_runtime_folder(monkeypatch, Path(folder))
+        with served(FakeCamera()) as running:
+            yield running
+
+
+@pytest.fixture
+def window(make_window: MakeWindow, server: Server, qtbot: QtBot) -> MainWindow:
+    assert server.place.process
+    made = make_window()
+    made.open(lambda: Connection("window"), lambda _: ())
+    wait_for_wavefront(qtbot, made)
+    return made
+
+
+def told(window: MainWindow) -> str:
+    return window.messages.text.text().lower()
+
+
+def answer(monkeypatch: pytest.MonkeyPatch, label: str) -> list[str]:
+    """Click a button of the next message box; returns the questions asked."""
+    asked: list[str] = []
+
+    def click(box: QMessageBox) -> int:
+        asked.append(box.text())
+        next(each for each in box.buttons() if each.text().replace("&", "") == label).click()
+        return 0
+
+    monkeypatch.setattr(QMessageBox, "exec", click)
+    return asked
+
+
+def test_window_shows_and_commands_the_instrument(window: MainWindow, server: Server, qtbot: QtBot) -> None:
+    assert window.windowTitle().endswith(", attached")
+    assert f"in process {server.place.process}" in window.status_line.devices.toolTip()
+    assert "window" in window.status_line.devices.toolTip()
+    window.controls.requested.emit("dark", 3)
+    qtbot.waitUntil(lambda: "dark taken" in told(window))
+    qtbot.waitUntil(lambda: window.controller.is_settled)
+    assert window.light.is_kept_off is False
+
+
+def test_window_that_watches_says_who_has_control_and_takes_it(
+    make_window: MakeWindow, server: Server, qtbot: QtBot
+) -> None:
+    with connected("notebook"):
+        window = make_window()
+        window.open(lambda: Connection("window"), lambda _: ())
+        qtbot.waitUntil(lambda: "this window only watches: notebook" in told(window))
+        window.attachment.take_control()
+        qtbot.waitUntil(lambda: "watches" not in told(window))
+        connection = window.attachment.connection
+        assert connection is not None
+        assert connection.has_control
+    assert server.acquisition.is_alive
+
+
+@pytest.mark.parametrize(("label", "goes_on"), [("It goes on", True), ("End it", False)])
+def test_closing_asks_whether_the_instrument_goes_on(
+    window: MainWindow, server: Server, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch, *, label: str, goes_on: bool
+) -> None:
+    asked = answer(monkeypatch, "Cancel")
+    window.quit()
+    assert asked == ["Does the instrument go on without this window?"]
+    assert window.isVisible()
+    answer(monkeypatch, label)
+    window.quit()
+    qtbot.waitUntil(lambda: not window.isVisible())
+    qtbot.waitUntil(lambda: server.acquisition.is_alive is goes_on)
+
+
+def test_end_of_the_instrument_is_told_and_reconnecting_says_that_none_runs(
+    window: MainWindow, server: Server, qtbot: QtBot
+) -> None:
+    window.attachment.end_instrument()
+    window.messages.accept.click()
+    qtbot.waitUntil(lambda: "the instrument was shut down" in told(window))
+    qtbot.waitUntil(lambda: not server.acquisition.is_alive)
+    qtbot.wait(300)
+    window.messages.reconnect.click()
+    qtbot.waitUntil(lambda: "no instrument runs" in told(window))
+
+
+def test_a_window_with_its_own_instrument_has_nothing_to_leave(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, _ = live
+    asked = answer(monkeypatch, "Cancel")
+    assert not window.attachment.ask_to_leave(lambda: None)
+    assert not asked
+    for command in (window.attachment.take_control, window.attachment.end_instrument):
+        command()
+        qtbot.waitUntil(lambda: "runs the instrument itself" in told(window))

@@ -1,0 +1,84 @@
+"""What an instrument process does under load: `python -m support.measure_processes [VIEWERS]` prints it as a table.
+
+A simulated bench at 70 frames/s in a process of its own, with a client that sends commands and others that watch.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+
+import numpy as np
+
+from app.acquisition.instrument import Instrument
+from app.acquisition.remote.connection import Connection
+from app.errors import RunError
+
+_SERVE = "import sys; from app.cli import main; sys.argv = ['svwfs', *sys.argv[1:]]; main()"
+_WATCH = """
+import time
+from app.acquisition.remote.connection import Connection
+connection = Connection("viewer", controls=False)
+print("watches", flush=True)
+time.sleep(600)
+"""
+_SPAN_S, _COMMANDS = 10.0, 200
+_NAME = "measured"
+
+
+def main() -> None:
+    """Measure with as many viewers as the first argument says."""
+    viewers = int(sys.argv[1]) if len(sys.argv) > 1 else 0
+    with ExitStack() as stack:
+        serve = [sys.executable, "-c", _SERVE, "serve", "--bench", "small_demo", "--set", "camera.exposure_s=0.0143"]
+        stack.enter_context(_program([*serve, "--name", _NAME]))
+        client = _connect(stack)
+        while client.newest is None or client.newest.wavefront is None or client.activity.text:
+            time.sleep(0.05)
+        watch = _WATCH.replace('"viewer", ', f'"viewer", "{_NAME}", ')
+        for _ in range(viewers):
+            stack.enter_context(_program([sys.executable, "-c", watch]))
+        time.sleep(3.0)
+        before, began_s = client.counts, time.monotonic()
+        time.sleep(_SPAN_S)
+        after, span_s = client.counts, time.monotonic() - began_s
+        latency = client.timings.summary()["to_result"]
+        trips_s = []
+        for _ in range(_COMMANDS):
+            sent_s = time.perf_counter()
+            client.submit(Instrument.set, "is_sample_in", True).result()
+            trips_s.append(time.perf_counter() - sent_s)
+            time.sleep(0.01)
+        p50_ms, p99_ms = np.percentile(trips_s, (50, 99)) * 1e3
+        acquired = after.acquired - before.acquired
+        print(  # noqa: T201 - a table for its reader
+            f"{viewers} viewers: {acquired / span_s:.1f} frames/s, {after.reconstructed - before.reconstructed} of"
+            f" {acquired} measured, {after.lost - before.lost} lost; command 50 %"
+            f" {p50_ms:.1f} ms, 99 % {p99_ms:.1f} ms; exposure to"
+            f" result 50 % {latency.p50_s * 1e3:.1f} ms, 99 % {latency.p99_s * 1e3:.1f} ms"
+        )
+        client.shut_down().result()
+
+
+def _connect(stack: ExitStack) -> Connection:
+    while True:
+        try:
+            client = Connection("measuring", _NAME)
+        except RunError:
+            time.sleep(0.1)
+        else:
+            stack.callback(client.close)
+            return client
+
+
+def _program(command: list[str]) -> subprocess.Popen[bytes]:
+    process = subprocess.Popen(command, stdout=subprocess.PIPE)  # noqa: S603 - this interpreter
+    assert process.stdout is not None
+    process.stdout.readline()
+    return process
+
+
+if __name__ == "__main__":
+    main()

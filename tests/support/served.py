@@ -1,0 +1,67 @@
+"""An instrument that serves clients from a thread of the tests, with fake devices, and its connections."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.place import Place, taken_place
+from app.acquisition.remote.server import Server
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition
+from app.errors import RunError
+from drivers.interface import Disconnected
+from support.gui_bench import BENCH, FakeCamera, opener
+from support.patience import wait_until
+
+
+@contextmanager
+def served(
+    camera: FakeCamera, *, begin: Callable[[Acquisition], object] = lambda to: start_up(to, 3)
+) -> Iterator[Server]:
+    """Serve a fake camera until the end of the block; what ended it is then in `acquisition.error`."""
+    servers: list[Server] = []
+
+    def work() -> None:
+        with taken_place() as place:
+            servers.append(Server(BENCH, place, opener(camera)))
+            with suppress(Disconnected):  # of the fake camera; tests look at it
+                servers[0].run(begin)
+
+    thread = threading.Thread(target=work, name="served")
+    thread.start()
+    wait_until(_is_announced)
+    try:
+        yield servers[0]
+    finally:
+        servers[0].end()
+        thread.join()
+
+
+@contextmanager
+def connected(what: str = "test", *, controls: bool = True) -> Iterator[Connection]:
+    """Connect to the served instrument."""
+    connection = Connection(what, controls=controls)
+    try:
+        yield connection
+    finally:
+        connection.close()
+
+
+def _is_announced() -> bool:
+    try:
+        Place.of()
+    except RunError:
+        return False
+    return True
+
+
+def use_runtime_folder(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Let instruments and their clients meet in a folder of the test; its path must be short."""
+    folder.chmod(0o700)
+    monkeypatch.setattr("platformdirs.user_runtime_path", lambda _: folder)
