@@ -9,6 +9,7 @@ from collections.abc import Generator, Iterator
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory, gettempdir
 from typing import TYPE_CHECKING
 
 import pytest
@@ -77,6 +78,14 @@ def _no_leftovers(request: pytest.FixtureRequest) -> Iterator[None]:
     """Fail if a thread or a window outlives a test of the rooms that make them."""
     with no_leftovers() if request.path.parent.name in _WATCHED else nullcontext():
         yield
+
+
+@pytest.fixture
+def runtime_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder of its own in which instruments and their clients meet; a socket's path must be short."""
+    with TemporaryDirectory(prefix="svwfs", dir=gettempdir()) as made:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", made)
+        yield Path(made)
 
 
 @pytest.fixture

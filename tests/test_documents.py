@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from functools import reduce
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -23,9 +23,11 @@ from packaging.version import Version
 from support.batches import Counting, batch
 from support.command_line import run
 from support.documents import commands, named_commands, python_blocks
+from support.gui_bench import FakeCamera
 from support.paths import DOCS, FOREIGN_FRAMES, ROOT
 from support.patience import HANG_S
 from support.recordings import record
+from support.served import served
 
 import svwfs
 from app.bench.config import Bench
@@ -38,6 +40,7 @@ DOCUMENTS = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 COMMANDS = [path for path in DOCUMENTS if commands(path) and path.name != "experiment.md"]
 PROGRAMS = [path for path in DOCUMENTS if python_blocks(path) and path.name != "streams.md"]
 QUICK = {
+    "--frames 100": "--frames 4",
     "--frames 20": "--frames 2",
     "0:10": "0:2",
     "100:200": "0:2",
@@ -171,12 +174,14 @@ def at_work(inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("runtime_folder")
 @pytest.mark.parametrize("document", COMMANDS, ids=lambda path: path.stem)
 def test_commands_run(document: Path, at_work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PRESETS:
         monkeypatch.setitem(PRESETS, name, at_work / "bench.toml")
     monkeypatch.setattr("app.evaluation.studies.run_studies", lambda *_: ())  # they have tests of their own
     monkeypatch.setattr("app.batch.workers.workers", lambda *_, **_options: nullcontext(Counting()))
+    instrument = ExitStack()
     for command in commands(document):
         words = shlex.split(reduce(lambda text, change: text.replace(*change), QUICK.items(), command))
         if words[0] == "live":
@@ -189,14 +194,19 @@ def test_commands_run(document: Path, at_work: Path, monkeypatch: pytest.MonkeyP
             "study",
         }:  # a document writes the same file again and again
             words += ["--overwrite"]
-        assert run(monkeypatch, *words) == 0, command
+        if words[0] == "serve":  # until it is asked to end
+            instrument.enter_context(served(FakeCamera()))
+        else:
+            assert run(monkeypatch, *words) == 0, command
+    instrument.close()
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("at_work")
+@pytest.mark.usefixtures("at_work", "runtime_folder")
 @pytest.mark.parametrize("document", PROGRAMS, ids=lambda path: path.stem)
 def test_programs_run(document: Path) -> None:
-    exec(compile(python_blocks(document), document.name, "exec"), {})  # noqa: S102 - our own document
+    with served(FakeCamera()) if document.stem == "processes" else nullcontext():
+        exec(compile(python_blocks(document), document.name, "exec"), {})  # noqa: S102 - our own document
 
 
 def test_program_that_needs_hardware_is_left_out(tmp_path: Path) -> None:

@@ -18,8 +18,12 @@ from app.errors import InputError
 from app.files import check_outputs, make_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from app.acquisition.carrier import Carrier
     from app.acquisition.worker import Acquisition, Measurement
     from app.bench.config import Bench
+    from app.gui.shell.controller import Begin
     from app.gui.shell.main_window import MainWindow
     from app.results.player import Player
 
@@ -65,9 +69,7 @@ def live(
     is_attended = use_display() and seconds is None
     if attach:
         options.refuse_with_attach(bench=bench, set=setting, replay=replay, frames=frames)
-        if not is_attended:
-            raise InputError("--attach needs a display: svwfs measure --attach works without a window")
-        raise typer.Exit(attached_window(name))
+        raise typer.Exit(attached_window(name, is_attended=is_attended, seconds=seconds, out=out, overwrite=overwrite))
     if replay is None:
         if frames is not None:
             raise InputError("--frames selects frames of a recording: add --replay RECORDING")
@@ -129,18 +131,23 @@ def replay_window(player: Player) -> int:
     return run_window(None, open_first=open_first)
 
 
-def attached_window(name: str) -> int:
-    """Run the window on an instrument of another process until it is closed, and return the exit status."""
-    from app.gui.splash import Splash
+def attached_window(name: str, *, is_attended: bool, seconds: float | None, out: Path, overwrite: bool) -> int:
+    """Run the window on an instrument of another process, as `bench_window` or `unattended_window`."""
+    splash = None
+    if is_attended:
+        from app.gui.splash import Splash
 
-    splash = Splash()  # before the rest is loaded
+        splash = Splash()  # before the rest is loaded
     from app.acquisition.remote.connection import Connection
     from app.gui.application import run_window
 
-    connection = Connection("window", name)  # before there is a window: if none runs, the terminal tells
+    first = Connection("window", name)  # before there is a window: if none runs, the terminal tells
 
     def connect() -> Connection:
-        return connection if connection.is_alive else Connection("window", name)
+        return first if first.is_alive else Connection("window", name)
+
+    if splash is None:
+        return unattended_window(first.bench, seconds=seconds, out=out, overwrite=overwrite, connect=connect)
 
     def open_first(window: MainWindow) -> None:
         splash.finish(window)
@@ -150,9 +157,17 @@ def attached_window(name: str) -> int:
 
 
 def unattended_window(
-    bench: Bench, *, seconds: float | None, out: Path, overwrite: bool, player: Player | None = None
+    bench: Bench,
+    *,
+    seconds: float | None,
+    out: Path,
+    overwrite: bool,
+    player: Player | None = None,
+    connect: Callable[[], Carrier] | None = None,
 ) -> int:
-    """Run the window without a user and return the exit status; a `player` replaces the bench's devices by a recording.
+    """Run the window without a user and return the exit status.
+
+    A `player` replaces the bench's devices by a recording; `connect` leads to an instrument of another process.
 
     The window closes by itself `seconds` after the first wavefront and writes `window.png`, `result.nc` and `run.json`
     into the folder `out`; without a wavefront it fails.
@@ -169,7 +184,7 @@ def unattended_window(
     check_outputs([picture, results, run], inputs=bench.files, overwrite=overwrite)
     from app.gui.application import run_window
 
-    made: list[Acquisition] = []  # one more after each reconnection
+    made: list[Carrier] = []  # one more after each reconnection
 
     def finish(measurement: Measurement) -> None:
         _write_run(run, made[-1])
@@ -177,12 +192,17 @@ def unattended_window(
             dataset = result_dataset(measurement.wavefront, measurement.quality)
             write_results(results, dataset, bench=bench, inputs={})
 
-    def make() -> Acquisition:
-        made.append(Acquisition(bench) if player is None else player.acquisition())
+    def make() -> Carrier:
+        if connect is not None:
+            made.append(connect())
+        else:
+            made.append(Acquisition(bench) if player is None else player.acquisition())
         return made[-1]
 
     make_folder(out)
-    begin = start_up if player is None else player.begin
+    begin: Begin = start_up if player is None else player.begin
+    if connect is not None:
+        begin = lambda _: ()  # noqa: E731 - it runs already
     status = run_window(
         None,
         offscreen_s=seconds or _UNATTENDED_S,
@@ -194,7 +214,7 @@ def unattended_window(
     return status
 
 
-def _write_run(path: Path, acquisition: Acquisition) -> None:
+def _write_run(path: Path, acquisition: Carrier) -> None:
     """Write `run.json` of a run without a recording: numbers of frames and stage times."""
     from app.run_facts import now, software_facts, timing_facts, write_record
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
-
-import pytest
 
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.place import Place, taken_place
@@ -59,9 +56,3 @@ def _is_announced() -> bool:
     except RunError:
         return False
     return True
-
-
-def use_runtime_folder(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
-    """Let instruments and their clients meet in a folder of the test; its path must be short."""
-    folder.chmod(0o700)
-    monkeypatch.setattr("platformdirs.user_runtime_path", lambda _: folder)

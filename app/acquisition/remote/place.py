@@ -5,14 +5,13 @@ import os
 import secrets
 import stat
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Self
-
-import platformdirs
 
 from app.errors import InputError, RunError
 
@@ -113,8 +112,9 @@ def runtime_folder() -> Path:
 
     `RunError` if it belongs to someone else or others may enter it.
     """
-    made = platformdirs.user_runtime_path("svwfs")
-    made.mkdir(mode=0o700, parents=True, exist_ok=True)
+    user = "" if sys.platform == "win32" else f"-{os.getuid()}"  # there the temporary folder is a user's own
+    made = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir(), f"svwfs{user}")
+    made.mkdir(mode=0o700, exist_ok=True)
     if sys.platform != "win32":  # where its access lists protect a user's folder
         found = made.stat()
         if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077:

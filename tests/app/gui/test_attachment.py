@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import pytest
 from PyQt6.QtWidgets import QMessageBox
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
-from support.served import connected, served, use_runtime_folder
+from support.served import connected, served
 from support.window_tools import MakeWindow, wait_for_wavefront
 
 from app.acquisition.remote.connection import Connection
@@ -21,11 +20,10 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
-    with TemporaryDirectory(prefix="svwfs", dir="/tmp") as folder:
-        use_runtime_folder(monkeypatch, Path(folder))
-        with served(FakeCamera()) as running:
-            yield running
+def server(runtime_folder: Path) -> Iterator[Server]:
+    assert runtime_folder.is_dir()
+    with served(FakeCamera()) as running:
+        yield running
 
 
 @pytest.fixture

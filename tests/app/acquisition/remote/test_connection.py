@@ -6,14 +6,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 import zmq
 from support.gui_bench import BENCH, FakeCamera
 from support.patience import HANG_S, wait_until
-from support.served import connected, served, use_runtime_folder
+from support.served import connected, served
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.remote.connection import Connection
@@ -29,14 +28,7 @@ from app.recording.reader import Recording
 from app.recording.recorder import RecordingLimit
 from drivers.interface import BadValue, Disconnected, WrongState
 
-pytestmark = pytest.mark.slow  # each prepares a reference
-
-
-@pytest.fixture(autouse=True)
-def _own_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    with TemporaryDirectory(prefix="svwfs", dir="/tmp") as folder:
-        use_runtime_folder(monkeypatch, Path(folder))
-        yield
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder")]  # each prepares a reference
 
 
 @pytest.fixture
@@ -45,7 +37,8 @@ def camera() -> FakeCamera:
 
 
 @pytest.fixture
-def server(camera: FakeCamera) -> Iterator[Server]:
+def server(camera: FakeCamera, runtime_folder: Path) -> Iterator[Server]:
+    assert runtime_folder.is_dir()
     with served(camera) as running:
         yield running
 

@@ -13,7 +13,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import pytest
 from support.command_line import run
@@ -25,7 +24,11 @@ from app.acquisition.remote.place import Place, runtime_folder
 from app.errors import RunError
 from app.recording.reader import Recording
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.usefixtures("runtime_folder"),
+    pytest.mark.skipif(os.name != "posix", reason="signals of POSIX"),
+]
 
 KILLS = int(os.environ.get("SVWFS_KILLS", "1"))
 
@@ -38,13 +41,6 @@ while connection.newest is None or connection.newest.wavefront is None:
 print("sees", flush=True)
 time.sleep(600)
 """
-
-
-@pytest.fixture(autouse=True)
-def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    with TemporaryDirectory(prefix="svwfs", dir="/tmp") as made:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", made)
-        yield Path(made)
 
 
 @contextmanager
