@@ -74,7 +74,7 @@ def test_memory_does_not_grow_over_twenty_openings(make_window: MakeWindow, qtbo
     for index in range(22):
         bench = load_bench("live_demo" if index % 2 else small_toml)
         window.open(partial(Acquisition, bench))
-        qtbot.waitUntil(lambda: reconstructed(window) > 20)
+        qtbot.waitUntil(lambda: reconstructed(window) > 5)
         qtbot.waitUntil(lambda: window.controller.is_settled)
         sizes.append(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
     assert max(sizes[-2:]) < 1.1 * max(sizes[2:4])
