@@ -373,6 +373,13 @@ class ConnectedBench(LiveBench):
         status = self._connection.status
         return self._bench if status is None else status.bench_in_force
 
+    def set_light(self, on: bool) -> None:
+        """Switch the light, or note that you switched it by hand. Off works at once, for watching clients, too."""
+        if on or self._bench.has_manual_light:
+            super().set_light(on)
+        else:
+            self._result(self._connection.switch_light_off())
+
     def _let_finish(self) -> None:
         ends_s = time.monotonic() + _FINISH_S
         while time.monotonic() < ends_s and self._connection.is_alive:

@@ -11,7 +11,6 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeout
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
@@ -22,10 +21,10 @@ from zmq.utils.monitor import recv_monitor_message
 from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.remote import messages
-from app.acquisition.remote.frames import Absent, NewestFrames
+from app.acquisition.remote.frames import NewestFrames
 from app.acquisition.remote.messages import Accepted, Answer, Command, Notice, State, Traveller
 from app.acquisition.remote.place import NAME, Place
-from app.acquisition.remote.wire import Packed, unpacked
+from app.acquisition.remote.wire import Absent, Packed, unpacked
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import FrameTotals, Measurement
@@ -112,7 +111,7 @@ class Connection:
         self._say(messages.Hello(self.name, controls))
         self._thread = threading.Thread(target=self._work, name="connection", daemon=True)
         self._thread.start()
-        if not self._has_state.wait(_ANSWER_S):
+        if not self._has_state.wait(_ANSWER_S) or self._state is None:
             self.close()
             raise self._ended or RunError(
                 f"the instrument of process {self.place.process} does not answer: stop it, and start it again"
@@ -245,7 +244,7 @@ class Connection:
         """Recording time left in a folder at the current rate."""
         try:
             return float(self._send("free_minutes", folder.absolute()).result(_ANSWER_S))
-        except (FutureTimeout, RunError) as error:
+        except Exception as error:
             raise OSError("the instrument does not answer") from error
 
     def take_control(self) -> Future[None]:
@@ -269,6 +268,12 @@ class Connection:
 
     def _send(self, request: str, *arguments: Any, **named: Any) -> Future[Any]:
         future: Future[Any] = Future()
+        future.set_running_or_notify_cancel()  # what is sent cannot be called back
+        try:
+            Packed((arguments, named))
+        except TypeError as error:
+            future.set_exception(error)
+            return future
         with self._sending:
             if self._has_left:
                 future.set_exception(self.error or RunError("the connection to the instrument is closed"))
@@ -336,6 +341,8 @@ class Connection:
             self._ended = RunError(
                 f"the instrument's process {self.place.process} has ended: its light is off, unless that is manual"
             )
+        if self._frames.error is not None and self._ended is None:
+            self._ended = RunError(f"frames of the instrument cannot be shown: {self._frames.error}")
         now_s = time.monotonic()
         if now_s > self._said_s + _ALIVE_S:
             self._say(messages.Alive())
@@ -355,6 +362,9 @@ class Connection:
             take(message)
 
     def _take_object(self, traveller: Traveller) -> None:
+        if traveller.value is None:  # the instrument has no use of it any more
+            self._unread = []
+            return
         with self._sending:
             self._objects[traveller.number] = traveller.value
             self._asked_s.pop(traveller.number, None)
@@ -373,7 +383,7 @@ class Connection:
         self._frames.outdate(answer.count)
         self._accepted.discard(answer.number)
         future, _ = self._pending.pop(answer.number, (None, 0.0))
-        if future is not None and future.set_running_or_notify_cancel():
+        if future is not None:
             if answer.failure is None:
                 future.set_result(answer.result)
             else:

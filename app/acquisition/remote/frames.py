@@ -4,6 +4,7 @@ The wavefront is solved here from the displacements, as it was there. Preparing 
 and signs of life must go on.
 """
 
+import struct
 import threading
 import time
 from collections import OrderedDict
@@ -13,7 +14,7 @@ from typing import Any
 
 from app.acquisition.remote.messages import Notice, Record
 from app.acquisition.remote.ring import RingReader
-from app.acquisition.remote.wire import unpacked
+from app.acquisition.remote.wire import Absent, unpacked
 from app.measurement.calibration import Calibration
 from app.measurement.estimator import Estimator
 from app.measurement.measurement import Measurement
@@ -22,10 +23,6 @@ from reconstruction.layers.layered_wavefront import FREE
 
 _WAIT_S = 0.1
 _ESTIMATORS = 2  # kept: two references may alternate
-
-
-class Absent(Exception):
-    """An object that a message refers to has not arrived."""
 
 
 class NewestFrames:
@@ -37,6 +34,7 @@ class NewestFrames:
         """`find` returns an object that travels by itself, or raises `Absent`; a pause follows each measurement."""
         self._find, self._sinks, self._pause_s = find, sinks, pause_s
         self.newest: Measurement | None = None
+        self.error: Exception | None = None  # that ended the thread
         self.overtaken = 0  # records that were overwritten while they were read
         self._estimators: OrderedDict[int, tuple[Calibration, Estimator]] = OrderedDict()
         self._ring: tuple[str, RingReader] | None = None
@@ -78,6 +76,8 @@ class NewestFrames:
                 self._closing.wait(self._due_s - time.monotonic())
                 if (notice := self._notice) is not None and notice.place:
                     self._read_newest(notice.place)
+        except Exception as error:  # noqa: BLE001 - the connection ends with it
+            self.error = error
         finally:
             if self._ring is not None:
                 self._ring[1].close()
@@ -86,7 +86,7 @@ class NewestFrames:
         if self._ring is None or self._ring[0] != place:
             try:
                 opened = RingReader(place)
-            except OSError:  # replaced already: another notice is coming
+            except (OSError, ValueError, struct.error):  # replaced already: another notice is coming
                 return
             if self._ring is not None:
                 self._ring[1].close()

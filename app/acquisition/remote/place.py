@@ -114,9 +114,12 @@ def runtime_folder() -> Path:
     """
     user = "" if sys.platform == "win32" else f"-{os.getuid()}"  # there the temporary folder is a user's own
     made = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir(), f"svwfs{user}")
-    made.mkdir(mode=0o700, exist_ok=True)
+    try:
+        made.mkdir(mode=0o700, exist_ok=True)
+    except OSError as error:
+        raise RunError(f"{made} cannot be made for the instrument's address: {error.strerror}") from error
     if sys.platform != "win32":  # where its access lists protect a user's folder
-        found = made.stat()
+        found = made.lstat()  # a link is refused, too
         if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077:
             raise RunError(f"{made} belongs to another user or is open to others: remove it")
     return made

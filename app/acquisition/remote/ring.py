@@ -8,6 +8,7 @@ A slow reader loses records and knows it; a dead one changes nothing.
 
 import mmap
 import os
+import secrets
 import struct
 import sys
 from contextlib import suppress
@@ -30,14 +31,15 @@ class RingWriter:
         """Make slots for records of that size; `count` goes on from an earlier ring. A file would be in the folder."""
         self._slots, self._stride = slots, _SLOT_HEADER_BYTES + -(-slot_bytes // 64) * 64
         self._file: Path | None = None
+        serial = secrets.token_hex(4)  # the next ring may get the same descriptor
         size = _HEADER_BYTES + slots * self._stride
         if sys.platform == "linux":
             self._descriptor = os.memfd_create("svwfs ring")
-            self.place = f"/proc/{os.getpid()}/fd/{self._descriptor}"
+            self.place = f"/proc/{os.getpid()}/fd/{self._descriptor}#{serial}"
         else:
             self._file = folder / f"ring-{os.getpid()}-{id(self):x}"
             self._descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
-            self.place = str(self._file)
+            self.place = f"{self._file}#{serial}"
         os.ftruncate(self._descriptor, size)
         self._memory = mmap.mmap(self._descriptor, size)
         self._memory[: _FACTS.size] = _FACTS.pack(_MAGIC, slots, self._stride)
@@ -81,7 +83,7 @@ class RingReader:
     """Reads the ring at a place; `OSError` if it is gone, `ValueError` if it is none of this version."""
 
     def __init__(self, place: str) -> None:
-        descriptor = os.open(place, os.O_RDONLY)
+        descriptor = os.open(place.rpartition("#")[0] or place, os.O_RDONLY)
         try:
             self._memory = mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ)
         finally:

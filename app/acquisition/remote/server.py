@@ -28,6 +28,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import SKIPPED, Measurement
+from app.recording.recorder import RecordingLimit
 from app.timing import Stage, StageTimes
 from drivers.errors import BadValue, WrongState
 from drivers.interface import Devices
@@ -201,6 +202,8 @@ class Server:
             self._write()
             self._tell(identity, self._present())
             self._tell(identity, Notice(*self._noticed))
+        elif isinstance(message, Command) and message.request == "switch_light_off":
+            self._execute(identity, message)  # whoever it is
         elif identity not in self._clients:  # forgotten, maybe while it was stopped
             self._tell(identity, messages.Forgotten())
         elif isinstance(message, Command):
@@ -257,8 +260,18 @@ class Server:
             inspect.signature(request).bind(None, *command.arguments, **command.named)
         except TypeError as error:
             raise BadValue(f"{name}: {error}") from error
+        limit = command.named.get("limit", command.arguments[0] if name == "limit_recording" else RecordingLimit())
+        if not isinstance(limit, RecordingLimit):
+            raise BadValue(f"{name}: {limit!r:.60} is no limit of a recording")
         if is_instruments:
-            return self.acquisition.submit(request, *command.arguments, **command.named)
+
+            def checked(instrument: Instrument) -> Any:
+                try:
+                    return request(instrument, *command.arguments, **command.named)
+                except (TypeError, AttributeError) as error:  # of a value from outside
+                    raise BadValue(f"{name}: {error}") from error
+
+            return self.acquisition.submit(checked)
         return request(self.acquisition, *command.arguments, **command.named)
 
     def _answer(self, identity: bytes, number: int, future: Future[Any]) -> None:

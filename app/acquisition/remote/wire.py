@@ -27,6 +27,10 @@ Numbered: TypeAlias = Callable[[Any], int | None]
 """The number of an object that travels by itself; None for what is written where it occurs."""
 
 
+class Absent(Exception):
+    """An object that a message refers to has not arrived."""
+
+
 class Packed:
     """A value ready to be written: its text, and its arrays at their places behind it."""
 
@@ -106,7 +110,9 @@ def unpacked(buffer: bytes | bytearray | memoryview, find: Callable[[int], Any] 
         length = int.from_bytes(view[:8], "little")
         base = _aligned(_HEAD_BYTES + length)
         return _Reader(view[base:], find)(json.loads(bytes(view[_HEAD_BYTES : _HEAD_BYTES + length])))
-    except (ValueError, TypeError, KeyError, AttributeError, ImportError) as error:
+    except Absent:
+        raise
+    except Exception as error:
         raise RunError(f"a message of another process cannot be read, maybe of another version: {error}") from error
 
 

@@ -87,17 +87,18 @@ class Controller(QObject):
         """Start an acquisition, if a bench is open; close the previous one first. `is_lit`: see `start_up`."""
         if self._make_acquisition is None:
             return
+        try:
+            made = self._make_acquisition()
+        except RunError as error:  # no instrument to connect to: the one before, and its failure, stay
+            self.messages.warn(str(error))
+            return
         if self.acquisition is not None:
             self.acquisition.close()
         self.question_closed.emit()
-        try:
-            self.acquisition = self._make_acquisition()
-        except RunError as error:  # no instrument to connect to
-            self.messages.warn(str(error))
-            return
+        self.acquisition = made
         self.acquisition.start()
         self.connected.emit()
-        begin = self._begin if is_lit else partial(start_up, is_lit=False)
+        begin = self._begin if is_lit or self.is_attached else partial(start_up, is_lit=False)
         self._pending = [(future, None, None) for future in begin(self.acquisition)]
         release_memory()  # of the one before
 

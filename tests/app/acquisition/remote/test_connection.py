@@ -92,6 +92,8 @@ def test_commands_act_and_the_status_has_changed_when_they_are_done(camera: Fake
 def test_impossible_commands_are_refused() -> None:
     commands: list[tuple[str, tuple[object, ...], type[Exception]]] = [
         ("set", ("exposure_s", 0.055), BadValue),
+        ("set", ("exposure_s", "abc"), BadValue),
+        ("limit_recording", (5,), BadValue),
         ("take_dark", (), BadValue),
         ("take_dark", (3, 4), BadValue),
         ("close", (), BadValue),
@@ -114,6 +116,8 @@ def test_one_client_has_control_and_the_others_watch(camera: FakeCamera) -> None
             second.submit(Instrument.take_dark, 3).result(HANG_S)
         assert newest(second).wavefront is not None
         second.switch_light_off().result(HANG_S)  # anyone may
+        assert isinstance(second._send("set", {1, 2}).exception(HANG_S), TypeError)
+        assert not second.submit(Instrument.take_dark, 3).cancel()  # it is on its way
         assert not camera.light.shines
         second.take_control().result(HANG_S)
         assert second.has_control
@@ -174,6 +178,16 @@ def test_an_interrupted_recording_is_finished_before_the_client_leaves(
         with pytest.raises(Interrupted):
             bench.record(tmp_path / "run", 1000)
         assert Recording(tmp_path / "run").is_complete
+
+
+@pytest.mark.usefixtures("server")
+def test_a_watching_bench_switches_the_light_off(camera: FakeCamera) -> None:
+    with connected() as connection, connect(watch=True) as bench:
+        newest(connection)
+        bench.set_light(False)
+        assert not camera.light.shines
+        with pytest.raises(WrongState, match="only watches"):
+            bench.set_light(True)
 
 
 @pytest.mark.usefixtures("server")
@@ -238,12 +252,18 @@ def test_a_client_ends_the_instrument(camera: FakeCamera) -> None:
         assert not camera.light.shines
 
 
+def text_message(text: str) -> bytes:
+    return len(text).to_bytes(8, "little") + bytes(56) + text.encode()
+
+
 def test_strangers_are_not_heard(server: Server) -> None:
     with connected(controls=False) as watching, zmq.Context() as context:
         wait_until(lambda: server.acquisition.status is not None)
         messages: list[list[bytes | bytearray]] = [
             [b"wrong key", Packed(Hello("stranger", controls=True)).message()],
             [server.place.key.encode(), b"no message"],
+            [server.place.key.encode(), text_message('{"of":[]}')],
+            [server.place.key.encode(), text_message('{"tuple":[' * 5000 + "]}" * 5000)],
             [server.place.key.encode()],
             [b""],
             [server.place.key.encode(), Packed(Command(1, "shut_down")).message()],  # without a hello
