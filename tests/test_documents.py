@@ -40,7 +40,7 @@ DOCUMENTS = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 COMMANDS = [path for path in DOCUMENTS if commands(path) and path.name != "experiment.md"]
 PROGRAMS = [path for path in DOCUMENTS if python_blocks(path) and path.name != "streams.md"]
 QUICK = {
-    "--frames 100": "--frames 4",
+    "--attach --frames 100": "--attach --frames 4",
     "--frames 20": "--frames 2",
     "0:10": "0:2",
     "100:200": "0:2",

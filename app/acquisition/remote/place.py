@@ -112,7 +112,9 @@ def runtime_folder() -> Path:
 
     `RunError` if it belongs to someone else or others may enter it.
     """
-    user = "" if sys.platform == "win32" else f"-{os.getuid()}"  # there the temporary folder is a user's own
+    user = ""  # under Windows the temporary folder is a user's own
+    if sys.platform != "win32":
+        user = f"-{os.getuid()}"
     made = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir(), f"svwfs{user}")
     try:
         made.mkdir(mode=0o700, exist_ok=True)
