@@ -6,19 +6,16 @@ from typing import cast, get_args
 from reconstruction.displacement import RegistrationMethod
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
-from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
+from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import Method, RegistrationSettings
 
 _MODULES = {"correlation_fft": "correlation"}  # of the other methods, the module has the method's name
 
 
 def prepare_registration(
-    reference: ReferenceSubimages, settings: RegistrationSettings, field: Field, model: LensletModel | None = None
+    reference: ReferenceSubimages, settings: RegistrationSettings, field: Field
 ) -> RegistrationMethod:
-    """Prepare the method of the settings for one reference: `prepare` of the module of its name in this room.
-
-    `model` is that of the reference's lenslets, if there is one that fits.
-    """
+    """Prepare the method of the settings for one reference: `prepare` of the module of its name in this room."""
     method = settings.method
     if method not in get_args(Method):
         raise ReconstructionError(
@@ -26,4 +23,4 @@ def prepare_registration(
             " registration.method, for example to gauss_newton"
         )
     module = import_module(f"{__name__}.{_MODULES.get(method, method)}")
-    return cast("RegistrationMethod", module.prepare(reference, settings, field, model))
+    return cast("RegistrationMethod", module.prepare(reference, settings, field))
