@@ -362,8 +362,9 @@ class Connection:
             take(message)
 
     def _take_object(self, traveller: Traveller) -> None:
-        if traveller.value is None:  # the instrument has no use of it any more
-            self._unread = []
+        if traveller.value is None:  # the instrument has no use of it any more: newer frames and states need others
+            if self._unread:  # an answer may be among them
+                self._ended = RunError("an answer of the instrument was lost: connect again")
             return
         with self._sending:
             self._objects[traveller.number] = traveller.value

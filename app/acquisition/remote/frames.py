@@ -35,7 +35,6 @@ class NewestFrames:
         self._find, self._sinks, self._pause_s = find, sinks, pause_s
         self.newest: Measurement | None = None
         self.error: Exception | None = None  # that ended the thread
-        self.overtaken = 0  # records that were overwritten while they were read
         self._estimators: OrderedDict[int, tuple[Calibration, Estimator]] = OrderedDict()
         self._ring: tuple[str, RingReader] | None = None
         self._notice: Notice | None = None
@@ -96,8 +95,7 @@ class NewestFrames:
         if count <= self._read or self._closing.is_set():
             return
         body = ring.read(count)
-        if body is None:
-            self.overtaken += 1
+        if body is None:  # overwritten meanwhile: there is a newer one
             self._has_news.set()
             return
         try:

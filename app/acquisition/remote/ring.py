@@ -97,11 +97,6 @@ class RingReader:
         """Number of records written so far."""
         return int.from_bytes(self._memory[_COUNT_AT : _COUNT_AT + 8], "little")
 
-    @property
-    def slots(self) -> int:
-        """Number of records that are kept."""
-        return int(self._slots)
-
     def read(self, count: int) -> bytes | None:
         """A copy of the record with a count, from 1; None if it is overwritten, or is not there yet."""
         start = _HEADER_BYTES + (count - 1) % self._slots * self._stride

@@ -5,7 +5,6 @@ control; the others watch. Whoever falls silent loses it; the measurement goes o
 """
 
 import inspect
-import socket
 import time
 from collections import deque
 from collections.abc import Callable
@@ -24,6 +23,7 @@ from app.acquisition.remote.messages import Answer, Command, Failure, Notice, Re
 from app.acquisition.remote.place import Place, runtime_folder
 from app.acquisition.remote.ring import RingWriter
 from app.acquisition.remote.wire import Packed, unpacked
+from app.acquisition.wake import Wake
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
@@ -94,8 +94,7 @@ class Server:
         self._timings: dict[Stage, StageTimes] = {}
         self._noticed = ("", 0)
         self._is_over = False
-        self._wake, self._woken = socket.socketpair()  # an event that can be polled together with ZeroMQ's sockets
-        self._wake.setblocking(False)
+        self._wake = Wake()
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.ROUTER)
         self._socket.setsockopt(zmq.SNDHWM, _QUEUED)
@@ -114,15 +113,15 @@ class Server:
         Raises what ended the acquisition, if it was not asked to.
         """
         poller = zmq.Poller()
-        for each in (self._socket, self._woken):
+        for each in (self._socket, self._wake):
             poller.register(each, zmq.POLLIN)
         try:
             self.acquisition.start()
             begin(self.acquisition)
             self.place.announce()
             while self.acquisition.is_alive and not self._is_over:
-                if (self._woken.fileno(), zmq.POLLIN) in poller.poll(_TICK_MS):
-                    self._woken.recv(4096)
+                poller.poll(_TICK_MS)
+                self._wake.clear()
                 self._turn()
         finally:
             self.acquisition.begin_close()
@@ -135,14 +134,13 @@ class Server:
             for ring in (*self._older_rings, *([self._ring] if self._ring else [])):
                 ring.close()
             self._wake.close()
-            self._woken.close()
         if self.acquisition.error is not None:
             raise self.acquisition.error
 
     def end(self) -> None:
         """Let `run` end, from any thread."""
         self._is_over = True
-        self._notify()
+        self._wake.notify()
 
     def _publish(self, measurement: Measurement, *, is_shown_only: bool) -> None:
         """Write a measurement into the ring, unless a newer one follows at once; called by the worker."""
@@ -170,11 +168,7 @@ class Server:
                         self._older_rings.popleft().close()
                 self._ring = RingWriter(int(_SPARE * packed.nbytes), runtime_folder(), count=count)
             self._ring.write(packed)
-        self._notify()
-
-    def _notify(self) -> None:
-        with suppress(OSError):  # notified often enough, or closed
-            self._wake.send(b"\0")
+        self._wake.notify()
 
     def _turn(self) -> None:
         now_s = time.monotonic()
@@ -203,7 +197,7 @@ class Server:
             self._tell(identity, self._present())
             self._tell(identity, Notice(*self._noticed))
         elif isinstance(message, Command) and message.request == "switch_light_off":
-            self._execute(identity, message)  # whoever it is
+            self._execute(identity, message)  # also of a client that was forgotten
         elif identity not in self._clients:  # forgotten, maybe while it was stopped
             self._tell(identity, messages.Forgotten())
         elif isinstance(message, Command):
@@ -236,7 +230,7 @@ class Server:
 
         def note(done: Future[Any]) -> None:
             self._done.append((identity, command.number, done))
-            self._notify()
+            self._wake.notify()
 
         future.add_done_callback(note)
 

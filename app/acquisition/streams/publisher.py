@@ -1,17 +1,17 @@
 """ZeroMQ publisher of live results, which never waits for a subscriber."""
 
 import ipaddress
-import socket
 import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 
 import zmq
 
 from app.acquisition.streams.guard import ConnectionGuard, limit
 from app.acquisition.streams.messages import TOPICS, message
+from app.acquisition.wake import Wake
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import Measurement
@@ -20,7 +20,6 @@ _WAITING = 4  # measurements queued for the publisher; beyond, the oldest is dro
 _QUEUED = 30  # messages queued per subscriber, ten measurements; beyond, new ones are dropped for it
 _BUFFER_BYTES = 1 << 18  # system buffer per subscriber; a larger one would only delay messages
 _CHANGES_AT_ONCE = 100  # between measurements
-_NOTIFICATIONS = 4096  # read at once
 _LINGER_MS = 300  # time to send the last messages
 
 
@@ -32,8 +31,7 @@ class Publisher:
         self._bench = bench
         self._waiting: deque[tuple[int, Measurement]] = deque(maxlen=_WAITING)
         self._closing = threading.Event()
-        self._wake, self._woken = socket.socketpair()  # an event that can be polled together with ZeroMQ's sockets
-        self._wake.setblocking(False)
+        self._wake = Wake()
         self._sequence = 0
         self._subscriptions: set[bytes] = set()
         self._context = zmq.Context()
@@ -46,7 +44,7 @@ class Publisher:
             self._socket.bind(endpoint)
         except zmq.ZMQError as error:
             self._context.destroy(linger=0)
-            self._close_wake()
+            self._wake.close()
             raise RunError(
                 f"nothing can be published at {endpoint}: {zmq.strerror(error.errno or 0)};"
                 " change streams.port or streams.address"
@@ -59,34 +57,26 @@ class Publisher:
         """Queue a measurement; returns at once."""
         self._sequence += 1
         self._waiting.append((self._sequence, measurement))
-        self._notify()
+        self._wake.notify()
 
     def close(self) -> None:
         """Send the queued measurements and close the port."""
         self._closing.set()
-        self._notify()
+        self._wake.notify()
         self._thread.join()
         self._socket.disable_monitor()
         self._guard.join()
         self._context.destroy()
-        self._close_wake()
-
-    def _notify(self) -> None:
-        with suppress(BlockingIOError):  # notified often enough
-            self._wake.send(b"\0")
-
-    def _close_wake(self) -> None:
         self._wake.close()
-        self._woken.close()
 
     def _work(self) -> None:
         poller = zmq.Poller()
-        for each in (self._socket, self._woken):
+        for each in (self._socket, self._wake):
             poller.register(each, zmq.POLLIN)
         is_last = False
         while not is_last:
-            if (self._woken.fileno(), zmq.POLLIN) in poller.poll():
-                self._woken.recv(_NOTIFICATIONS)
+            poller.poll()
+            self._wake.clear()
             is_last = self._closing.is_set()  # before the queue is emptied: what was taken before goes out
             self._read_subscriptions()
             while self._waiting:

@@ -308,7 +308,7 @@ def test_measurement_at_the_last_moment_is_sent(bench: Bench, port: int, measure
     with closing(Subscriber(port, "slopes")) as subscriber:
         before = _until_heard(publisher, subscriber, measurement)
         publisher._waiting = last = LastMoment(publisher, measurement)
-        publisher._notify()
+        publisher._wake.notify()
         assert subscriber.hears()[1]["sequence"] == before + 1
         last.closing.join(HANG_S)
 
