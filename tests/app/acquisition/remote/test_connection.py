@@ -5,28 +5,33 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zmq
-from support.gui_bench import BENCH, FakeCamera
+from support.gui_bench import BENCH, FakeCamera, make_frame
 from support.patience import HANG_S, wait_until
 from support.served import connected, served
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.remote.connection import Connection
-from app.acquisition.remote.messages import Alive, Command, Hello
+from app.acquisition.remote.frames import NewestFrames
+from app.acquisition.remote.messages import Alive, Command, Hello, Notice, Record
 from app.acquisition.remote.place import Place, runtime_folder, taken_place
+from app.acquisition.remote.ring import RingWriter
 from app.acquisition.remote.server import Server
 from app.acquisition.remote.wire import Packed
 from app.acquisition.session import ConnectedBench, connect
 from app.acquisition.start_up import start_up
 from app.errors import InputError, Interrupted, RunError
-from app.measurement.measurement import Measurement
+from app.measurement.measurement import Assumptions, Measurement, RefinementState
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingLimit
 from drivers.interface import BadValue, Disconnected, WrongState
+from reconstruction.layers.layered_wavefront import FREE
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder")]  # each prepares a reference
 
@@ -188,6 +193,38 @@ def test_a_watching_bench_switches_the_light_off(camera: FakeCamera) -> None:
         assert not camera.light.shines
         with pytest.raises(WrongState, match="only watches"):
             bench.set_light(True)
+
+
+@pytest.mark.usefixtures("server")
+def test_a_bias_that_the_instrument_subtracted_is_subtracted_here() -> None:
+    with connected() as connection:
+        made = newest(connection)
+        assert made.registered is not None
+        assert made.calibration is not None
+        bias = np.full(made.registered.coefficients.shape, 0.1)
+        bias[0] = 0.3
+        applied = replace(made, assumed=Assumptions(FREE, RefinementState("applied", bias=bias)), wavefront=None)
+        found = connection._frames._solved(Record(applied, has_wavefront=True, is_shown_only=False))
+        reconstructor = made.calibration.reconstructor()
+        assert found.wavefront is not None
+        assert made.wavefront is not None
+        np.testing.assert_array_equal(found.wavefront.views, reconstructor.solve(made.registered, bias=bias).views)
+        assert np.nanmax(np.abs(found.wavefront.views - made.wavefront.views)) > 0.01
+
+
+def test_frames_measured_before_a_command_are_shown_but_no_longer_passed_on(tmp_path: Path) -> None:
+    passed: list[int] = []
+    frames = NewestFrames(lambda _: None, (lambda made: passed.append(made.frame.index),), 0.0)
+    with closing(RingWriter(10_000, tmp_path)) as ring:
+        for index in range(3):
+            if index == 1:
+                frames.outdate(2)
+            frame = make_frame(np.zeros((3, 4), np.uint16), index=index)
+            frames.announce(Notice(ring.place, ring.write(Packed(Record(Measurement(frame, None, "x"), False, False)))))
+            wait_until(lambda: frames.newest is not None and frames.newest.frame.index == index)  # noqa: B023 - at once
+        frames.close()
+        frames.join()
+    assert passed == [0, 2]
 
 
 @pytest.mark.usefixtures("server")

@@ -116,6 +116,8 @@ def test_other_things_cannot_be_sent(value: object) -> None:
     [
         {"of": ["os:system", ["true"]]},
         {"of": ["subprocess:Popen", {"args": ["true"]}]},
+        {"of": ["http:HTTPStatus", 200]},
+        {"of": ["urllib.parse:DefragResult", ["a", "b"]]},
         {"of": ["app.acquisition.worker:Acquisition", {"bench": None}]},
         {"of": ["app.files:Path", ["x"]]},
         {"of": ["app.acquisition.remote.messages:Notice", {"place": "x"}]},
