@@ -13,7 +13,7 @@ from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.layered_modes import layered_basis
 from reconstruction.modes.pupil_modes import PupilModes, local_wavefronts
-from reconstruction.registration.response import LensletModel
+from reconstruction.registration.subimages import LensletModel
 
 _DEGREE = 5  # of the local wavefronts
 _LIGHT_STEP = 0.05  # relative; the information of one lenslet is computed once per step and scaled by the light
