@@ -285,6 +285,12 @@ class Reconstructor:
         """Number of displacements of the warp that the mask does not show lenslet by lenslet."""
         return self._prepared.hidden
 
+    @property
+    def brightness_terms(self) -> int:
+        """Number of polynomials over the field in which the brightness of a subimage may vary."""
+        method = self._prepared.method
+        return method.brightness_terms if isinstance(method, GaussNewton) else 1
+
     def weights_of(self, displacement: Displacement) -> Floats:
         """Weights relative to the reference's, (lenslet_row, lenslet_column); all 1 if the noise is unknown."""
         if self.noise is None:

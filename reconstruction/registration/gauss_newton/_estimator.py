@@ -35,6 +35,7 @@ from reconstruction.registration.gauss_newton._lenslet_fits import (
     new_workplace,
 )
 from reconstruction.registration.gauss_newton.template import (
+    LINEAR,
     Propagated,
     Template,
     coefficient_covariance,
@@ -301,6 +302,11 @@ class GaussNewton:
         beyond[..., 0] += 1
         of_noise = np.einsum("rck,krcij->rcij", variance, warp.brightness_covariance.reshape(2, *shape, 6, 6))
         return Transmission(beyond * per_gain, of_noise * per_gain[..., None] ** 2)
+
+    @property
+    def brightness_terms(self) -> int:
+        """Number of polynomials over the field that are taken out as a brightness; linear without a model."""
+        return LINEAR if self._brightness is None else len(self._brightness)
 
     @property
     def hidden(self) -> int:

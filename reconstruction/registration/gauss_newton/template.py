@@ -33,7 +33,7 @@ from reconstruction.registration.subimages import LensletModel, ReferenceSubimag
 # as large, although the scatter is smaller.
 _MODEL_ERROR = 0.02
 _NOTHING = 1e-12
-_LINEAR, _CUBIC = 3, LegendreModes(10)  # brightness over the field; linear without a model of the lenslets
+LINEAR, _CUBIC = 3, LegendreModes(10)  # brightness over the field; linear without a model of the lenslets
 # RMS of a brightness in each cubic polynomial, for the choice: behind a sample with 8 % RMS of absorption over 0.5 mm.
 _CUBIC_RMS = 0.011
 _UNSEEN = 1e-6  # singular value over the largest, below which a reference does not show a parameter
@@ -115,7 +115,7 @@ class SteepestDescent:
         """
         self.u, self.v = reference.offset_px[pixels.ravel()].T / reference.half_width_px
         self._basis, self._conserves_flux, self._values = basis, conserve_flux, modes.values(self.u, self.v)
-        count = _LINEAR if brightness is None else len(brightness)
+        count = LINEAR if brightness is None else len(brightness)
         self._over_field = LegendreModes(max(count, TRANSMISSION_MODES.count)).values(self.u, self.v)
         self._nuisance = slice(1, count)
         self._image, self._blurred = np.ones_like(self.u), np.zeros_like(self._over_field)
