@@ -104,7 +104,9 @@ def test_study_shows_residual_error_bar_and_flags(bench: Bench, monkeypatch: pyt
     data = collect(BENCH.dims, BENCH.measure(bench, range(1), lambda *_: None))
     summary = BENCH.summary(data).set_index(["curve", "at"])
     assert len(summary) == 12
-    assert summary.loc[("free", "absorption 16 %"), "mean_rad"] > 2 * summary.loc[("free", "none"), "mean_rad"]
+    mean_rad = summary["mean_rad"]
+    assert mean_rad["free", "defocus 4 %, not told"] > 2 * mean_rad["free", "none"]
+    assert mean_rad["free", "absorption 16 %"] < 1.2 * mean_rad["free", "none"]  # its brightness is fitted
     assert summary.loc[("layers", "none"), "flags"] == ""
     assert 0 <= summary.loc[("layers: error bar", "none"), "coverage"] <= 1
     data["faults"] = float(Fault.MISFIT)
