@@ -110,4 +110,6 @@ def test_study_shows_residual_error_bar_and_flags(bench: Bench, monkeypatch: pyt
     assert summary.loc[("layers", "none"), "flags"] == ""
     assert 0 <= summary.loc[("layers: error bar", "none"), "coverage"] <= 1
     data["faults"] = float(Fault.MISFIT)
-    assert any("MISFIT" in cell for line in BENCH.printed(data).lines for cell in line)
+    lines = BENCH.printed(data).lines  # one each, because their names are long
+    assert [line[0] for line in lines] == [each.name for each in chosen]
+    assert any("MISFIT" in cell for line in lines for cell in line)

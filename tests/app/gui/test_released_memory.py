@@ -18,7 +18,6 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.gui.shell.main_window import MainWindow
 
-
 COARSE = "simulation.object_samples=11", "simulation.pupil_samples=10"  # rendered sooner, of the same size
 
 
