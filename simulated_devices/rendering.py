@@ -136,18 +136,17 @@ class Renderer:
         return self._sum(of_line, progress)
 
     def _sum(
-        self,
-        render: Callable[[Renderer, OnFraction | None], NDArray[np.float32]],
-        progress: OnFraction | None,
+        self, render: Callable[[Renderer, OnFraction | None], NDArray[np.float32]], progress: OnFraction | None
     ) -> NDArray[np.float32]:
         """Add up the images of all lines."""
         lines = self.lines
         if len(lines) == 1:
             return render(lines[0][1], progress)
-        images = (
-            share * render(line, progress and (lambda done, first=first: progress((first + done) / len(lines))))
-            for first, (share, line) in enumerate(lines)
-        )
+
+        def part(first: int) -> OnFraction | None:
+            return progress and (lambda done: progress((first + done) / len(lines)))
+
+        images = (share * render(line, part(first)) for first, (share, line) in enumerate(lines))
         return np.asarray(sum(images), np.float32)
 
     def check_rays(self) -> None:

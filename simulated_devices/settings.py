@@ -163,7 +163,7 @@ class SimulatedCameraSettings(Checked):
     @property
     def loss_per_e(self) -> float:
         """Share that the nonlinearity takes of one electron's signal, for each electron with it."""
-        return self.nonlinearity / (self.electrons_per_count * (2**self.bits - 1))
+        return self.nonlinearity / (self.electrons_per_count * (2.0**self.bits - 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,7 +177,7 @@ class SimulatedLightSettings(Checked):
         tuple[float, ...], Ge(1e-7), Le(1e-4), Doc("Lines of a broad spectrum; none: sensor.wavelength_m alone")
     ] = ()
     weights: Annotated[
-        tuple[float, ...], Ge(0), Le(1e12), Doc("Light of each line as the camera sees it, in any unit; none: all alike")
+        tuple[float, ...], Ge(0), Le(1e12), Doc("Light of each line as the camera sees it; none: all alike")
     ] = ()
 
     def faults(self) -> Iterator[tuple[str, str]]:

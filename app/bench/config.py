@@ -273,7 +273,11 @@ def changes_in_words(before: Bench, after: Bench) -> str:
         for name, value in dataclasses.asdict(new).items()
         if value != getattr(old, name)
     ]
-    return ", ".join(texts) or "the new lattice" * (before.lattice != after.lattice) or "the same settings"
+    others = {
+        "the new lattice": before.lattice != after.lattice,
+        "the nonlinearity": before.linearity != after.linearity,
+    }
+    return ", ".join(texts) or next((name for name, is_new in others.items() if is_new), "the same settings")
 
 
 def write_bench(bench: Bench) -> str:

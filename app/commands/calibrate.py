@@ -162,7 +162,7 @@ def linearity_summary(measured: MeasuredLinearity) -> list[str]:
         f"quadratic    {found.quadratic:+.5f} +- {found.quadratic_sigma:.5f}",
         f"cubic        {found.cubic:+.5f} +- {found.cubic_sigma:.5f}",
         f"chi-square   {found.chi_square:.2f} of the exposures against the curve, reduced",
-        f"exposures    {measured.late_s * 1e3:+.4f} +- {measured.late_sigma_s * 1e3:.4f} ms longer than the camera says",
+        f"exposures    {measured.late_s * 1e3:+.4f} +- {measured.late_sigma_s * 1e3:.4f} ms longer than reported",
         f"light        drifted by {100 * measured.drift:+.2f} %, flickers by {100 * measured.flicker:.3f} %",
     ]
 

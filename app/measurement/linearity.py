@@ -53,7 +53,8 @@ def measure_linearity(
 
         def signal(exposure_s: float) -> tuple[Image, Image]:
             lit, dark = averaged(exposure_s), darks[exposure_s]
-            return lit.mean - dark.mean, (lit.variance + dark.variance) / frames
+            variance = (lit.variance + dark.variance) / np.float32(frames)
+            return np.subtract(lit.mean, dark.mean), np.asarray(variance, np.float32)
 
         try:
             dark_level = float(np.median(darks[exposures_s[-1]].mean))
@@ -66,9 +67,7 @@ def measure_linearity(
             raise RoutineError(str(error)) from error
 
 
-def _exposure_times(
-    devices: Devices, cell_px: float, progress: FrameProgress, should_stop: ShouldStop
-) -> list[float]:
+def _exposure_times(devices: Devices, cell_px: float, progress: FrameProgress, should_stop: ShouldStop) -> list[float]:
     """Set the current, and return the exposures, s, of which the longest nearly fills the camera's scale."""
     camera, light = devices.camera, devices.light
 

@@ -220,7 +220,8 @@ class _Fit:
                 f"the signal of bright pixels differs by {misfit:.1%} of the highest one from any smooth curve: is the"
                 " camera saturated, or did the image move?"
             )
-        covariance = np.linalg.pinv(solution.jac.T @ solution.jac) * max(self._chi_square, 1.0)
+        jacobian = np.asarray(solution.jac)
+        covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(self._chi_square, 1.0)
         return solution.x, covariance
 
     @property

@@ -50,31 +50,29 @@ def test_shares_are_normalised_and_dark_lines_left_out() -> None:
         ((4e-7, 462.0), (), "wavelengths_m must be 1e-7 ... 0.0001"),
     ],
 )
-def test_impossible_spectra_are_refused(
-    wavelengths_m: tuple[float, ...], weights: tuple[float, ...], why: str
-) -> None:
+def test_impossible_spectra_are_refused(wavelengths_m: tuple[float, ...], weights: tuple[float, ...], why: str) -> None:
     with pytest.raises(SettingError, match=why):
         SimulatedLightSettings(wavelengths_m=wavelengths_m, weights=weights)
 
 
 def test_bench_file_holds_a_spectrum_about_its_wavelength(bench: Bench, small_toml: Path) -> None:
     assert parse_bench(write_bench(broad(bench)), "a bench") == broad(bench)
-    with pytest.raises(InputError, match=r"light.wavelengths_m have the mean 4.7e-07, more than 1 % from sensor.wave"):
+    with pytest.raises(InputError, match=r"light\.wavelengths_m have the mean 4\.7e-07, more than 1 % from sensor"):
         load_bench(small_toml, ("light.wavelengths_m=[460e-9, 480e-9]",))
-    with pytest.raises(InputError, match="light.weights must be as many"):
+    with pytest.raises(InputError, match=r"light\.weights must be as many"):
         load_bench(small_toml, ("light.wavelengths_m=[462e-9]", "light.weights=[1, 1]"))
 
 
 def test_images_of_the_lines_add_up(bench: Bench) -> None:
     """Each line alone is a bench of its wavelength whose screen delays light by the same path."""
     renderer = Renderer(scene_of(broad(bench)))
-    total = {"reference": 0.0, "state": 0.0}
+    total = dict.fromkeys(("reference", "state"), np.zeros(()))
     for length_m, weight in zip(LINES_M, WEIGHTS, strict=True):
         sensor = replace(bench.sensor, wavelength_m=length_m)
         screen_rad = bench.simulation.screen.rms_rad * NOMINAL_M / length_m
         alone = Renderer(scene_of(with_screen(replace(bench, sensor=sensor), rms_rad=screen_rad)))
-        total["reference"] += weight / 15 * alone.reference("square")
-        total["state"] += weight / 15 * alone.state("square", 0)
+        total["reference"] = total["reference"] + weight / 15 * alone.reference("square")
+        total["state"] = total["state"] + weight / 15 * alone.state("square", 0)
     nominal = Renderer(scene_of(bench))
     for image, sum_of_lines, of_nominal in (
         (renderer.reference("square"), total["reference"], nominal.reference("square")),
@@ -91,10 +89,7 @@ def test_files_of_screens_are_phases_at_the_nominal_wavelength(bench: Bench, tmp
     file = tmp_path / "screen.npy"
     np.save(file, generated.sample.screen.samples_rad)
     with_file = replace(with_screen(broad(bench), file=str(file)), field=replace(bench.field, neglect_propagation=True))
-    read, made = (
-        Renderer(scene_of(each)).state("square", 0)
-        for each in (with_file, with_screen(with_file, file=""))
-    )
+    read, made = (Renderer(scene_of(each)).state("square", 0) for each in (with_file, with_screen(with_file, file="")))
     np.testing.assert_allclose(read, made, atol=1e-5 * made.max())
 
 

@@ -79,6 +79,7 @@ class _Case:
     imperfections: Imperfections
     is_distance_told: bool = False  # the bench's settings have the camera's distance as focal length
     is_calibrated: bool = False  # the camera's nonlinearity was measured
+    brightness: float = 1.0  # of the light behind the frame, over that behind the reference
 
 
 _NAMES = {
@@ -101,6 +102,8 @@ _CASES = (
     _Case("absorption 4 %", Imperfections(absorption_rms=0.04)),
     _Case("defocus 0.4 %, not told", Imperfections(defocus=0.004)),
     _Case("defocus 4 %, told", Imperfections(defocus=_ALL.defocus), is_distance_told=True),
+    _Case("nonlinear 5 %, frame half as bright", Imperfections(nonlinearity=0.05), brightness=0.5),
+    _Case("the same, calibrated", Imperfections(nonlinearity=0.05), brightness=0.5, is_calibrated=True),
     _Case("all, defocus told", _ALL, is_distance_told=True),
 )
 
@@ -143,8 +146,8 @@ class ImperfectBench:
                 _through(renderer.light(0), amplitude),
             )
             images.append([share * renderer.model.irradiance(points, field) for field in fields])
-        both = np.sum(np.array(images), axis=0, dtype=np.float32)
-        return both[0], both[1]
+        reference, frame = np.sum(np.array(images), axis=0)
+        return reference, frame
 
     def _pupil(self, model: ForwardModel) -> Callable[[float], NDArray[np.complex64]]:
         """Amplitude and phase that lenslets and beam add at the pupil samples, (y, x), by the ratio of wavelengths."""
@@ -230,7 +233,8 @@ def _measured(bench: Bench, case: _Case, images: tuple[Image, Image], truth: Flo
     if case.is_distance_told:
         told_m = bench.sensor.lenslet_focal_length_m * (1 + case.imperfections.defocus)
         bench = replace(bench, sensor=replace(bench.sensor, lenslet_focal_length_m=told_m))
-    reference, frame = em_camera.counts(images[0]), em_camera.exposed(images[1], bench.simulation.seed, 0)
+    reference, seed = em_camera.counts(images[0]), bench.simulation.seed
+    frame = em_camera.exposed(images[1] * np.float32(case.brightness), seed, 0)
     estimator = WarpEstimator(bench, reference, None, noise=em_camera.noise)
     try:
         displacement = estimator.reconstructor.register(frame)

@@ -28,7 +28,7 @@ def signal_of(light: Floats, loss: float) -> Floats:
 def light_of(signal: float, loss: float) -> float:
     """Its inverse, in closed form."""
     part = loss / FULL
-    return (1 - np.sqrt(1 - 4 * part * signal)) / (2 * part)
+    return float((1 - np.sqrt(1 - 4 * part * signal)) / (2 * part))
 
 
 def exposures(
@@ -50,7 +50,7 @@ def exposures(
     def photograph(length: float, brightness: float) -> tuple[Image, Image]:
         light = image * fill * FULL * max(length + late, 0) * brightness
         noisy = random.poisson(light[..., None] / per_electron, (*light.shape, 4)) * per_electron
-        counts = signal_of(noisy, loss) + 5 * random.standard_normal(noisy.shape)
+        counts = signal_of(np.asarray(noisy, np.float64), loss) + 5 * random.standard_normal(noisy.shape)
         return counts.mean(axis=-1).astype(np.float32), (counts.var(axis=-1, ddof=1) / 4).astype(np.float32)
 
     made = Exposures(photograph(1.0, 1.0)[0], FULL)
@@ -169,6 +169,6 @@ def test_few_lit_pixels_are_refused() -> None:
         ({"em_gain": 0.5}, "em_gain"),
     ],
 )
-def test_impossible_curves_are_refused(values: dict[str, float], key: str) -> None:
+def test_impossible_curves_are_refused(values: dict[str, Any], key: str) -> None:
     with pytest.raises(SettingError, match=key):
         Linearity(**({"quadratic": 0.0, "highest_counts": 1000.0} | values))
