@@ -99,8 +99,9 @@ class MainWindow(BaseWindow):
         self.replay = ReplayBar(self.controls)
         self.analyses = Analyses(self.panels, self.shown)
         self._lay_out()
-        self._make_for = make_for
-        self.benches = Benches(self, self._open_bench, self.controller, self.settings, settings)
+        self.benches = Benches(
+            self, lambda bench: self.open(lambda: make_for(bench)), self.controller, self.settings, settings
+        )
         self._connect()
         fill_menus(self, self._menus())
         if settings is not None:
@@ -259,9 +260,6 @@ class MainWindow(BaseWindow):
             self.connect_devices()
 
         self.recording_bar.ask_to_end(lambda: self.light.ask_off(connect))
-
-    def _open_bench(self, bench: Bench) -> None:
-        self.open(lambda: self._make_for(bench))
 
     def refresh(self) -> None:
         """Show what has changed in the acquisition."""
