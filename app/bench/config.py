@@ -20,7 +20,7 @@ from app.bench.bench_files import BenchError, bench_file, line_of_setting, line_
 from app.bench.device_kinds import DRIVERS, DeviceSettings, RecordingSettings
 from app.bench.earlier_versions import replace_conserve_flux, set_recorded_defaults, take_non_rigid
 from app.errors import InputError
-from app.files import atomic_write, in_words
+from app.files import in_words, write_whole
 from drivers.light_source import ManualLightSettings
 from reconstruction.annotated_settings import Checked, Limit, SettingError, settings_of
 from reconstruction.deconvolution.imaging import Imaging
@@ -269,8 +269,7 @@ def changes_in_words(before: Bench, after: Bench) -> str:
 
 def save_bench(path: Path, bench: Bench) -> None:
     """Write a bench into a TOML file (atomic)."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(write_bench(bench), "utf-8")
+    write_whole(path, write_bench(bench))
 
 
 def write_bench(bench: Bench) -> str:
