@@ -141,7 +141,7 @@ def _run_in_window(course: Course, *, with_panels: bool) -> None:
             window.docks.float_panels(panels.coefficients, panels.history, panels.histogram)
         window.open(lambda: course.acquisition, lambda _: course.begin())
 
-    run_window(None, until=course.poll, open_first=open_course, remembers=False)
+    run_window(open_course, until=course.poll, remembers=False)
 
 
 def _run(course: Course) -> None:
