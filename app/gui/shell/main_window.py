@@ -392,8 +392,6 @@ class MainWindow(BaseWindow):
 
     def show_tour(self) -> None:
         """Explain one part of the window after the other, beginning with the panels."""
-        for other in self.findChildren(Tour):
-            other.close()
         tour = Tour(
             self,
             (
