@@ -150,9 +150,9 @@ def qtbot(qapp: QApplication, request: pytest.FixtureRequest) -> QtBot:  # noqa:
 @pytest.fixture
 def restored_theme(qapp: QApplication) -> Iterator[None]:
     """Restore colours, palette and style sheet after the test."""
-    from app.gui.widgets.theme import _LIGHT  # noqa: PLC0415 - only where a window is wanted
+    from app.gui.widgets.theme import _PAIRS  # noqa: PLC0415 - only where a window is wanted
 
-    colours = [(colour, colour.name()) for colour, _ in _LIGHT]
+    colours = [(colour, colour.name()) for colour, _, _ in _PAIRS]
     palette, style = qapp.palette(), qapp.styleSheet()
     yield
     for colour, name in colours:

@@ -20,7 +20,7 @@ from app.bench.bench_files import BenchError, bench_file, line_of_setting, line_
 from app.bench.device_kinds import DRIVERS, DeviceSettings, RecordingSettings
 from app.bench.earlier_versions import replace_conserve_flux, set_recorded_defaults, take_non_rigid
 from app.errors import InputError
-from app.files import in_words
+from app.files import in_words, write_whole
 from drivers.light_source import ManualLightSettings
 from reconstruction.annotated_settings import Checked, Limit, SettingError, settings_of
 from reconstruction.deconvolution.imaging import Imaging
@@ -265,6 +265,11 @@ def changes_in_words(before: Bench, after: Bench) -> str:
         if value != getattr(old, name)
     ]
     return ", ".join(texts) or "the new lattice" * (before.lattice != after.lattice) or "the same settings"
+
+
+def save_bench(path: Path, bench: Bench) -> None:
+    """Write a bench into a TOML file (atomic)."""
+    write_whole(path, write_bench(bench))
 
 
 def write_bench(bench: Bench) -> str:

@@ -111,7 +111,7 @@ def bench_window(source: str, overrides: tuple[str, ...], *, trust: bool, offers
         if offers_last:
             window.benches.offer_last()
 
-    status = run_window(None, make_for=make_for, open_first=open_first)
+    status = run_window(open_first, make_for=make_for)
     if opened and opened[-1].has_manual_light:
         terminal.remind(terminal.LIGHT_BY_HAND)
     return status
@@ -128,7 +128,7 @@ def replay_window(player: Player) -> int:
         splash.finish(window)
         window.open(player.acquisition, player.begin, player)
 
-    return run_window(None, open_first=open_first)
+    return run_window(open_first)
 
 
 def attached_window(name: str, *, is_attended: bool, seconds: float | None, out: Path, overwrite: bool) -> int:
@@ -153,7 +153,7 @@ def attached_window(name: str, *, is_attended: bool, seconds: float | None, out:
         splash.finish(window)
         window.open(connect, lambda _: ())
 
-    return run_window(None, open_first=open_first)
+    return run_window(open_first)
 
 
 def unattended_window(
@@ -204,11 +204,10 @@ def unattended_window(
     if connect is not None:
         begin = lambda _: ()  # noqa: E731 - it runs already
     status = run_window(
-        None,
+        lambda window: window.open(make, begin, player),
         offscreen_s=seconds or _UNATTENDED_S,
         screenshot=picture,
         on_finish=finish,
-        open_first=lambda window: window.open(make, begin, player),
     )
     sys.stdout.write(f"screenshot: {picture}\nresults: {results}\ntimings: {run}\n")
     return status
