@@ -19,7 +19,7 @@ from support.served import connected, served
 from app.acquisition.instrument import Instrument
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.frames import NewestFrames
-from app.acquisition.remote.messages import Alive, Command, Hello, Notice, Record
+from app.acquisition.remote.messages import Command, Hello, Notice, Record, Sign
 from app.acquisition.remote.place import Place, runtime_folder, taken_place
 from app.acquisition.remote.ring import RingWriter
 from app.acquisition.remote.server import Server
@@ -86,7 +86,7 @@ def test_commands_act_and_the_status_has_changed_when_they_are_done(camera: Fake
         assert connection.status.dark == "good"
         area = connection.status.area
         assert connection.set_area(area).result(HANG_S) == area
-        assert connection.free_minutes(Path.cwd()) > 0
+        assert connection.free_minutes(Path.cwd()).result(HANG_S) > 0
         assert camera.light.shines
         connection.switch_light_off().result(HANG_S)
         assert not camera.light.shines
@@ -304,7 +304,7 @@ def test_strangers_are_not_heard(server: Server) -> None:
             [server.place.key.encode()],
             [b""],
             [server.place.key.encode(), Packed(Command(1, "shut_down")).message()],  # without a hello
-            [server.place.key.encode(), Packed(Alive()).message(), b"more"],
+            [server.place.key.encode(), Packed(Sign.ALIVE).message(), b"more"],
         ]
         for parts in messages:
             with context.socket(zmq.DEALER) as socket:
