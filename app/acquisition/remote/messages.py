@@ -187,7 +187,7 @@ class Arrivals:
         self._ask, self._lock = ask, threading.Lock()
         self._objects: OrderedDict[int, Any] = OrderedDict()
         self._asked_s: dict[int, float] = {}
-        self._waiting: deque[bytes] = deque()
+        self._waiting: deque[bytes | bytearray] = deque()
 
     def find(self, number: int) -> Any:
         """Return the object of a number; if it has not come, it is asked for, and `Absent` raised."""
@@ -203,7 +203,7 @@ class Arrivals:
             self._ask(number)
         raise Absent(number)
 
-    def receive(self, body: bytes) -> Iterator[Any]:
+    def receive(self, body: bytes | bytearray) -> Iterator[Any]:
         """Yield the messages that can be read now: one whose object is missing waits, and those behind it, too."""
         try:
             message = unpacked(body, self.find)
