@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.place import Place, taken_place
@@ -19,16 +19,25 @@ from support.patience import wait_until
 
 @contextmanager
 def served(
-    camera: FakeCamera, *, begin: Callable[[Acquisition], object] = lambda to: start_up(to, 3)
+    camera: FakeCamera,
+    *,
+    begin: Callable[[Acquisition], object] = lambda to: start_up(to, 3),
+    faults: list[Exception] | None = None,
 ) -> Iterator[Server]:
-    """Serve a fake camera until the end of the block; what ended it is then in `acquisition.error`."""
+    """Serve a fake camera until the end of the block; `faults` that are expected get what ended it."""
     servers: list[Server] = []
 
     def work() -> None:
         with taken_place() as place:
             servers.append(Server(BENCH, place, opener(camera)))
-            with suppress(Disconnected):  # of the fake camera; tests look at it
+            try:
                 servers[0].run(begin)
+            except Disconnected:  # of the fake camera; tests look at it
+                pass
+            except Exception as error:
+                if faults is None:
+                    raise
+                faults.append(error)
 
     thread = threading.Thread(target=work, name="served")
     thread.start()

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from PyQt6.QtWidgets import QMessageBox
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
+from support.patience import HANG_S
 from support.served import connected, served
 from support.window_tools import MakeWindow, wait_for_wavefront
 
+from app.acquisition.instrument import Instrument
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.server import Server
 from app.gui.shell.main_window import MainWindow
@@ -20,9 +22,14 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def server(runtime_folder: Path) -> Iterator[Server]:
+def camera() -> FakeCamera:
+    return FakeCamera()
+
+
+@pytest.fixture
+def server(camera: FakeCamera, runtime_folder: Path) -> Iterator[Server]:
     assert runtime_folder.is_dir()
-    with served(FakeCamera()) as running:
+    with served(camera) as running:
         yield running
 
 
@@ -89,6 +96,60 @@ def test_closing_asks_whether_the_instrument_goes_on(
     window.quit()
     qtbot.waitUntil(lambda: not window.isVisible())
     qtbot.waitUntil(lambda: server.acquisition.is_alive is goes_on)
+
+
+def test_commands_of_a_window_that_watches_are_refused_with_a_sentence(
+    make_window: MakeWindow, server: Server, camera: FakeCamera, qtbot: QtBot, tmp_path: Path
+) -> None:
+    with connected("notebook") as notebook:
+        window = make_window()
+        window.open(lambda: Connection("window"), lambda _: ())
+        wait_for_wavefront(qtbot, window)
+        bar, panel = window.recording_bar, window.recording_panel
+
+        def is_refused(act: Callable[[], object]) -> None:
+            window.messages.clear_notice()
+            window.update_text()
+            act()
+            qtbot.waitUntil(lambda: "this program only watches: notebook" in told(window))
+
+        camera.period_s = 0.1
+        reference = notebook.submit(Instrument.take_reference, 200)
+        qtbot.waitUntil(lambda: "taking the reference" in window._activity.text)
+        is_refused(window.messages.escape)
+        notebook.cancel()
+        assert reference.exception(HANG_S) is not None
+        notebook.start_recording(tmp_path / "run").result(HANG_S)
+        qtbot.waitUntil(panel.record.isChecked)
+        is_refused(panel.record.click)
+        is_refused(lambda: bar.stop_after.entered.emit(5.0))
+        window.attachment.end_instrument()
+        qtbot.waitUntil(lambda: "this window only watches: notebook" in told(window))
+        window.quit()  # asks nothing: the instrument goes on for the notebook
+        qtbot.waitUntil(lambda: not window.isVisible())
+    assert server.acquisition.is_alive
+
+
+def test_window_goes_on_with_an_instrument_that_was_started_again(
+    make_window: MakeWindow, runtime_folder: Path, qtbot: QtBot
+) -> None:
+    assert runtime_folder.is_dir()
+    window = make_window()
+    with served(FakeCamera()) as first:
+        window.open(lambda: Connection("window"), lambda _: ())
+        wait_for_wavefront(qtbot, window)
+        first.end()
+        qtbot.waitUntil(lambda: "the instrument was shut down" in told(window))
+    with served(FakeCamera()) as second:
+        window.messages.reconnect.click()
+        wait_for_wavefront(qtbot, window)
+        connection = window.attachment.connection
+        assert connection is not None
+        assert connection.has_control
+        qtbot.waitUntil(lambda: "shut down" not in told(window))
+        assert f"in process {second.place.process}" in window.status_line.devices.toolTip()
+        window.controls.requested.emit("dark", 3)
+        qtbot.waitUntil(lambda: "dark taken" in told(window))
 
 
 def test_end_of_the_instrument_is_told_and_reconnecting_says_that_none_runs(

@@ -73,6 +73,10 @@ def is_announced() -> bool:
     return True
 
 
+def nothing_is_left() -> bool:
+    return [each.name for each in runtime_folder().iterdir()] == ["instrument.lock"]
+
+
 def wait_for_wavefront(connection: Connection) -> None:
     wait_until(lambda: connection.newest is not None and connection.newest.wavefront is not None)
 
@@ -102,9 +106,9 @@ def test_clients_notice_the_death_of_the_instrument_and_nothing_is_left(how: sig
             assert time.monotonic() - died_s < 3.0
             assert connection.failure.startswith(f"the instrument's process {running.pid} has ended")
             assert connection.newest is not None  # the last one stays
+            wait_until(nothing_is_left)
         with pytest.raises(RunError, match="no instrument runs"):
             Connection("test")
-        assert [each.name for each in runtime_folder().iterdir()] == ["instrument.lock"]
 
 
 def test_a_frozen_instrument_is_shown_and_goes_on(small_toml: Path) -> None:
@@ -179,6 +183,7 @@ def test_measure_attaches(
     attached: tuple[str | Path, ...] = ("measure", "--attach", "--frames", "4", "--out")
     fails(2, "--bench cannot go with --attach", *attached, tmp_path / "x", "--bench", "small_demo")
     fails(1, "no instrument runs as instrument", *attached, tmp_path / "x")
+    fails(2, "add --attach", "measure", "--frames", "4", "--out", tmp_path / "x", "--take-control")
     with instrument(small_toml):
         with connected(controls=False) as watching:
             wait_for_wavefront(watching)
@@ -186,6 +191,11 @@ def test_measure_attaches(
             assert "4 frames, 0 lost by the camera" in capsys.readouterr().out
             assert (tmp_path / "run" / "results.nc").exists()
         fails(1, "an instrument runs as instrument already", "serve", "--bench", small_toml)
-        with connected():
+        with connected() as other:
+            wait_until(lambda: other.has_control)
             fails(1, "only watches", *attached, tmp_path / "other")
-        assert not (tmp_path / "other").exists()
+            assert not (tmp_path / "other").exists()
+            fails(2, "holds a recording", *attached, tmp_path / "run", "--take-control")
+            assert other.has_control
+            assert run(monkeypatch, *attached, tmp_path / "other", "--take-control") == 0
+            assert not other.has_control
