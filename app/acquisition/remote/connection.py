@@ -54,7 +54,7 @@ _ALIVE_S = 1.0  # between two signs of life
 _SILENT_S = 2.0  # after which the instrument counts as frozen
 _DYING_S = 0.5  # for a killed process to give its files back
 _TICK_MS = 50
-_SHOWN_S = 0.025  # between two measurements for a mailbox that a window reads
+_SHOWN_S = 0.04  # between two measurements for a mailbox: as often as a window shows one
 
 
 class _Timings(Timings):
