@@ -1,4 +1,4 @@
-"""What an instrument process does under load: `python -m support.measure_processes [VIEWERS] [idle]` prints it as a table.
+"""Figures of an instrument process under load, printed by `python -m support.measure_processes [VIEWERS] [idle]`.
 
 A simulated bench at 70 frames/s in a process of its own, with a client that sends commands and others that watch; if
 it is to be idle, the camera is stopped.

@@ -7,11 +7,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from app.acquisition.remote.connection import Connection
-from app.acquisition.remote.place import Place, taken_place
+from app.acquisition.remote.place import NAME, is_taken, taken_place
 from app.acquisition.remote.server import Server
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
-from app.errors import RunError
 from drivers.interface import Disconnected
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import wait_until
@@ -41,7 +40,7 @@ def served(
 
     thread = threading.Thread(target=work, name="served")
     thread.start()
-    wait_until(_is_announced)
+    wait_until(lambda: is_taken(NAME))
     try:
         yield servers[0]
     finally:
@@ -57,11 +56,3 @@ def connected(what: str = "test", *, controls: bool = True) -> Iterator[Connecti
         yield connection
     finally:
         connection.close()
-
-
-def _is_announced() -> bool:
-    try:
-        Place.of()
-    except RunError:
-        return False
-    return True

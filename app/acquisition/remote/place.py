@@ -51,6 +51,15 @@ class Place:
         part.replace(file)
 
 
+def is_taken(name: str) -> bool:
+    """Return whether an instrument can be reached under a name."""
+    try:
+        Place.of(name)
+    except RunError:
+        return False
+    return True
+
+
 @contextmanager
 def taken_place(name: str = NAME) -> Iterator[Place]:
     """Take the place of a name for this process until the end of a `with`.

@@ -8,15 +8,18 @@ from pathlib import Path
 import pytest
 from PyQt6.QtWidgets import QMessageBox
 from pytestqt.qtbot import QtBot
+from support.command_line import run
 from support.gui_bench import FakeCamera
-from support.patience import HANG_S
+from support.patience import HANG_S, wait_until
 from support.served import connected, served
 from support.window_tools import MakeWindow, wait_for_wavefront
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.place import NAME, is_taken, taken_place
 from app.acquisition.remote.server import Server
 from app.gui.shell.main_window import MainWindow
+from app.measurement.measurement import Measurement
 
 pytestmark = pytest.mark.slow
 
@@ -150,6 +153,43 @@ def test_window_goes_on_with_an_instrument_that_was_started_again(
         assert f"in process {second.place.process}" in window.status_line.devices.toolTip()
         window.controls.requested.emit("dark", 3)
         qtbot.waitUntil(lambda: "dark taken" in told(window))
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # the process ends by itself
+@pytest.mark.usefixtures("runtime_folder", "qapp", "restored_theme")
+def test_window_starts_an_instrument_of_its_own_and_shows_its_camera_at_once(
+    small_toml: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("app.commands.live.use_display", lambda: True)
+    monkeypatch.setattr("app.gui.application.settings_file", lambda: None)
+    shown, first = list[Measurement](), list[bool]()
+    show = MainWindow.show_measurement
+
+    def note(window: MainWindow, measurement: Measurement) -> None:
+        show(window, measurement)
+        shown.append(measurement)
+        first.append("preparing" in window._activity.text)
+        if measurement.wavefront is not None and window.isVisible():
+            answer(monkeypatch, "End it")
+            window.quit()
+
+    monkeypatch.setattr(MainWindow, "show_measurement", note)
+    arguments = ("live", "--own-process", "--bench", small_toml)
+    with taken_place() as place:
+        place.announce()
+        assert run(monkeypatch, *arguments) == 1
+    assert "runs as instrument already" in capsys.readouterr().err
+    assert run(monkeypatch, *arguments) == 0
+    assert shown[0].wavefront is None  # while the dark is taken: before anything is prepared or compiled
+    assert not first[0]
+    wait_until(lambda: not is_taken(NAME))
+    assert run(monkeypatch, *arguments, "--seconds", "1") == 2
+    assert "--own-process is for a window" in capsys.readouterr().err
+    assert run(monkeypatch, *arguments, "--set", "camera.exposure_s=-1") == 2
+    monkeypatch.setattr("app.commands.live.is_taken", lambda _: False)  # another one came between
+    with taken_place():
+        assert run(monkeypatch, *arguments) == 1
+    assert "the instrument's process has ended: svwfs: an instrument runs as" in capsys.readouterr().err
 
 
 def test_end_of_the_instrument_is_told_and_reconnecting_says_that_none_runs(

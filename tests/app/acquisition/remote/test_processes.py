@@ -20,7 +20,7 @@ from support.patience import HANG_S, wait_until
 from support.served import connected
 
 from app.acquisition.remote.connection import Connection
-from app.acquisition.remote.place import Place, runtime_folder
+from app.acquisition.remote.place import NAME, is_taken, runtime_folder
 from app.errors import RunError
 from app.recording.reader import Recording
 
@@ -61,16 +61,8 @@ def instrument(bench: Path) -> Iterator[subprocess.Popen[str]]:
     with program("-c", code, "serve", "--bench", str(bench)) as made:
         assert made.stdout is not None
         assert f"runs as process {made.pid}" in made.stdout.readline()
-        wait_until(is_announced)
+        wait_until(lambda: is_taken(NAME))
         yield made
-
-
-def is_announced() -> bool:
-    try:
-        Place.of()
-    except RunError:
-        return False
-    return True
 
 
 def nothing_is_left() -> bool:
@@ -170,7 +162,7 @@ def test_ctrl_c_ends_the_instrument_in_order(small_toml: Path, tmp_path: Path) -
         assert connection.status is not None
         assert not connection.status.is_light_on
     assert len(Recording(tmp_path / "run")) > 0
-    assert not is_announced()
+    assert not is_taken(NAME)
 
 
 def test_measure_attaches(
