@@ -19,7 +19,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TextIO
 
-from app.acquisition.remote.place import clear_abandoned
+from app.acquisition.place import clear_abandoned
 from app.bench.device_kinds import DRIVERS
 from drivers.errors import DeviceError
 from drivers.light_source import MAY_BE_ON, LightSource

@@ -16,7 +16,7 @@ from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from app.acquisition.remote.place import NAME, is_taken
+from app.acquisition.place import NAME, is_taken
 from app.commands import options, terminal
 from app.errors import InputError, RunError
 from app.files import check_outputs, make_folder

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.acquisition.remote.place import NAME
+from app.acquisition.place import NAME
 from app.bench.presets import PRESETS
 from app.commands import options, terminal
 from app.errors import InputError, Interrupted, RunError

@@ -6,8 +6,8 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from app.acquisition.place import NAME, is_taken, taken_place
 from app.acquisition.remote.connection import Connection
-from app.acquisition.remote.place import NAME, is_taken, taken_place
 from app.acquisition.remote.server import Server
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition

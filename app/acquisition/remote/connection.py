@@ -19,6 +19,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Instrument, Status
+from app.acquisition.place import NAME, Place, clear_abandoned
 from app.acquisition.remote.frames import NewestFrames
 from app.acquisition.remote.messages import (
     MOST_BYTES,
@@ -33,7 +34,6 @@ from app.acquisition.remote.messages import (
     Traveller,
     Wanted,
 )
-from app.acquisition.remote.place import NAME, Place, clear_abandoned
 from app.acquisition.remote.wire import Packed
 from app.bench.config import Bench
 from app.errors import RunError

@@ -19,6 +19,7 @@ import zmq
 
 from app.acquisition.command_queue import done
 from app.acquisition.instrument import Instrument
+from app.acquisition.place import Place, runtime_folder
 from app.acquisition.remote.messages import (
     MOST_BYTES,
     Accepted,
@@ -34,7 +35,6 @@ from app.acquisition.remote.messages import (
     Travellers,
     Wanted,
 )
-from app.acquisition.remote.place import Place, runtime_folder
 from app.acquisition.remote.ring import RingWriter
 from app.acquisition.remote.wire import Packed, unpacked
 from app.acquisition.wake import Wake

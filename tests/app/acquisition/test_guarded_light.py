@@ -58,7 +58,7 @@ sys.exit(acquisition.failure)
 HOLDER = """
 import sys, time
 from app.acquisition.guarded_light import GuardedLight
-from app.acquisition.remote.place import taken_place
+from app.acquisition.place import taken_place
 from drivers.serial_lights import DC4100Settings
 
 with taken_place() as place:

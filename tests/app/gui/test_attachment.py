@@ -15,8 +15,8 @@ from support.served import connected, served
 from support.window_tools import MakeWindow, wait_for_wavefront
 
 from app.acquisition.instrument import Instrument
+from app.acquisition.place import NAME, is_taken, taken_place
 from app.acquisition.remote.connection import Connection
-from app.acquisition.remote.place import NAME, is_taken, taken_place
 from app.acquisition.remote.server import Server
 from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement

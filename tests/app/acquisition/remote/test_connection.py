@@ -18,10 +18,10 @@ from support.patience import HANG_S, wait_until
 from support.served import connected, served
 
 from app.acquisition.instrument import Instrument
+from app.acquisition.place import Place, runtime_folder, taken_place
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.frames import NewestFrames
 from app.acquisition.remote.messages import MOST_BYTES, Accepted, Answer, Command, Hello, Notice, Record, Sign
-from app.acquisition.remote.place import Place, runtime_folder, taken_place
 from app.acquisition.remote.ring import RingReader, RingWriter
 from app.acquisition.remote.server import Server
 from app.acquisition.remote.wire import Packed, unpacked

@@ -19,8 +19,8 @@ from support.command_line import run
 from support.patience import HANG_S, wait_until
 from support.served import connected
 
+from app.acquisition.place import NAME, is_taken, runtime_folder
 from app.acquisition.remote.connection import Connection
-from app.acquisition.remote.place import NAME, is_taken, runtime_folder
 from app.errors import RunError
 from app.recording.reader import Recording
 
