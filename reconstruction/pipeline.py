@@ -22,8 +22,8 @@ from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.registration import prepare_registration
 from reconstruction.registration.gauss_newton import GaussNewton
-from reconstruction.registration.response import LensletModel, linear_response
-from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.registration.response import fitting_model, linear_response
+from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import PupilBasis, ReconstructionSettings, RegistrationSettings, Warp, obstacle_to_layers
 from reconstruction.solve.expected_errors import MeanGradients, Response, Sensitivity, relative_weights
@@ -133,8 +133,8 @@ class Reconstructor:
     own : OwnMethods
         Methods that replace those of the settings.
     lenslet_model : callable, optional
-        Returns a model of one lenslet for the reference's subimages. With it, the modal reconstruction uses the
-        response of the registration in place of mean gradients.
+        Returns a model of one lenslet for the reference's subimages. With it, the registration knows how a brightness
+        that varies over the field looks, and the modal reconstruction uses its response in place of mean gradients.
 
     Raises
     ------
@@ -171,23 +171,18 @@ class Reconstructor:
                 image="reference",
             )
         self._bad = find_bad_pixels(reference, dark)
-        self.subimages = self._cut(light)
+        self.subimages, self._lenslet_model = self._cut(light), lenslet_model
         with one_blas_thread():  # so that results repeat
-            self._prepare_estimators(light, registration, lenslet_model)
+            self._prepare_estimators(light, registration)
 
-    def _prepare_estimators(
-        self,
-        light: Image,
-        registration: RegistrationSettings,
-        lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None,
-    ) -> None:
+    def _prepare_estimators(self, light: Image, registration: RegistrationSettings) -> None:
         """Prepare registration and solve."""
         reconstruction = self.reconstruction
         if reconstruction.sample == "layers" and (obstacle := obstacle_to_layers(reconstruction, registration)):
             raise ReconstructionError(f'reconstruction.sample = "layers" is impossible with {obstacle}: change either')
         self._prepared = self._choose(light, registration)
         self.registration, at_rest = self._prepared.settings, self._prepared.at_rest
-        self._sensitivity = self._respond(lenslet_model)
+        self._sensitivity = self._respond()
         self._expected = _variance(at_rest)  # (L,), px^2; NaN where unknown
         usual = np.nanmedian(self._expected) if np.isfinite(self._expected).any() else 1.0
         self._certainty = np.where(self.noise is None, 1.0, usual / self._expected).reshape(at_rest.valid.shape)
@@ -290,6 +285,12 @@ class Reconstructor:
         """Number of displacements of the warp that the mask does not show lenslet by lenslet."""
         return self._prepared.hidden
 
+    @property
+    def brightness_terms(self) -> int:
+        """Number of polynomials over the field in which the brightness of a subimage may vary."""
+        method = self._prepared.method
+        return method.brightness_terms if isinstance(method, GaussNewton) else 1
+
     def weights_of(self, displacement: Displacement) -> Floats:
         """Weights relative to the reference's, (lenslet_row, lenslet_column); all 1 if the noise is unknown."""
         if self.noise is None:
@@ -316,7 +317,9 @@ class Reconstructor:
     def _method(self, reference: ReferenceSubimages, settings: RegistrationSettings) -> RegistrationMethod:
         own = self._own.registration
         if own is None:
-            return prepare_registration(reference, settings, self.field)
+            # What more terms of the brightness cost is known from the noise only.
+            needs_model = settings.method == "gauss_newton" and self.noise and not self.field.neglect_propagation
+            return prepare_registration(reference, settings, self.field, self._model[0] if needs_model else None)
         method: RegistrationMethod = _called("an own registration", None, own, reference, self.field)
         return method
 
@@ -370,17 +373,26 @@ class Reconstructor:
         noise = np.nanmean(Wavefront.of(sensor, self.field, everywhere, solver(everywhere)).sigma() ** 2)
         return float(noise) + _SYSTEMATIC_RAD[warp] ** 2
 
-    def _respond(self, lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None) -> Sensitivity:
+    @cached_property
+    def _model(self) -> tuple[LensletModel | None, str]:
+        """Model of the reference's lenslets, or why there is none although it is wanted."""
+        if self._lenslet_model is None:
+            return None, ""
+        try:
+            return fitting_model(self._lenslet_model, self.subimages), ""
+        except ReconstructionError as error:
+            return None, str(error)
+
+    def _respond(self) -> Sensitivity:
         """Response of the registration; mean gradients where there is none, or none is wanted."""
         self.response_problem = ""  # why there is none although it is wanted
         method = self._prepared.method
         is_wanted = self.reconstruction.response and not self.registration.rotation  # it holds for gradients only
-        if is_wanted and isinstance(method, GaussNewton) and lenslet_model is not None:
-            try:
-                response = linear_response(method, self.subimages, lenslet_model(self.subimages))
-                return Response(self.sensor, response)
-            except ReconstructionError as error:
-                self.response_problem = f"mean gradients replace the response of the registration: {error}"
+        if is_wanted and isinstance(method, GaussNewton):
+            model, problem = self._model
+            if model is not None:
+                return Response(self.sensor, linear_response(method, model))
+            self.response_problem = problem and f"mean gradients replace the response of the registration: {problem}"
         return MeanGradients(
             self.sensor, method.alike if isinstance(method, GaussNewton) else self._prepared.parameters
         )

@@ -28,7 +28,7 @@ _LEAST_SAMPLES = 4  # that the forward model accepts
 
 
 def lenslet_model(bench: Bench, reference: ReferenceSubimages) -> LensletImage:
-    """Model of one lenslet with the source that the reference shows; see `response.LensletModel`.
+    """Model of one lenslet with the source that the reference shows; see `subimages.LensletModel`.
 
     Raises `ReconstructionError` if the reference does not allow a model.
     """

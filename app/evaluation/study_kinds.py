@@ -106,7 +106,7 @@ class Sweep(Study):
         return Output({"seeds": results[-1].seeds, "sweeps": tree}, lines, figure, [*columns])
 
     def printed(self, data: pd.DataFrame) -> Printed:
-        """Return a line for each curve."""
+        """Return a line for each curve; for each position if these have names, which may be long."""
         positions = data["at"].cat.categories
         cells: dict[str, dict[Position, str]] = {}
         for row in known_rows(self.summary(data)):
@@ -116,10 +116,12 @@ class Sweep(Study):
             flags = f" {row['flags']}" if row.get("flags") else ""
             lost = f" x{row['lost_lenslets']:.0f}" if row["lost_lenslets"] >= 0.5 else ""
             cells.setdefault(row["curve"], {})[row["at"]] = number + asked + covered + lost + flags
-        shown = (self.shown(at) for at in positions)
+        shown = [self.shown(at) for at in positions]
         headings = [self.axis, *(at if isinstance(at, str) else f"{at:g}" for at in shown)]
-        lines = [[curve, *(of_curve.get(at, "") for at in positions)] for curve, of_curve in cells.items()]
-        return Printed(f"{self.title}: residual RMS (rad)", headings, lines)
+        table = [headings, *([curve, *(of_curve.get(at, "") for at in positions)] for curve, of_curve in cells.items())]
+        if any(isinstance(at, str) for at in shown):
+            table = [list(line) for line in zip(*table, strict=True)]
+        return Printed(f"{self.title}: residual RMS (rad)", table[0], table[1:])
 
     def draw(self, data: pd.DataFrame, panel: Axes) -> None:
         """Draw the curves; short black lines are the limits."""

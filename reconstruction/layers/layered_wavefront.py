@@ -23,7 +23,7 @@ from reconstruction.layers.layer_solver import (
 )
 from reconstruction.runtime.deferred import Deferred, Remembered
 from reconstruction.solve.evidence import Estimate
-from reconstruction.solve.expected_errors import Whitened
+from reconstruction.solve.expected_errors import ALIKE_IN_LAYERS, Whitened
 from reconstruction.solve.modal import KnownModes, ModalSolution, known_modes
 
 _STEP = 5e-3  # of a ratio r, times 1 + |r|, for the wavefront's derivative
@@ -124,7 +124,7 @@ class LayeredWavefronts:
 
         def root_covariance() -> Image:
             root = np.zeros((shape[0] - 1, shape[1], len(vectors) + len(sample.ratios)), np.float32)
-            deviations = vectors * np.sqrt(errors.variance(estimate, singular))
+            deviations = vectors * np.sqrt(errors.variance(estimate, singular, ALIKE_IN_LAYERS))
             of_noise = design.wavefronts @ deviations.astype(np.float32)
             root[columns] = np.concatenate([of_noise, self._of_distances(sample, frame)], axis=1)
             return root

@@ -1,7 +1,7 @@
 """Fisher information of a frame about the wavefront, and the Cramer-Rao bound of every unbiased estimator.
 
 A pixel with light I and variance V adds (dI/da)(dI/db) / V to the information about a and b. The derivatives are those
-of a model of one lenslet. The gain and the offset of each subimage are unknown, too.
+of a model of one lenslet. The offset of each subimage is unknown, too, and the brightness of its source over the field.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.layered_modes import layered_basis
 from reconstruction.modes.pupil_modes import PupilModes, local_wavefronts
-from reconstruction.registration.response import LensletModel
+from reconstruction.registration.subimages import LensletModel
 
 _DEGREE = 5  # of the local wavefronts
 _LIGHT_STEP = 0.05  # relative; the information of one lenslet is computed once per step and scaled by the light
@@ -27,6 +27,7 @@ def layered_information(
     sensor: Sensor,
     modes: PupilModes,
     field_modes: LegendreModes,
+    brightness: LegendreModes = LegendreModes(1),  # noqa: B008 - immutable
 ) -> tuple[Floats, Floats]:
     """Fisher information of a frame about layered wavefronts, near the reference.
 
@@ -44,6 +45,8 @@ def layered_information(
         R_p, piston first.
     field_modes : LegendreModes
         T_q.
+    brightness : LegendreModes
+        Polynomials over the field in which the brightness of each subimage's source is unknown; the gain alone if one.
 
     Returns
     -------
@@ -58,6 +61,7 @@ def layered_information(
     )
     n, m = np.nonzero(np.any(derivatives, axis=(2, 3, 4)))
     derivatives, image = derivatives[n, m], model.image()
+    varied = np.stack([model.image(values) for values in brightness.values(*model.position.T)])
     local = local_wavefronts(products, sensor, _DEGREE)[:, :, n, m]
     local, of_lenslet = local.reshape(light.size, -1), light.ravel()  # (lenslet, local * pupil_mode), (lenslet,)
     step = np.rint(np.log(np.maximum(of_lenslet, np.finfo(np.float64).tiny)) / _LIGHT_STEP)
@@ -67,21 +71,22 @@ def layered_information(
         usual = float(np.mean(of_lenslet[alike]))
         weighted = (local[alike].T * (of_lenslet[alike] / usual)) @ local[alike]
         weighted = weighted.reshape((len(n), len(products)) * 2)
-        information = lenslet_information(image * usual, derivatives * usual, noise)
+        information = lenslet_information(image * usual, derivatives * usual, noise, varied)
         total += np.einsum("jpkr,jqks->pqrs", weighted, information, optimize=True)
     scale = np.ones(total.shape[:2])
     basis = layered_basis(products, field_modes.products, scale, np.array(sensor.pupil_half_width_m))
     return basis.T @ total.reshape(len(basis), -1) @ basis, basis.reshape(*scale.shape, -1)
 
 
-def lenslet_information(light: Floats, derivatives: Floats, noise: CameraNoise) -> Floats:
-    """Fisher information of one subimage about local wavefronts whose gain and offset are unknown.
+def lenslet_information(light: Floats, derivatives: Floats, noise: CameraNoise, varied: Floats) -> Floats:
+    """Fisher information of one subimage about local wavefronts, where offset and brightness are unknown.
 
-    From its light (row, column), counts, and the derivatives (local, field_mode, row, column), counts per rad, to
-    (local, field_mode, local, field_mode), 1/rad^2.
+    From its light (row, column), counts, the derivatives (local, field_mode, row, column), counts per rad, and the
+    changes by an unknown brightness (change, row, column), in any unit, to (local, field_mode, local, field_mode),
+    1/rad^2.
     """
     sigma = np.sqrt(noise.variance(light)).ravel()
-    unknown = np.stack([light.ravel(), np.ones(light.size)], axis=1) / sigma[:, None]
+    unknown = np.stack([*varied.reshape(len(varied), -1), np.ones(light.size)], axis=1) / sigma[:, None]
     unknown, _ = np.linalg.qr(unknown)
     changes = derivatives.reshape(-1, light.size) / sigma
     changes -= (changes @ unknown) @ unknown.T

@@ -6,16 +6,19 @@ from typing import cast, get_args
 from reconstruction.displacement import RegistrationMethod
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
-from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
 from reconstruction.settings import Method, RegistrationSettings
 
 _MODULES = {"correlation_fft": "correlation"}  # of the other methods, the module has the method's name
 
 
 def prepare_registration(
-    reference: ReferenceSubimages, settings: RegistrationSettings, field: Field
+    reference: ReferenceSubimages, settings: RegistrationSettings, field: Field, model: LensletModel | None = None
 ) -> RegistrationMethod:
-    """Prepare the method of the settings for one reference: `prepare` of the module of its name in this room."""
+    """Prepare the method of the settings for one reference: `prepare` of the module of its name in this room.
+
+    `model` is that of the reference's lenslets, if there is one that fits.
+    """
     method = settings.method
     if method not in get_args(Method):
         raise ReconstructionError(
@@ -23,4 +26,4 @@ def prepare_registration(
             " registration.method, for example to gauss_newton"
         )
     module = import_module(f"{__name__}.{_MODULES.get(method, method)}")
-    return cast("RegistrationMethod", module.prepare(reference, settings, field))
+    return cast("RegistrationMethod", module.prepare(reference, settings, field, model))

@@ -16,7 +16,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, centered_steps, require
 from reconstruction.modes.field_modes import SampledModes
 from reconstruction.registration.correlation import correlation_spectrum, cross_correlation, normalised
-from reconstruction.registration.subimages import ReferenceSubimages, classify_lenslets
+from reconstruction.registration.subimages import LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.settings import RegistrationSettings
 
 _THRESHOLD = 0.1  # of the star's height above the background
@@ -29,7 +29,9 @@ _MISFIT = 0.5  # residual over contrast above which a star is lost
 _STARLESS_FRACTION = 0.5  # of the lit lenslets; if more lack a star, the reference shows another source
 
 
-def prepare(reference: ReferenceSubimages, settings: RegistrationSettings, field: Field) -> RegistrationMethod:
+def prepare(
+    reference: ReferenceSubimages, settings: RegistrationSettings, field: Field, _model: LensletModel | None
+) -> RegistrationMethod:
     """Prepare the method `centroids` for the stars of the settings."""
     spacing = settings.star_spacing_m / field.half_width_m
     columns, rows = centered_steps(settings.star_columns), centered_steps(settings.star_rows)

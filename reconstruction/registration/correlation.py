@@ -16,7 +16,7 @@ from reconstruction.displacement import Displacement, Outcome, RegistrationMetho
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, require
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.registration.subimages import ReferenceSubimages, classify_lenslets
+from reconstruction.registration.subimages import LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.settings import RegistrationSettings
 
 Mismatch = Literal["square_difference", "fft"]
@@ -24,7 +24,9 @@ Mismatch = Literal["square_difference", "fft"]
 _MISFIT = 0.7  # residual over contrast above which the frame does not match, however deformed
 
 
-def prepare(reference: ReferenceSubimages, settings: RegistrationSettings, _field: Field) -> RegistrationMethod:
+def prepare(
+    reference: ReferenceSubimages, settings: RegistrationSettings, _field: Field, _model: LensletModel | None
+) -> RegistrationMethod:
     """Prepare the method `correlation` or `correlation_fft`."""
     return Correlation(reference, method="fft" if settings.method == "correlation_fft" else "square_difference")
 

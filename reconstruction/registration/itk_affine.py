@@ -22,7 +22,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.registration.gauss_newton.template import coefficient_covariance, prepare_template
-from reconstruction.registration.subimages import ReferenceSubimages, classify_lenslets
+from reconstruction.registration.subimages import LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.settings import RegistrationSettings
 
 _THREADS = min(2, os.cpu_count() or 1)
@@ -39,7 +39,9 @@ _BRIGHTEST = 255.0  # grey value of the reference's brightest pixel, the unit of
 _MISFIT = 0.5  # residual over contrast above which the frame does not match
 
 
-def prepare(reference: ReferenceSubimages, _settings: RegistrationSettings, _field: Field) -> RegistrationMethod:
+def prepare(
+    reference: ReferenceSubimages, _settings: RegistrationSettings, _field: Field, _model: LensletModel | None
+) -> RegistrationMethod:
     """Prepare the method `itk_affine`."""
     return ItkAffine(reference)
 

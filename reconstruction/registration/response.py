@@ -6,7 +6,7 @@ modal reconstruction, like the synthetic interaction matrix of an adaptive optic
 the reference shows.
 """
 
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
 from scipy.optimize import nnls
@@ -14,53 +14,31 @@ from scipy.optimize import nnls
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.registration.gauss_newton import GaussNewton
-from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
 
 _DEGREE = 4  # of the local wavefronts
 _MISFIT = 0.1  # largest difference of modelled and measured reference, over its contrast
 
 
-class LensletModel(Protocol):
-    """Forward model of one lenslet with the measured source, on the window of a subimage."""
-
-    position: Floats  # of the object points, normalised, (point, xy)
-
-    def image(self) -> Floats:
-        """Image without a sample, (row, column), a share of the lenslet's light."""
-        ...
-
-    def derivatives(self, degree: int, values: Floats, gradients: Floats) -> Floats:
-        """Change of `image` per rad of the wavefronts P_m(xi) P_n(eta) T_q over the lenslet, m + n <= degree.
-
-        From T_q at the object points, (field_mode, point), and its normalised gradients, (field_mode, point, xy), to
-        (n, m, field_mode, row, column).
-        """
-        ...
-
-
-def linear_response(registration: GaussNewton, reference: ReferenceSubimages, model: LensletModel) -> Floats:
-    """Parameters of each lenslet's warp caused by local wavefronts P_m(xi) P_n(eta) T_q, to first order.
-
-    Returns
-    -------
-    (lenslet, n, m, field_mode, K)
-        px per rad.
-
-    Raises
-    ------
-    ReconstructionError
-        If the model does not fit the reference.
-    """
-    subimage, _ = mean_subimage(reference)
-    image = model.image()
-    misfit = float(np.std(image - subimage) / np.std(subimage))
+def fitting_model(make: Callable[[ReferenceSubimages], LensletModel], reference: ReferenceSubimages) -> LensletModel:
+    """Make the model of a reference's lenslets; `ReconstructionError` if it does not fit the reference."""
+    model, (subimage, _) = make(reference), mean_subimage(reference)
+    misfit = float(np.std(model.image() - subimage) / np.std(subimage))
     if not misfit < _MISFIT:
         raise ReconstructionError(
             f"the modelled reference differs from the measured one by {100 * misfit:.0f} % of its contrast"
         )
+    return model
+
+
+def linear_response(registration: GaussNewton, model: LensletModel) -> Floats:
+    """Parameters of each lenslet's warp caused by local wavefronts P_m(xi) P_n(eta) T_q, to first order.
+
+    They are px per rad, (lenslet, n, m, field_mode, K).
+    """
     x, y = model.position.T
     modes = registration.modes
-    return registration.response(image, model.derivatives(_DEGREE, modes.values(x, y), modes.gradients(x, y)))
+    return registration.response(model.image(), model.derivatives(_DEGREE, modes.values(x, y), modes.gradients(x, y)))
 
 
 # SciPy's default of 3 is too small, e.g. if the lattice's rotation is off by a pixel at the edge.

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from functools import cached_property, partial
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,27 @@ _NEXT_PX = 2.0  # beyond the border of a cell, where interpolation still uses a 
 DARK_CONTRAST = 0.1  # of the typical lit lenslet's contrast; with less, a lenslet is unlit
 _BRIGHT = 3  # rank of a lit lenslet's contrast; higher ones may be stray
 _SMOOTH = 0.2  # correlation of neighbouring pixels below which a reference is only noise
+
+
+class LensletModel(Protocol):
+    """Forward model of one lenslet with the measured source, on the window of a subimage."""
+
+    position: Floats  # of the object points, normalised, (point, xy)
+
+    def image(self, brightness: Floats | float = 1.0) -> Floats:
+        """Image without a sample, (row, column), a share of the lenslet's light.
+
+        The light of the object points is multiplied by `brightness`, (point,) or the same for all.
+        """
+        ...
+
+    def derivatives(self, degree: int, values: Floats, gradients: Floats) -> Floats:
+        """Change of `image` per rad of the wavefronts P_m(xi) P_n(eta) T_q over the lenslet, m + n <= degree.
+
+        From T_q at the object points, (field_mode, point), and its normalised gradients, (field_mode, point, xy), to
+        (n, m, field_mode, row, column).
+        """
+        ...
 
 
 class ReferenceSubimages:

@@ -29,7 +29,7 @@ from reconstruction.errors import TooManyModes
 from reconstruction.modes.pupil_modes import PupilModes
 from reconstruction.runtime.deferred import Deferred, Remembered
 from reconstruction.solve.evidence import Components, Estimate, FitQuality
-from reconstruction.solve.expected_errors import ExpectedErrors, Sensitivity, Whitened
+from reconstruction.solve.expected_errors import ALIKE_IF_FREE, ExpectedErrors, Sensitivity, Whitened
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -248,7 +248,7 @@ class ModalSolver:
             return np.asarray(np.matvec(self.errors.colour, whitened.reshape(frame.weighted.shape)))
 
         def root_covariance() -> Image:
-            deviation = np.sqrt(self.errors.variance(estimate, components.singular))
+            deviation = np.sqrt(self.errors.variance(estimate, components.singular, ALIKE_IF_FREE))
             root = equations.scaled * deviation.astype(np.float32)
             return root.reshape(len(coefficients) - 1, coefficients.shape[1], -1)
 

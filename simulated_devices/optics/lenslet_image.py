@@ -24,7 +24,7 @@ _NOTHING = 1e-12  # singular value of an aperture, over the largest, that is rou
 
 
 class LensletImage:
-    """Model of one lenslet with its source, on a square window of pixels about its axis; see `response.LensletModel`.
+    """Model of one lenslet with its source, on a square window of pixels about its axis; see `subimages.LensletModel`.
 
     Parameters
     ----------
@@ -71,10 +71,10 @@ class LensletImage:
         self._terms = len(self._factors[0]) ** 2  # of a product of two fields
         self._scale = 1 / (math.sqrt(np.sum(aperture)) * period_px)  # light of a point, over one period, is 1
 
-    def image(self) -> Floats:
-        """Image without a sample, (row, column); a pixel's share of the light of all points."""
+    def image(self, brightness: Floats | float = 1.0) -> Floats:
+        """Image without a sample, (row, column); a pixel's share of the light of all points, times a `brightness`."""
         along_x, along_y = (self._products(0, axis)[0] for axis in (0, 1))
-        return np.asarray((along_y * np.repeat(self._light, self._terms)) @ along_x.T)
+        return np.asarray((along_y * np.repeat(self._light * brightness, self._terms)) @ along_x.T)
 
     def derivatives(self, degree: int, values: Floats, gradients: Floats) -> Floats:
         """Derivatives of the image by wavefronts P_m(xi) P_n(eta) T_q over the lenslet, m + n <= degree.

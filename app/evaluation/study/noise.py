@@ -121,7 +121,8 @@ def _beside_bound(
         reconstructor = em_camera.reconstructor(bench, reference, warp, reconstruction=without_prior(bench))
         curve = f"{warp}, 45 modes"
         without = reconstructor(em_camera.counts(frame))
-        bound = bound_rad(bench, reconstructor, without.displacement.modes.count)
+        fields, terms = without.displacement.modes.count, reconstructor.brightness_terms
+        bound = bound_rad(bench, reconstructor, fields, brightness_terms=terms)
         scatter = scatter_of(wavefronts(), without.views)
         yield with_rms(f"{curve}: scatter", peak_e, without, scatter.rms_rad, asked_rad=_OVER_BOUND * bound)
         yield with_rms(f"{curve}: bound", peak_e, without, bound)
@@ -215,11 +216,18 @@ def error_bar_rad(wavefront: Wavefront, views: Views = None) -> float:
 
 
 def bound_rad(
-    bench: Bench, reconstructor: Reconstructor, field_modes: int, views: Views = None, *, exposure: float = 1.0
+    bench: Bench,
+    reconstructor: Reconstructor,
+    field_modes: int,
+    views: Views = None,
+    *,
+    exposure: float = 1.0,
+    brightness_terms: int = 1,
 ) -> float:
     """Cramer-Rao bound of `Scatter.rms_rad` for the modes of `without_prior`, from the exact model of the bench.
 
-    The light is that of the reference in `exposure` times its own, the noise that of a frame.
+    The light is that of the reference in `exposure` times its own, the noise that of a frame. The brightness of each
+    subimage is unknown in that many polynomials over the field.
     """
     if reconstructor.noise is None:
         raise ValueError("without the noise of a frame there is no bound")
@@ -228,7 +236,13 @@ def bound_rad(
     _, light = mean_subimage(subimages)
     light = exposure * light / model.image().sum()
     found = layered_information(
-        model, light, reconstructor.noise, sensor=bench.sensor, modes=modes, field_modes=legendre
+        model,
+        light,
+        reconstructor.noise,
+        sensor=bench.sensor,
+        modes=modes,
+        field_modes=legendre,
+        brightness=LegendreModes(brightness_terms),
     )
     bound = wavefront_bound(*found, bench.field, modes, legendre)
     return _mean_rms(bound if views is None else bound[views])

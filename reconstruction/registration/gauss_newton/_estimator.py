@@ -1,11 +1,11 @@
 """Registration by Gauss-Newton: the method of this instrument.
 
-Light imaged at x in the reference arrives at x + d(x), and keeps its brightness but for a factor that changes slowly
-over the field:
+Light imaged at x in the reference arrives at x + d(x), and keeps its brightness but for a gain:
 
-    I0(x) = (gain + slope x) I1(x + d(x)) + offset,    d(x) = sum_q c_q T_q(x / h)
+    I0(x) = gain I1(x + d(x)) + offset,    d(x) = sum_q c_q T_q(x / h)
 
-with T_q the field modes and h the half width of the field on the subimage. The paper's world, without propagation,
+with T_q the field modes and h the half width of the field on the subimage. What looks like a brightness of the source
+that changes slowly over the field counts as no displacement. The paper's world, without propagation,
 conserves flux instead, and the right side has the factor det(1 + dd/dx) (docs/brightness.md). The fit starts from the
 previous frame, or from a translation found on every other pixel, or, if that does not match, from the whole-pixel shift
 with the best correlation.
@@ -35,15 +35,17 @@ from reconstruction.registration.gauss_newton._lenslet_fits import (
     new_workplace,
 )
 from reconstruction.registration.gauss_newton.template import (
+    LINEAR,
     Propagated,
     Template,
     coefficient_covariance,
     prepare_search,
     prepare_template,
     respond,
+    source_brightness,
     visible_warp,
 )
-from reconstruction.registration.subimages import ReferenceSubimages, classify_lenslets
+from reconstruction.registration.subimages import LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.runtime.compilation import compiled
 from reconstruction.runtime.threads import worker_pool
 from reconstruction.settings import FIELD_MODES, RegistrationSettings
@@ -184,11 +186,19 @@ _NOISE_AT_MOST = 1.5  # square of a residual's noise over its mean
 _INFORMATION_LEFT = 0.75  # of a lenslet's pixels; with less it is lost
 
 
-def prepare(reference: ReferenceSubimages, settings: RegistrationSettings, field: Field) -> RegistrationMethod:
+def prepare(
+    reference: ReferenceSubimages, settings: RegistrationSettings, field: Field, model: LensletModel | None
+) -> RegistrationMethod:
     """Prepare the method `gauss_newton` with the warp of the settings."""
     modes = (ZernikeModes if field.shape == "circle" else LegendreModes)(FIELD_MODES[settings.warp or "quadratic"])
-    conserve_flux, rotation = field.neglect_propagation, settings.rotation
-    return GaussNewton(reference, modes, conserve_flux=conserve_flux, rotation=rotation, threads=settings.threads)
+    return GaussNewton(
+        reference,
+        modes,
+        conserve_flux=field.neglect_propagation,
+        rotation=settings.rotation,
+        model=model,
+        threads=settings.threads,
+    )
 
 
 class GaussNewton:
@@ -201,9 +211,13 @@ class GaussNewton:
         *,
         conserve_flux: bool,
         rotation: bool = True,
+        model: LensletModel | None = None,
         threads: int = 2,
     ) -> None:
-        """Prepare for warps of the given field modes, and for that many threads."""
+        """Prepare for warps of the given field modes, and for that many threads.
+
+        With a `model` of the lenslets, more of the brightness over the field is no displacement: `source_brightness`.
+        """
         self._reference, self.modes, self._threads, self._rotates = reference, modes, threads, rotation
         near = np.abs(reference.steps_px) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
         coarse = near & (np.arange(reference.width) % 2 == 0)
@@ -214,8 +228,17 @@ class GaussNewton:
         basis, self.alike, pixels = visible_warp(
             reference, modes, np.outer(near, near), conserve_flux=conserve_flux, rotation=rotation
         )
+        self._brightness = None
+        if model is not None and reference.noise is not None and not conserve_flux:
+            self._brightness = source_brightness(model, reference.noise, reference, modes, pixels, basis)
         self._warp = prepare_template(
-            reference, modes, pixels, conserve_flux=conserve_flux, basis=basis, noise=reference.noise
+            reference,
+            modes,
+            pixels,
+            conserve_flux=conserve_flux,
+            basis=basis,
+            noise=reference.noise,
+            brightness=self._brightness,
         )
         self._basis = self.parameters  # in double precision, so that results repeat
         self._search = prepare_search(reference)
@@ -281,6 +304,11 @@ class GaussNewton:
         return Transmission(beyond * per_gain, of_noise * per_gain[..., None] ** 2)
 
     @property
+    def brightness_terms(self) -> int:
+        """Number of polynomials over the field that are taken out as a brightness; linear without a model."""
+        return LINEAR if self._brightness is None else len(self._brightness)
+
+    @property
     def hidden(self) -> int:
         """Number of displacements of the warp that the reference hardly shows, and which are left out."""
         possible = 2 * self.modes.count if self._rotates else len(gradient_basis(self.modes))
@@ -297,7 +325,7 @@ class GaussNewton:
         From a noise-free subimage (row, column) and its changes (..., row, column), in any unit, to (lenslet, ..., K),
         px. A warp of that subimage is found as it is.
         """
-        return respond(self._reference, self.modes, self._warp, image, changes)
+        return respond(self._reference, self.modes, self._warp, image, changes, brightness=self._brightness)
 
     def _fit(self, coefficients: Image, bad: Booleans, start: Displacement | None) -> Fits:
         """Fit all lenslets, shared among threads, to a frame given by its spline coefficients."""

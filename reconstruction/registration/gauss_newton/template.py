@@ -21,18 +21,21 @@ from reconstruction.displacement import TRANSMISSION_MODES
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.spline import mean_interpolation, sample, spline_coefficients
 from reconstruction.geometry import require
-from reconstruction.modes.field_modes import PolynomialModes, gradient_basis
+from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis
 from reconstruction.registration.correlation import normalised
 from reconstruction.registration.gauss_newton._alignment import Grid
 from reconstruction.registration.gauss_newton._lenslet_fits import WholePixelSearch
 from reconstruction.registration.gauss_newton._warped_sampling import MONOMIALS, window_of
-from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
 
 # Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds
 # scattered light that no warp describes, would have most weight. With 0.003 the residual at 10,000 e- is 1.4 times
 # as large, although the scatter is smaller.
 _MODEL_ERROR = 0.02
 _NOTHING = 1e-12
+LINEAR, _CUBIC = 3, LegendreModes(10)  # brightness over the field; linear without a model of the lenslets
+# RMS of a brightness in each cubic polynomial, for the choice: behind a sample with 8 % RMS of absorption over 0.5 mm.
+_CUBIC_RMS = 0.011
 _UNSEEN = 1e-6  # singular value over the largest, below which a reference does not show a parameter
 _AT_ONCE = 32  # lenslets at a time, whose arrays fit into the processor's cache
 # Standard error over the least one, of a displacement that the reference hardly shows.
@@ -104,10 +107,21 @@ class SteepestDescent:
         basis: Floats,
         *,
         conserve_flux: bool,
+        brightness: Floats | None = None,
     ) -> None:
-        """Prepare displacements (x modes, y modes), the rows of `basis` (P - 2, 2Q), on pixels (width, width)."""
+        """Prepare displacements (x modes, y modes), the rows of `basis` (P - 2, 2Q), on pixels (width, width).
+
+        `brightness`: see `source_brightness`.
+        """
         self.u, self.v = reference.offset_px[pixels.ravel()].T / reference.half_width_px
         self._basis, self._conserves_flux, self._values = basis, conserve_flux, modes.values(self.u, self.v)
+        count = LINEAR if brightness is None else len(brightness)
+        self._over_field = LegendreModes(max(count, TRANSMISSION_MODES.count)).values(self.u, self.v)
+        self._nuisance = slice(1, count)
+        self._image, self._blurred = np.ones_like(self.u), np.zeros_like(self._over_field)
+        if brightness is not None:
+            self._image, self._blurred = brightness[0, pixels], brightness[:, pixels]
+            self._blurred -= self._over_field * self._image
         self._slopes = modes.gradients(self.u, self.v) / reference.half_width_px * conserve_flux
 
     def __call__(self, light: Floats, gradient: Floats) -> Floats:
@@ -119,16 +133,14 @@ class SteepestDescent:
         return np.concatenate([self._basis @ np.concatenate(along, axis=1), light[:, None], ones], axis=1)
 
     def without_brightness(self, descent: Floats, weight: Floats) -> Floats:
-        """Part of images (L, P, N) that no brightness of the source, linear in u and v, explains.
+        """Part of images (L, P, N) that no brightness of the source, a polynomial of u and v, explains.
 
         With weights (L, N) of the pixels; all of them where flux is conserved. A sample that absorbs, scintillation and
-        uneven light change the brightness over the field. What looks like that would count as a displacement: a sample
-        with 16 % RMS of absorption left 0.26 rad behind a checkerboard, and leaves 0.07. In noise the wavefront's error
-        grows by 2 %.
+        uneven light change the brightness over the field. What looks like that would count as a displacement.
         """
         if self._conserves_flux:
             return descent
-        varying = descent[:, -2, None] * np.stack([self.u, self.v])
+        varying = self.varying(descent[:, -2])[:, self._nuisance]
         weighted = varying * weight[:, None]
         squares = weighted @ np.swapaxes(varying, 1, 2)
         share = np.linalg.pinv(squares, rcond=1e-9, hermitian=True) @ (weighted @ np.swapaxes(descent, 1, 2))
@@ -136,20 +148,66 @@ class SteepestDescent:
 
     def brightness(self, descent: Floats, weight: Floats) -> Floats:
         """From residuals to a brightness in `TRANSMISSION_MODES`, fitted with all else, (L, 6, N)."""
-        varying = descent[:, -2, None] * TRANSMISSION_MODES.values(self.u, self.v)
-        others = np.delete(descent, -2, axis=1)
-        return _least_squares(np.concatenate([varying, others], axis=1), weight)[:, : varying.shape[1]]
+        varying, others = self.varying(descent[:, -2]), np.delete(descent, -2, axis=1)
+        return _least_squares(np.concatenate([varying, others], axis=1), weight)[:, : TRANSMISSION_MODES.count]
+
+    def varying(self, light: Floats) -> Floats:
+        """Subimages (L, N) with a brightness in each Legendre polynomial over the field, (L, mode, N)."""
+        share = light @ self._image / (self._image @ self._image)
+        return np.asarray(light[:, None] * self._over_field + share[:, None, None] * self._blurred)
+
+
+def source_brightness(
+    model: LensletModel,
+    noise: CameraNoise,
+    reference: ReferenceSubimages,
+    modes: PolynomialModes,
+    pixels: Booleans,
+    basis: Floats,
+) -> Floats:
+    """Images of the source, its brightness multiplied by Legendre polynomials over the field, (mode, row, column).
+
+    They are blurred after they are multiplied: a subimage times a brightness that grows by the share b per px would be
+    one that is displaced by b times the square of the blur's width. Of quadratic and cubic polynomials, those with the
+    less expected error of the displacements in the rows of `basis`, on `pixels` (width, width).
+    """
+    images = np.stack([model.image(values) for values in _CUBIC.values(*model.position.T)])
+    blur, _ = mean_interpolation(images.shape[-1])
+    cubic = np.asarray(blur @ images @ blur.T)  # interpolated like the subimages
+    light, gradient, expected = _mean_lenslet(reference, pixels)
+    weight = _pixel_weights(expected, noise)
+
+    def descent(brightness: Floats) -> SteepestDescent:
+        return SteepestDescent(reference, modes, pixels, basis, conserve_flux=False, brightness=brightness)
+
+    only_cubic = descent(cubic).varying(light)[0, TRANSMISSION_MODES.count :]
+
+    def expected_error(brightness: Floats) -> float:
+        """Sum of the displacements' variances, px^2, by noise and by the cubic brightness that is not taken out."""
+        images = descent(brightness)
+        fit = _least_squares(images.without_brightness(images(light, gradient), weight), weight)[0, :-2]
+        return float(np.sum(fit**2 * noise.variance(expected)) + np.sum((_CUBIC_RMS * fit @ only_cubic.T) ** 2))
+
+    return min(cubic, cubic[: TRANSMISSION_MODES.count], key=expected_error)
 
 
 def respond(
-    reference: ReferenceSubimages, modes: PolynomialModes, template: Template, image: Floats, changes: Floats
+    reference: ReferenceSubimages,
+    modes: PolynomialModes,
+    template: Template,
+    image: Floats,
+    changes: Floats,
+    *,
+    brightness: Floats | None,
 ) -> Floats:
     """Parameters of a template found for changes (..., row, column) of a noise-free subimage; see `GaussNewton`.
 
     The displaced subimage is interpolated. The steps of the template are scaled by those for a warp of that subimage.
     """
     basis, conserves_flux = np.asarray(template.grid.basis, np.float64), bool(template.grid.scale[1])
-    images = SteepestDescent(reference, modes, template.pixels, basis, conserve_flux=conserves_flux)
+    images = SteepestDescent(
+        reference, modes, template.pixels, basis, conserve_flux=conserves_flux, brightness=brightness
+    )
 
     def descent(light: Floats, gradient: Floats) -> Floats:
         found = images(light.reshape(1, -1), gradient.reshape(1, -1, 2))
@@ -185,15 +243,16 @@ def prepare_template(
     conserve_flux: bool,
     basis: Floats,
     noise: CameraNoise | None = None,
+    brightness: Floats | None = None,
 ) -> Template:
     """Prepare a warp with the field modes T_q on some pixels (width, width) of the windows.
 
     The rows of `basis` (P - 2, 2Q) are its displacements (x modes, y modes). In real light the part of the
-    steepest-descent images that a brightness linear over the field explains is taken out. Without `noise` all pixels
-    have equal weight.
+    steepest-descent images that a `brightness` explains is taken out, see `source_brightness`. Without `noise` all
+    pixels have equal weight.
     """
     of_window = pixels.ravel()
-    images = SteepestDescent(reference, modes, pixels, basis, conserve_flux=conserve_flux)
+    images = SteepestDescent(reference, modes, pixels, basis, conserve_flux=conserve_flux, brightness=brightness)
     flux = 1 / reference.half_width_px if conserve_flux else 0.0
     smooth = _smooth_light(reference)[:, of_window]
     gradients = gradient_basis(modes)
@@ -213,7 +272,7 @@ def prepare_template(
         is_gradient=bool(np.allclose(basis @ gradients.T @ gradients, basis)),
     )
     per_pixel, per_light = [], []
-    brightness, covariance = np.empty((lenslets, 6, count), np.float32), np.empty((2, lenslets, 6, 6))
+    to_brightness, covariance = np.empty((lenslets, 6, count), np.float32), np.empty((2, lenslets, 6, 6))
     for first in range(0, lenslets, _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         light, gradient = reference.light[some][:, of_window], reference.gradient[some][:, of_window]
@@ -231,14 +290,14 @@ def prepare_template(
         grid.light[some], grid.weight[some], grid.inverse[some] = light, weight, inverse
         grid.level[some] = np.stack([light.mean(axis=1), light.std(axis=1)], axis=1)
         of_brightness[:, 0] -= inverse[:, -2]  # which is in the gain already
-        brightness[some] = of_brightness
+        to_brightness[some] = of_brightness
         per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent))
         per_light.append(_propagated(np.maximum(light, 0), inverse, weight, descent))
     of_pixels, of_light = (
         Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)
     )
     contrast = reference.light[:, of_window].std(axis=1)
-    return Template(grid, pixels, contrast, of_pixels, of_light, brightness, covariance)
+    return Template(grid, pixels, contrast, of_pixels, of_light, to_brightness, covariance)
 
 
 def _least_squares(images: Floats, weight: Floats) -> Floats:
@@ -303,6 +362,15 @@ def _smooth_light(reference: ReferenceSubimages) -> Floats:
     return np.maximum(smooth, 0.0)
 
 
+def _mean_lenslet(reference: ReferenceSubimages, pixels: Booleans) -> tuple[Floats, Floats, Floats]:
+    """Light, its gradient and expected light on some pixels (width, width), mean over the lit lenslets: (1, N, ...)."""
+    light, gradient, expected = (
+        of_lenslets[:, pixels.ravel()][reference.lit].mean(axis=0, keepdims=True)
+        for of_lenslets in (reference.light, reference.gradient, _smooth_light(reference))
+    )
+    return light, gradient, expected
+
+
 def visible_warp(
     reference: ReferenceSubimages, modes: PolynomialModes, pixels: Booleans, *, conserve_flux: bool, rotation: bool
 ) -> tuple[Floats, Floats, Booleans]:
@@ -322,10 +390,7 @@ def visible_warp(
     """
     possible = np.eye(2 * modes.count) if rotation else gradient_basis(modes)
     images = SteepestDescent(reference, modes, pixels, possible, conserve_flux=conserve_flux)
-    light, gradient, expected = (
-        of_lenslets[:, pixels.ravel()][reference.lit].mean(axis=0, keepdims=True)
-        for of_lenslets in (reference.light, reference.gradient, _smooth_light(reference))
-    )
+    light, gradient, expected = _mean_lenslet(reference, pixels)
     weight = np.ones(light.shape) if reference.noise is None else _pixel_weights(expected, reference.noise)
     descent, weight = images.without_brightness(images(light, gradient), weight)[0], weight[0]
     normal = (descent * weight) @ descent.T

@@ -25,7 +25,8 @@ FRAMES = 32  # at least
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_hurry")
 def test_live_wavefronts_match_truth_without_loss() -> None:
-    bench = load_bench("live_demo", ("camera.exposure_s=0.1", "camera.em_gain=1.0"))
+    coarse = "simulation.object_samples=13", "simulation.pupil_samples=10"
+    bench = load_bench("live_demo", ("camera.exposure_s=0.1", "camera.em_gain=1.0", *coarse))
     with closing(simulated_bench(bench, lambda _: None)) as ahead:  # render before the acquisition needs the processor
         wait_until(lambda: current_state(ahead) >= 0 and states_rendered(ahead) > 1)
     measurements: list[Measurement] = []

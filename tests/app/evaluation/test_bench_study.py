@@ -104,8 +104,12 @@ def test_study_shows_residual_error_bar_and_flags(bench: Bench, monkeypatch: pyt
     data = collect(BENCH.dims, BENCH.measure(bench, range(1), lambda *_: None))
     summary = BENCH.summary(data).set_index(["curve", "at"])
     assert len(summary) == 12
-    assert summary.loc[("free", "absorption 16 %"), "mean_rad"] > 2 * summary.loc[("free", "none"), "mean_rad"]
+    mean_rad = summary["mean_rad"]
+    assert mean_rad["free", "defocus 4 %, not told"] > 2 * mean_rad["free", "none"]
+    assert mean_rad["free", "absorption 16 %"] < 1.2 * mean_rad["free", "none"]  # its brightness is fitted
     assert summary.loc[("layers", "none"), "flags"] == ""
     assert 0 <= summary.loc[("layers: error bar", "none"), "coverage"] <= 1
     data["faults"] = float(Fault.MISFIT)
-    assert any("MISFIT" in cell for line in BENCH.printed(data).lines for cell in line)
+    lines = BENCH.printed(data).lines  # one each, because their names are long
+    assert [line[0] for line in lines] == [each.name for each in chosen]
+    assert any("MISFIT" in cell for line in lines for cell in line)

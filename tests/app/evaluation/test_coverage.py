@@ -20,7 +20,7 @@ from reconstruction.wavefront import Wavefront, without_piston
 NORMAL = math.erf(math.sqrt(0.5))
 ASKED = 0.04
 PEAKS_E = 100.0, 300.0  # with more light, systematic errors would count in the error bars, but not in the scatter
-DRAWS, REFINED_DRAWS = 24, 12
+DRAWS, REFINED_DRAWS = 60, 12
 
 
 def coverage(wavefronts: list[Wavefront], expected: Floats) -> list[float]:
@@ -56,7 +56,7 @@ def test_error_bars_cover_68_percent(small_toml: Path) -> None:
             still = register(seen.counts(frame))
             noisy = [register(seen.exposed(frame, 1, next(draw))) for _ in range(DRAWS)]
             shares = coverage([solve(each) for each in noisy], solve(still).views)
-            check(shares, 0.03)
+            check(shares, 0.016)
             in_one_pass += shares
             if peak_e != PEAKS_E[number % 2]:
                 continue

@@ -103,14 +103,18 @@ def test_information_matches_finite_differences_of_forward_model(neglect_propaga
     assert np.abs(some.T @ information @ some - expected) / np.outer(size, size) == pytest.approx(0, abs=0.005)
 
 
-def test_gain_and_offset_carry_no_information() -> None:
+def test_brightness_and_offset_carry_no_information() -> None:
     light = np.random.default_rng(3).uniform(10, 100, (5, 5))
     ramp = np.outer(np.ones(5), np.arange(5.0))
     changes = np.stack([light, 2 * light - 3, ramp, ramp + 7 - light])[:, None]
-    information = lenslet_information(light, changes, NOISE)[:, 0, :, 0]
+    information = lenslet_information(light, changes, NOISE, light[None])[:, 0, :, 0]
     assert information[:2] == pytest.approx(0, abs=1e-9)
     assert information[2, 2] > 1
     assert information[3, 3] == pytest.approx(information[2, 2])
+    varied = np.stack([light, light * ramp])
+    less = lenslet_information(light, np.concatenate([changes, (3 * varied[1:])[:, None]]), NOISE, varied)[:, 0, :, 0]
+    assert less[4] == pytest.approx(0, abs=1e-9)
+    assert 0 < less[2, 2] < information[2, 2]
 
 
 def test_bound_falls_with_the_root_of_shot_noise_light() -> None:

@@ -85,8 +85,8 @@ def whitened(covariance: Floats, px: Floats, parameters: Floats = EVERYTHING) ->
 
 
 def enlarged(level: float) -> float:
-    """Variance of the errors, in units of the noise: what chance does not explain is alike in four lenslets."""
-    return level + 3 * max(level - 1.2, 0.0)
+    """Variance of the errors, in units of the noise: what chance does not explain is alike in three lenslets."""
+    return level + 2 * max(level - 1.2, 0.0)
 
 
 @pytest.mark.parametrize("parameters", [EVERYTHING, GRADIENTS], ids=["rotation", "layered"])
