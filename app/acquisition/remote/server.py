@@ -61,6 +61,7 @@ _OF_INSTRUMENT: dict[str, Callable[..., Any]] = {
         *(Instrument.take_dark, Instrument.take_reference, Instrument.use, Instrument.set),
         *(Instrument.auto_expose, Instrument.expose_without_sample, Instrument.check_background),
         *(Instrument.find_lattice, Instrument.survey_lattice, Instrument.change_settings),
+        Instrument.measure_linearity,
     )
 }
 _OF_ACQUISITION: dict[str, Callable[..., Any]] = {
