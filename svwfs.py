@@ -45,28 +45,10 @@ if TYPE_CHECKING:
     from reconstruction.settings import PupilBasis
     from reconstruction.wavefront import Wavefront
 
-__all__ = [
-    "connect",
-    "deconvolve",
-    "field_coefficients",
-    "find_corrector",
-    "find_lattice",
-    "find_layers",
-    "live",
-    "load_bench",
-]
-__all__ += ["open_recording", "open_result", "psf", "reconstructor", "refine", "save_result", "simulate", "to_dataset"]
-__all__ += [
-    "Bench",
-    "BenchReconstructor",
-    "ConnectedBench",
-    "Displacement",
-    "Lattice",
-    "LiveBench",
-    "Measurement",
-    "OpenedRecording",
-]
-__all__ += ["Outcome", "SimulatedFrames", "Wavefront"]
+__all__ = ["connect", "deconvolve", "field_coefficients", "find_corrector", "find_lattice", "find_layers", "live"]
+__all__ += ["load_bench", "open_recording", "open_result", "psf", "reconstructor", "refine", "save_result", "simulate"]
+__all__ += ["Bench", "BenchReconstructor", "ConnectedBench", "Displacement", "Lattice", "LiveBench", "to_dataset"]
+__all__ += ["Measurement", "OpenedRecording", "Outcome", "SimulatedFrames", "Wavefront"]
 __all__ += ["BadValue", "Busy", "DeviceError", "DeviceTimeout", "Disconnected", "FrameLost", "InputError"]
 __all__ += ["Interrupted", "ReconstructionError", "RunError", "Unsupported", "WrongState"]
 

@@ -99,6 +99,12 @@ def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | Non
         taken.append(path)
 
 
+def write_whole(path: Path, contents: str | bytes) -> None:
+    """Write a file in one piece (atomic); text as UTF-8."""
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(contents.encode() if isinstance(contents, str) else contents)
+
+
 def _is_part(path: Path, other: Path) -> bool:
     if Path(os.path.realpath(path)).is_relative_to(os.path.realpath(other)):
         return True

@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from app.files import atomic_write
+from app.files import write_whole
 from app.timing import STAGES, Timings
 
 _LIBRARIES = ("svwfs", "numpy", "scipy", "numba", "opencv-python-headless", "PyQt6", "pyqtgraph")
@@ -55,8 +55,7 @@ def timing_facts(timings: Timings) -> dict[str, dict[str, float | None]]:
 
 def write_record(path: Path, record: Mapping[str, Any]) -> None:
     """Write a record as JSON, atomically."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(record, indent=2) + "\n", "utf-8")
+    write_whole(path, json.dumps(record, indent=2) + "\n")
 
 
 def _cpu() -> str:

@@ -15,7 +15,7 @@ from annotated_types import Ge, Le
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import Doc
 
-from reconstruction.annotated_settings import Checked
+from reconstruction.annotated_settings import STAR_SPACING_M, STARS, Checked
 from reconstruction.arrays import Booleans, Floats
 
 Arrangement: TypeAlias = Literal["square", "hexagonal"]
@@ -199,9 +199,9 @@ class Field(Checked):
     collimator_focal_length_m: Annotated[float, Ge(1e-3), Le(20), Doc("Of the lens between source and lenslets")]
     half_width_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Of the source: half its side, or its radius")]
     shape: Literal["square", "circle"] = "square"
-    view_rows: Annotated[int, Ge(1), Le(99)] = 3
-    view_columns: Annotated[int, Ge(1), Le(99)] = 3
-    view_spacing_m: Annotated[float, Ge(1e-9), Le(0.1)] = 0.5e-3
+    view_rows: Annotated[int, Ge(1), Le(99)] = STARS
+    view_columns: Annotated[int, Ge(1), Le(99)] = STARS
+    view_spacing_m: Annotated[float, Ge(1e-9), Le(0.1)] = STAR_SPACING_M
     neglect_propagation: Annotated[bool, Doc("True: the paper's simulation, uniform light, conserved flux")] = False
 
     def faults(self) -> Iterator[tuple[str, str]]:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
-from reconstruction.annotated_settings import Checked, OwnNames
+from reconstruction.annotated_settings import STAR_SPACING_M, STARS, Checked, OwnNames
 
 PupilBasis = Literal["legendre", "zernike"]
 SampleModel = Literal["automatic", "free", "layers"]
@@ -25,9 +25,9 @@ class RegistrationSettings(Checked):
     rotation: Annotated[bool, Doc("Of gauss_newton: whether subimages may rotate; layers cannot make them")] = False
     threads: Annotated[int, Ge(1), Le(64), Doc("Of gauss_newton")] = 2
     excluded: Annotated[tuple[tuple[int, int], ...], Doc("Lenslets (row, column from 0) that are left out")] = ()
-    star_rows: Annotated[int, Ge(1), Le(99)] = 3
-    star_columns: Annotated[int, Ge(1), Le(99)] = 3
-    star_spacing_m: Annotated[float, Gt(0), Le(0.1)] = 0.5e-3
+    star_rows: Annotated[int, Ge(1), Le(99)] = STARS
+    star_columns: Annotated[int, Ge(1), Le(99)] = STARS
+    star_spacing_m: Annotated[float, Gt(0), Le(0.1)] = STAR_SPACING_M
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

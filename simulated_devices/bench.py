@@ -154,16 +154,6 @@ class SimulatedBench:
             self._references[mask] = image
         return self._references[mask]
 
-    def current_state(self, time_s: float) -> int:
-        """State of the sample at that time of the bench's clock."""
-        self._load_rendered()
-        return self._playbacks[self.condition.mask].state_at(time_s)
-
-    @property
-    def states_rendered(self) -> int:
-        """Number of states of the sample that are rendered so far for the present mask."""
-        return len(self._films[self.condition.mask])
-
     def expose(self, start_s: float, end_s: float) -> Exposed:
         """Photons on the camera from `start_s` to `end_s`; a change in between counts from its moment."""
         self._load_rendered()

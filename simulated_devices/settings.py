@@ -9,7 +9,7 @@ from annotated_types import Ge, Gt, Interval, Le
 from typing_extensions import Doc
 
 from drivers.interface import Range
-from reconstruction.annotated_settings import Checked, Depending
+from reconstruction.annotated_settings import STAR_SPACING_M, STARS, Checked, Depending
 
 Amplifier = Literal["normal", "em"]
 
@@ -85,9 +85,9 @@ class Source(Checked):
     checker_cells: Annotated[int, Ge(2), Le(100), Doc("Of the checkerboard that fills the square, along each side")] = 6
     ellipse_ratio: Annotated[float, Gt(0), Le(1), Doc("The ellipse's width along y over that along x")] = 0.6
     file: Annotated[str, Doc('A grey image (TIFF, NPY, PNG) that fills the square: the mask "image"')] = ""
-    star_rows: Annotated[int, Ge(1), Le(99)] = 3
-    star_columns: Annotated[int, Ge(1), Le(99)] = 3
-    star_spacing_m: Annotated[float, Gt(0), Le(0.1)] = 0.5e-3
+    star_rows: Annotated[int, Ge(1), Le(99)] = STARS
+    star_columns: Annotated[int, Ge(1), Le(99)] = STARS
+    star_spacing_m: Annotated[float, Gt(0), Le(0.1)] = STAR_SPACING_M
     pinhole_diameter_m: Annotated[float, Ge(0), Le(0.01), Doc("0: points with the light of 50 um pinholes")] = 50e-6
 
     def faults(self) -> Iterator[tuple[str, str]]:

@@ -84,7 +84,7 @@ def _no_leftovers(request: pytest.FixtureRequest) -> Iterator[None]:
 def runtime_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder of its own in which instruments and their clients meet; a socket's path must be short."""
     with TemporaryDirectory(prefix="svwfs", dir=gettempdir()) as made:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", made)
+        monkeypatch.setenv("SVWFS_RUNTIME_DIR", made)
         yield Path(made)
 
 
@@ -150,9 +150,9 @@ def qtbot(qapp: QApplication, request: pytest.FixtureRequest) -> QtBot:  # noqa:
 @pytest.fixture
 def restored_theme(qapp: QApplication) -> Iterator[None]:
     """Restore colours, palette and style sheet after the test."""
-    from app.gui.widgets.theme import _LIGHT  # noqa: PLC0415 - only where a window is wanted
+    from app.gui.widgets.theme import _PAIRS  # noqa: PLC0415 - only where a window is wanted
 
-    colours = [(colour, colour.name()) for colour, _ in _LIGHT]
+    colours = [(colour, colour.name()) for colour, _, _ in _PAIRS]
     palette, style = qapp.palette(), qapp.styleSheet()
     yield
     for colour, name in colours:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import inspect
 import os
 import re
 import subprocess
@@ -23,14 +24,21 @@ from support.patience import HANG_S, wait_until
 from support.python_examples import run_examples
 
 import svwfs
-from app.acquisition.start_up import knows_sample
+from app.acquisition.start_up import FRAMES, knows_sample
 from app.bench.config import Bench
+from app.evaluation.benchmark import timed_frames
 from app.evaluation.frames import SimulatedFrames
 from app.images import read_image
+from app.measurement.estimator import Estimator
+from app.results.coefficients import FieldMaps
+from app.results.corrector import BestCorrector
+from app.results.deconvolution import Deconvolution
 from drivers.dcam import DcamSettings
 from drivers.interface import LightSource
 from drivers.serial_lights import DC4100Settings
 from reconstruction.arrays import Floats
+from reconstruction.deconvolution.corrected_image import corrected_image
+from reconstruction.settings import RegistrationSettings
 from reconstruction.wavefront import rms
 
 
@@ -471,3 +479,21 @@ def test_open_result_names_an_unusable_file(path: str, tmp_path: Path) -> None:
     (tmp_path / "empty.nc").touch()
     with pytest.raises(svwfs.InputError, match=path):
         svwfs.open_result(tmp_path / path)
+
+
+def test_defaults_agree_where_they_must_be_told_again() -> None:
+    """Python loads nothing to know them, and the benchmark nothing that would add to the measured memory."""
+
+    def default(function: Callable[..., Any], name: str) -> Any:
+        return inspect.signature(function).parameters[name].default
+
+    for python, command, names in (
+        (svwfs.find_corrector, BestCorrector, ("modes", "count")),
+        (svwfs.field_coefficients, FieldMaps, ("basis", "order", "positions")),
+        (svwfs.deconvolve, Deconvolution, ("method", "iterations")),
+        (corrected_image, Deconvolution, ("method", "iterations")),
+    ):
+        for name in names:
+            assert default(python, name) == default(command, name), name
+    assert timed_frames._REFERENCE_FRAMES == FRAMES
+    assert default(Estimator, "threads") == RegistrationSettings().threads

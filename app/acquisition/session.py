@@ -13,8 +13,8 @@ from typing import Any, Self, TypeVar
 
 from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument, Setting, Status
+from app.acquisition.place import NAME
 from app.acquisition.remote.connection import Connection
-from app.acquisition.remote.place import NAME
 from app.acquisition.start_up import FRAMES, calibrate, knows_sample, start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench

@@ -26,7 +26,7 @@ from zarr.storage import LocalStore
 
 from app.bench.config import parse_bench
 from app.errors import InputError, RunError
-from app.files import atomic_write, in_words
+from app.files import in_words, write_whole
 from app.measurement.calibration import Calibration
 from app.recording.folder import RUN, read_run, recorded_frames
 from app.recording.frame_array import METADATA
@@ -51,12 +51,7 @@ class _DurableStore(LocalStore):
     async def set(self, key: str, value: Buffer) -> None:
         """Write a file."""
         self._check_writable()
-        await asyncio.to_thread(_write, self.root / key, value.to_bytes())
-
-
-def _write(path: Path, contents: bytes) -> None:
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(contents)
+        await asyncio.to_thread(write_whole, self.root / key, value.to_bytes())
 
 
 class ResultStore:

@@ -12,6 +12,7 @@ from reconstruction.annotated_settings import SettingError
 
 _HEADER = re.compile(r"\s*\[+\s*([\w.\-\s]+?)\s*\]+")
 _KEY = re.compile(r"\s*([\w.\-]+)\s*=")
+_AROUND = 2  # lines of an excerpt on both sides
 _TOML_PLACE = re.compile(r"\(at (?:line (\d+), column \d+|end of document)\)")
 
 
@@ -80,7 +81,7 @@ def _settings(text: str) -> Iterator[tuple[str, int]]:
             yield f"{section}.{key[1]}".strip("."), number
 
 
-def excerpt(text: str, line: int, around: int = 2) -> tuple[tuple[int, str], ...]:
+def excerpt(text: str, line: int) -> tuple[tuple[int, str], ...]:
     """Return a line of a text and its neighbours, each with its number."""
-    first = max(line - 1 - around, 0)
-    return tuple(enumerate(text.splitlines()[first : line + around], first + 1))
+    first = max(line - 1 - _AROUND, 0)
+    return tuple(enumerate(text.splitlines()[first : line + _AROUND], first + 1))

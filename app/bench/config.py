@@ -21,7 +21,7 @@ from app.bench.bench_files import BenchError, bench_file, line_of_setting, line_
 from app.bench.device_kinds import DRIVERS, DeviceSettings, RecordingSettings
 from app.bench.earlier_versions import replace_conserve_flux, set_recorded_defaults, take_non_rigid
 from app.errors import InputError
-from app.files import in_words
+from app.files import in_words, write_whole
 from drivers.light_source import ManualLightSettings
 from reconstruction.annotated_settings import Checked, Limit, SettingError, settings_of
 from reconstruction.deconvolution.imaging import Imaging
@@ -278,6 +278,11 @@ def changes_in_words(before: Bench, after: Bench) -> str:
         "the nonlinearity": before.linearity != after.linearity,
     }
     return ", ".join(texts) or next((name for name, is_new in others.items() if is_new), "the same settings")
+
+
+def save_bench(path: Path, bench: Bench) -> None:
+    """Write a bench into a TOML file (atomic)."""
+    write_whole(path, write_bench(bench))
 
 
 def write_bench(bench: Bench) -> str:

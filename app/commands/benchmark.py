@@ -117,21 +117,11 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     middle = lasting_s[0] / sum(lasting_s)
     in_window = named(between(progress, 0.0, middle), "window" if is_seen else "unseen window")
     with recording_folder(plan, in_window) as folder:
-        with_window = Course(
-            plan.bench,
-            in_window,
-            warm_up_s=plan.warm_up_s,
-            seconds=plan.seconds,
-            memory_s=plan.memory_s,
-            record_into=folder,
-        )
+        lasts_s = plan.warm_up_s, plan.seconds
+        with_window = Course(plan.bench, in_window, *lasts_s, memory_s=plan.memory_s, record_into=folder)
         _run_in_window(with_window, with_panels=plan.with_panels)
-    without_window = Course(
-        plan.bench,
-        named(between(progress, middle, 1.0), "no window"),
-        warm_up_s=warm_up_s,
-        seconds=plan.without_window_s,
-    )
+    alone = named(between(progress, middle, 1.0), "no window")
+    without_window = Course(plan.bench, alone, warm_up_s, plan.without_window_s)
     _run(without_window)
     return LiveFigures(
         plan=plan,
@@ -151,7 +141,7 @@ def _run_in_window(course: Course, *, with_panels: bool) -> None:
             window.docks.float_panels(panels.coefficients, panels.history, panels.histogram)
         window.open(lambda: course.acquisition, lambda _: course.begin())
 
-    run_window(None, until=course.poll, open_first=open_course, remembers=False)
+    run_window(open_course, until=course.poll, remembers=False)
 
 
 def _run(course: Course) -> None:

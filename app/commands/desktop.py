@@ -10,7 +10,7 @@ import typer
 
 from app.commands import options
 from app.errors import InputError, RunError
-from app.files import atomic_write
+from app.files import write_whole
 
 _ENTRY = """[Desktop Entry]
 Type=Application
@@ -65,10 +65,8 @@ def add_entry(bench: str | None) -> Path:
         load_bench(bench)
         words += ["--bench", bench if bench_file(bench) != Path(bench) else str(Path(bench).absolute())]
     entry, icon = _files()
-    with atomic_write(icon) as temporary:
-        temporary.write_bytes((files("app.gui") / "svwfs.svg").read_bytes())
-    with atomic_write(entry) as temporary:
-        temporary.write_text(_ENTRY.format(command=" ".join(map(_quoted, words))), "utf-8")
+    write_whole(icon, (files("app.gui") / "svwfs.svg").read_bytes())
+    write_whole(entry, _ENTRY.format(command=" ".join(map(_quoted, words))))
     return entry
 
 

@@ -39,6 +39,4 @@ def export(
     with terminal.progress_bar() as progress:
         count = run(recording, to, out, frames=frames, overwrite=overwrite, progress=progress)
     typer.echo(f"{out} holds {counted(count)} of {recording}")
-    if to != "tiff":  # nothing is reconstructed
-        terminal.print_version_notice(recording)
-    terminal.warn_of_missing(recording)
+    terminal.print_notes(recording, is_own=to != "tiff")  # of which nothing is reconstructed

@@ -49,9 +49,7 @@ def replay(
             progress=progress,
         )
     print_replay(made)
-    if bench is None:
-        terminal.print_version_notice(recording, settings=tuple(setting or ()))
-    terminal.warn_of_missing(recording)
+    terminal.print_notes(recording, setting, is_own=bench is None)
 
 
 def print_replay(made: Replay) -> None:

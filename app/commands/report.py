@@ -50,8 +50,6 @@ def report(
         terminal.print_by_view(residual.field, title, ((f"{value:.3f}" for value in row) for row in residual.rms_rad))
         terminal.print_sentence(residual.sentence)
     typer.echo(f"the report of {summary.sampled_frames} is in {out}")
-    terminal.print_version_notice(recording, settings=tuple(setting or ()))
-    terminal.warn_of_missing(recording)
+    terminal.print_notes(recording, setting)
     if beside is not None:
-        terminal.print_version_notice(beside)
-        terminal.warn_of_missing(beside)
+        terminal.print_notes(beside)

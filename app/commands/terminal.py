@@ -143,6 +143,13 @@ def warn_of_missing(folder: Path) -> None:
         )
 
 
+def print_notes(recording: Path, settings: list[str] | None = None, *, is_own: bool = True) -> None:
+    """Print what must be known of a recording whose frames were reconstructed; `is_own`: with its own bench."""
+    if is_own:
+        print_version_notice(recording, settings=tuple(settings or ()))
+    warn_of_missing(recording)
+
+
 def remind(sentence: str) -> None:
     """Print what a person must not forget."""
     sys.stderr.write(f"{sentence}\n")

@@ -2,7 +2,8 @@
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
@@ -24,22 +25,21 @@ _FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run
 
 
 def run_window(
-    make_acquisition: Callable[[], Carrier] | None,
+    open_first: Callable[[MainWindow], object],
     *,
     offscreen_s: float | None = None,
     screenshot: Path | None = None,
     on_finish: Callable[[Measurement], None] | None = None,
     until: Callable[[], bool] | None = None,
     make_for: Callable[[Bench], Carrier] = Acquisition,
-    open_first: Callable[[MainWindow], object] = MainWindow.connect_devices,
     remembers: bool = True,
 ) -> int:
     """Run the window until it closes, and return the exit status.
 
     Parameters
     ----------
-    make_acquisition
-        Makes the acquisition, again at each reconnection.
+    open_first
+        Opens a bench or a recording in the new window.
     offscreen_s
         Close this long after the first wavefront: an unattended run.
     screenshot
@@ -50,8 +50,6 @@ def run_window(
         Polled at 10 Hz; the window closes when it returns True. Its errors are raised here.
     make_for
         Makes the acquisition of a bench that is opened in the window.
-    open_first
-        Opens a bench or a recording in the new window; without it, `make_acquisition` does.
     remembers
         The window looks as at its last end, and offers the tour once. An unattended run always looks the same.
 
@@ -73,9 +71,11 @@ def run_window(
     settings = settings_file() if remembers and offscreen_s is None else None
     if settings is not None:
         apply_preferences(application, settings)
-    window = MainWindow(make_acquisition, settings=settings, make_for=make_for)
+    window = MainWindow(None, settings=settings, make_for=make_for)
     if offscreen_s is not None:
-        until = _UnattendedRun(window, offscreen_s, screenshot, on_finish).is_done
+        steps = _unattended(window, offscreen_s, screenshot, on_finish)
+        next(steps)  # it takes note of measurements from now on
+        until = partial(next, steps, True)
     watch = None if until is None else _Watch(window, until)
     signals: list[int] = []
 
@@ -150,36 +150,24 @@ class _Watch:
         self._window.close()
 
 
-class _UnattendedRun:
-    """Waits for the end of an unattended run and saves its results."""
+def _unattended(
+    window: MainWindow, seconds: float, screenshot: Path | None, on_finish: Callable[[Measurement], None] | None
+) -> Iterator[bool]:
+    """Yield False until the time of an unattended run is over, and save its results then."""
+    first, newest = FirstWavefront(_FIRST_WAVEFRONT_S), list[Measurement]()
 
-    def __init__(
-        self,
-        window: MainWindow,
-        duration_s: float,
-        screenshot: Path | None,
-        on_finish: Callable[[Measurement], None] | None,
-    ) -> None:
-        self._window, self._duration_s = window, duration_s
-        self._screenshot, self._on_finish = screenshot, on_finish
-        self._first = FirstWavefront(_FIRST_WAVEFRONT_S)
-        self._last: Measurement | None = None
-        window.measurement_shown.connect(self._note)
-
-    def _note(self, measurement: Measurement) -> None:
+    def note(measurement: Measurement) -> None:
         if measurement.wavefront is not None:
-            self._last = measurement
-        if measurement.wavefront is not None or self._window.controller.is_settled:  # not of a routine
-            self._first.take(measurement)
+            newest[:] = [measurement]
+        if measurement.wavefront is not None or window.controller.is_settled:  # not of a routine
+            first.take(measurement)
 
-    def is_done(self) -> bool:
-        """Return whether the time is over, and save the results then."""
-        self._first.check()
-        if self._first.came_s is None or time.perf_counter() < self._first.came_s + self._duration_s:
-            return False
-        self._window.update_text()
-        if self._screenshot is not None and not self._window.save_screenshot(self._screenshot):
-            raise RunError(f"{self._screenshot}: cannot be written")
-        if self._on_finish is not None and self._last is not None:
-            self._on_finish(self._last)
-        return True
+    window.measurement_shown.connect(note)
+    while first.came_s is None or time.perf_counter() < first.came_s + seconds:
+        yield False
+        first.check()
+    window.update_text()
+    if screenshot is not None and not window.save_screenshot(screenshot):
+        raise RunError(f"{screenshot}: cannot be written")
+    if on_finish is not None and newest:
+        on_finish(newest[0])

@@ -1,12 +1,12 @@
 """Averages of frames: the dark and the reference; and the check whether the dark is still good."""
 
 from dataclasses import dataclass
-from typing import Self, cast
+from typing import Self, Unpack, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.measurement.routines import FrameProgress, ShouldStop, next_frame, restored
+from app.measurement.routines import Watch, next_frame, restored
 from app.progress import counted
 from drivers.interface import BadValue, Camera, Devices, Frame
 from reconstruction.arrays import Counts
@@ -37,21 +37,20 @@ class Average:
         return cls(cast("NDArray[np.float32]", image), unknown, 1, np.nan, np.nan, "")
 
 
-def average(camera: Camera, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> Average:
+def average(camera: Camera, frames: int, **watch: Unpack[Watch]) -> Average:
     """Restart the camera, to exclude earlier frames, and average `frames` frames.
 
     Recurrence of B. P. Welford (Technometrics 4, 419, 1962), which avoids cancellation.
     """
-    _check(frames)
     camera.stop()
     camera.start()
     mean, squares = np.zeros((2, camera.capabilities.rows, camera.capabilities.columns))
     for index in range(frames):
-        frame = next_frame(camera, should_stop)
+        frame = next_frame(camera, watch["should_stop"])
         away = frame.pixels - mean
         mean += away / (index + 1)
         squares += away * (frame.pixels - mean)
-        progress(frame, (index + 1) / frames)
+        watch["progress"](frame, (index + 1) / frames)
     return Average(
         mean=mean.astype(np.float32),
         variance=(squares / max(frames - 1, 1)).astype(np.float32),
@@ -62,21 +61,21 @@ def average(camera: Camera, frames: int, *, progress: FrameProgress, should_stop
     )
 
 
-def take_dark(devices: Devices, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> Average:
+def take_dark(devices: Devices, frames: int, **watch: Unpack[Watch]) -> Average:
     """Average frames with the light off."""
     _check(frames)
     with restored(devices):
         devices.light.set_on(False)
-        return average(devices.camera, frames, progress=progress, should_stop=should_stop)
+        return average(devices.camera, frames, **watch)
 
 
-def take_reference(devices: Devices, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> Average:
+def take_reference(devices: Devices, frames: int, **watch: Unpack[Watch]) -> Average:
     """Average frames with the light on and the sample out."""
     _check(frames)
     with restored(devices):
         devices.stage.set_sample_in(False)
         devices.light.set_on(True)
-        return average(devices.camera, frames, progress=progress, should_stop=should_stop)
+        return average(devices.camera, frames, **watch)
 
 
 def _check(frames: int) -> None:
@@ -116,17 +115,15 @@ class BackgroundCheck:
         return f"the background has changed since the dark: drift {drift}, {pixels}; take the dark again"
 
 
-def check_background(
-    devices: Devices, dark: Average, frames: int, *, progress: FrameProgress, should_stop: ShouldStop
-) -> BackgroundCheck:
+def check_background(devices: Devices, dark: Average, frames: int, **watch: Unpack[Watch]) -> BackgroundCheck:
     """Compare `frames` frames without light with the dark, which must be of the same exposure and mode."""
     levels: list[float] = []
 
     def note(frame: Frame, fraction: float) -> None:
         levels.append(float(np.mean(frame.pixels)))
-        progress(frame, fraction)
+        watch["progress"](frame, fraction)
 
-    now = take_dark(devices, frames, progress=note, should_stop=should_stop)
+    now = take_dark(devices, frames, progress=note, should_stop=watch["should_stop"])
     return compare_backgrounds(dark, now, levels)
 
 

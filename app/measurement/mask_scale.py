@@ -133,7 +133,7 @@ def scale_quality(calibration: Calibration) -> Quality:
     )
     found = _kept_scale(calibration.reference, calibration.dark, relevant)
     is_clear = found is not None and found.misfit < _SURE
-    return Quality({Fault.SCALE: "; ".join(found.faults)} if is_clear and found.faults else {})
+    return Quality.of(Fault.SCALE, "; ".join(found.faults) if is_clear else "")
 
 
 def _turned(points: SourcePoints, matrix: tuple[tuple[int, int], tuple[int, int]]) -> SourcePoints:

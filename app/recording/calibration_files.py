@@ -8,7 +8,7 @@ from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 import numpy as np
 
-from app.bench.config import load_bench, write_bench
+from app.bench.config import load_bench, save_bench
 from app.errors import InputError
 from app.files import atomic_write, check_readable, in_words, sync
 from app.images import MOST_COUNTS
@@ -28,8 +28,7 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
     temporary.mkdir(parents=True)
     bench = replace(calibration.bench, lattice=calibration.lattice)
     try:
-        with atomic_write(temporary / "bench.toml") as path:
-            path.write_text(write_bench(bench), "utf-8")
+        save_bench(temporary / "bench.toml", bench)
         write_record(temporary / "camera.json", {"full_scale": calibration.full_scale})
         _write_average(temporary / "reference.npz", calibration.reference)
         if calibration.dark is not None:

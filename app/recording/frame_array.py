@@ -17,7 +17,7 @@ import zarr
 from numpy.typing import NDArray
 
 from app.errors import InputError, RunError
-from app.files import atomic_write, check_readable, in_words, sync
+from app.files import check_readable, in_words, sync, write_whole
 
 Separator: TypeAlias = Literal["/", "."]  # between the parts of a chunk's name
 
@@ -134,8 +134,7 @@ class FrameArray:
     def set_length(self, length: int) -> None:
         """Change the length in the metadata; chunks stay."""
         self._metadata["shape"][0] = length
-        with atomic_write(self._path / METADATA) as temporary:
-            temporary.write_text(json.dumps(self._metadata, indent=2))
+        write_whole(self._path / METADATA, json.dumps(self._metadata, indent=2))
         self.length = length
 
     def remove(self, index: int) -> None:

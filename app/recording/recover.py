@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from app.bench.bench_files import read_bench_text
 from app.errors import InputError, RunError
-from app.files import atomic_write, remove_partial
+from app.files import atomic_write, remove_partial, write_whole
 from app.progress import counted
 from app.recording.calibration_files import read_calibration
 from app.recording.folder import CALIBRATION, FORMAT, FRAME_LINES, PIXELS, RESULTS, RUN, STORE, damaged_name, lock
@@ -197,8 +197,7 @@ def _put_in_place(lines: FoundLines, frames: int, *, is_complete: bool) -> str:
         rest = file.read()
     if left_out := rest.count(b"\n"):
         aside = damaged_name(path)
-        with atomic_write(aside) as temporary:
-            temporary.write_bytes(rest)
+        write_whole(aside, rest)
         put_aside = f"the lines after the last whole frame, {left_out} of them, are in {aside.name}"
     os.truncate(path, end)
     return put_aside

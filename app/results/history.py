@@ -15,6 +15,7 @@ from reconstruction.wavefront import Wavefront, rms
 
 RMS, FILL, DELAY, TEMPERATURE = "RMS", "Exposure", "Delay", "Temperature"
 UNITS = {FILL: "% of full scale", DELAY: "ms", TEMPERATURE: "\N{DEGREE SIGN}C"}  # the others are phases, rad
+_CALM_S = 2.0  # within its limits, until a series is back
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +53,11 @@ class SeriesLimits:
 class LimitWatch:
     """Tells once when a series crosses its limits, and once when it is back.
 
-    It is back when it has been within for `calm_s`, so that noise at a limit is one crossing; at once if the limits
+    It is back when it has been within for two seconds, so that noise at a limit is one crossing; at once if the limits
     are others now.
     """
 
-    def __init__(self, calm_s: float = 2.0) -> None:
-        self._calm_s = calm_s
+    def __init__(self) -> None:
         self.beyond: dict[str, tuple[float, SeriesLimits]] = {}  # series; when it was last beyond which limits, s
 
     def follow(
@@ -73,7 +73,7 @@ class LimitWatch:
                 self.beyond[name] = time_s, limit
             elif math.isfinite(value) and name in self.beyond:
                 last_s, before = self.beyond[name]
-                if abs(time_s - last_s) >= self._calm_s or limit != before:
+                if abs(time_s - last_s) >= _CALM_S or limit != before:
                     del self.beyond[name]
                     back.append(name)
         return crossed, back

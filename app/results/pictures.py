@@ -161,9 +161,13 @@ def contours(values: Floats, limit: float) -> list[Floats]:
 
 def contour_step(limit: float) -> float:
     """Return the step between contours."""
-    least = 2 * limit / _MOST_CONTOURS
-    decade = 10.0 ** math.floor(math.log10(least))
-    return next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= least * (1 - 1e-9))
+    return step_above(2 * limit / _MOST_CONTOURS, (1.0, 2.0, 5.0))
+
+
+def step_above(value: float, steps: tuple[float, ...]) -> float:
+    """Return the smallest of some steps, which cover a decade, times a power of ten that is at least a value."""
+    decade = 10.0 ** math.floor(math.log10(value))
+    return next(step * decade for step in (*steps, 10.0) if step * decade >= value * (1 - 1e-9))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

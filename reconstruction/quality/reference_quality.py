@@ -97,33 +97,27 @@ def reference_quality(
 
 def response_quality(problem: str) -> Quality:
     """Quality of a reference for which the response of the registration is not used; the problem is empty if it is."""
-    return Quality({Fault.RESPONSE: problem} if problem else {})
+    return Quality.of(Fault.RESPONSE, problem)
 
 
 def linearity_quality(curve: TransferCurve | None, image: str) -> Quality:
     """Judge by the noise of an image, which is "frame" or "reference", whether its counts are proportional to light."""
     loss = 0.0 if curve is None else curve.loss
-    if loss <= _LOST:
-        return Quality()
-    return Quality(
-        {
-            Fault.LINEARITY: f"bright counts of the {image} are compressed, by their noise, which is {100 * loss:.0f} %"
-            " too small: lower the EM gain or the light, and switch gamma off"
-        }
+    reason = (
+        f"bright counts of the {image} are compressed, by their noise, which is {100 * loss:.0f} % too small: lower the"
+        " EM gain or the light, and switch gamma off"
     )
+    return Quality.of(Fault.LINEARITY, "" if loss <= _LOST else reason)
 
 
 def likeness_quality(frame: TransferCurve | None, reference: TransferCurve | None, averaged: float) -> Quality:
     """Judge by their noise whether grey values of a frame and of a reference, of so many frames, mean the same."""
     differ = 0.0 if frame is None or reference is None else frame.difference(reference, averaged)
-    if differ <= _DIFFERENT:
-        return Quality()
-    return Quality(
-        {
-            Fault.LINEARITY: "grey values of the frame and of the reference are not alike, by their noise, which"
-            f" differs by {100 * differ:.0f} % in bright pixels: was gamma or the EM gain changed between them?"
-        }
+    reason = (
+        "grey values of the frame and of the reference are not alike, by their noise, which differs by"
+        f" {100 * differ:.0f} % in bright pixels: was gamma or the EM gain changed between them?"
     )
+    return Quality.of(Fault.LINEARITY, "" if differ <= _DIFFERENT else reason)
 
 
 def lattice_error_px(lattice: Lattice, other: Lattice, sensor: Sensor) -> float:
@@ -185,14 +179,10 @@ _PASSES = 2  # that measure shifts and take them away
 def sample_quality(reference: ReferenceSubimages) -> Quality:
     """Judge whether a reference contains a sample; of a point source, of which nothing can be stretched, never."""
     shared_px = shared_deformation_px(reference) if reference.half_width_px > reference.blur_px else 0.0
-    if shared_px <= _DEFORMED_PX:
-        return Quality()
-    return Quality(
-        {
-            Fault.SAMPLE: f"the reference's subimages are deformed by {shared_px:.2f} px: was the sample in the beam,"
-            " or is it the frame?"
-        }
+    reason = (
+        f"the reference's subimages are deformed by {shared_px:.2f} px: was the sample in the beam, or is it the frame?"
     )
+    return Quality.of(Fault.SAMPLE, "" if shared_px <= _DEFORMED_PX else reason)
 
 
 def shared_deformation_px(reference: ReferenceSubimages) -> float:

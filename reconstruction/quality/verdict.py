@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import IntFlag
 from functools import reduce
 from operator import or_
+from typing import Self
 
 import numpy as np
 
@@ -38,6 +39,11 @@ class Quality:
 
     reasons: Mapping[Fault, str] = field(default_factory=dict)
     unjudged: str = ""  # what could not be judged, and why
+
+    @classmethod
+    def of(cls, fault: Fault, reason: str) -> Self:
+        """Make that of one fault; without a reason there is none."""
+        return cls({fault: reason} if reason else {})
 
     @property
     def faults(self) -> Fault:
@@ -77,4 +83,4 @@ def repeated_reference(frame: Counts, reference: Counts) -> Quality:
         is_rounded = any(np.issubdtype(image.dtype, np.integer) for image in (frame, reference))
         difference = np.abs(np.subtract(frame, reference, dtype=np.float64)).max()
         is_same = bool(difference < 1 if is_rounded else difference == 0)
-    return Quality({Fault.FROZEN: "the frame is the reference itself: give another exposure"} if is_same else {})
+    return Quality.of(Fault.FROZEN, "the frame is the reference itself: give another exposure" * is_same)

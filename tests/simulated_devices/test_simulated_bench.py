@@ -14,7 +14,7 @@ from typing import BinaryIO
 import numpy as np
 import pytest
 from support.patience import HANG_S, wait_until
-from support.simulated_scene import DRIFTING, LATTICE, STILL, open_bench
+from support.simulated_scene import DRIFTING, LATTICE, STILL, current_state, open_bench, states_rendered
 
 from simulated_devices.bench import Playback, SimulatedBench
 from simulated_devices.rendering import ImageCache, RenderingAhead, render_missing
@@ -40,14 +40,14 @@ def test_states_are_rendered_ahead_and_played(cache_folder: Path) -> None:
 
         def all_are_rendered() -> bool:
             bench.clock.sleep(0.25)
-            bench.current_state(bench.clock.now())
-            return bench.states_rendered == 4
+            current_state(bench)
+            return states_rendered(bench) == 4
 
         wait_until(all_are_rendered)
         seen = []
         for _ in range(12):
             bench.clock.sleep(0.1)
-            seen.append(bench.current_state(bench.clock.now()))
+            seen.append(current_state(bench))
         assert set(seen) == {0, 1, 2, 3}
         assert (abs(np.diff(seen)) == 1).all()
         drift = bench.renderer.truth_wavefront(1) - bench.renderer.truth_wavefront(0)
@@ -109,7 +109,7 @@ def test_bench_works_without_writable_cache(tmp_path: Path, capfd: pytest.Captur
     bench.change(is_light_on=True, is_sample_in=True)
     bench.clock.sleep(1.0)
     exposed = bench.expose(bench.clock.now() - 1.0, bench.clock.now())
-    assert (exposed.state, bench.states_rendered) == (0, 1)
+    assert (exposed.state, states_rendered(bench)) == (0, 1)
     assert exposed.photons.any()
     bench.close()
     assert capfd.readouterr().err == ""

@@ -86,3 +86,14 @@ class SimulatedLightFaults:
 
     def fail_next(self) -> None:
         fail_next(self._light)
+
+
+def current_state(bench: SimulatedBench) -> int:
+    """State of the sample now."""
+    bench._load_rendered()
+    return bench._playbacks[bench.condition.mask].state_at(bench.clock.now())
+
+
+def states_rendered(bench: SimulatedBench) -> int:
+    """Number of states of the sample that are rendered so far for the present mask."""
+    return len(bench._films[bench.condition.mask])

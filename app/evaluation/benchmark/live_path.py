@@ -193,9 +193,9 @@ class Course:
         self,
         bench: Bench,
         progress: Progress,
-        *,
         warm_up_s: float,
         seconds: float,
+        *,
         memory_s: float = 0.0,
         record_into: Path | None = None,
     ) -> None:

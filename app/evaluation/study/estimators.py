@@ -130,35 +130,27 @@ def compared(
     *,
     views: NDArray[np.bool_] | None = None,
     lenslets: Booleans | None = None,
-    seconds: float = math.nan,
+    **more: float,
 ) -> CaseResult:
-    """Compare a wavefront with the truth (view_row, view_column, lenslet_row, lenslet_column), rad.
+    """Compare a wavefront with the truth (view_row, view_column, lenslet_row, lenslet_column), rad; see `with_rms`.
 
     Without `views` (view_row, view_column) all of them count, without `lenslets` the valid ones.
     """
     lenslets = wavefront.displacement.valid if lenslets is None else lenslets
-    return with_rms(curve, at, wavefront, mean_rms(wavefront.views - truth, lenslets, views), seconds=seconds)
+    return with_rms(curve, at, wavefront, mean_rms(wavefront.views - truth, lenslets, views), **more)
 
 
-def with_rms(
-    curve: str,
-    at: Position,
-    wavefront: Wavefront,
-    rms_rad: float,
-    *,
-    seconds: float = math.nan,
-    asked_rad: float = math.nan,
-    coverage: float = math.nan,
-) -> CaseResult:
+def with_rms(curve: str, at: Position, wavefront: Wavefront, rms_rad: float, **more: float) -> CaseResult:
     """Return an RMS with the counts of lost lenslets of a wavefront.
 
-    `asked_rad` is a limit of its own, `coverage` the share of lenslets within the error bar `rms_rad`.
+    More are `seconds`; `asked_rad`, a limit of its own; and `coverage`, the share of lenslets within the error bar
+    `rms_rad`.
     """
     outcome = wavefront.displacement.outcome
     lost, left_cell = np.sum(outcome != Outcome.CONVERGED), np.sum(outcome == Outcome.LEFT_CELL)
-    values = {"rms_rad": rms_rad, "lost": float(lost), "left_cell": float(left_cell), "seconds": seconds}
-    values |= {"asked_rad": asked_rad, "coverage": coverage}
-    return CaseResult(at={"curve": curve, "at": at}, values=values)
+    values = {"rms_rad": rms_rad, "lost": float(lost), "left_cell": float(left_cell)}
+    unknown = dict.fromkeys(("seconds", "asked_rad", "coverage"), math.nan)
+    return CaseResult(at={"curve": curve, "at": at}, values=values | unknown | more)
 
 
 def mean_rms(difference: Floats, lenslets: Booleans, views: NDArray[np.bool_] | None = None) -> float:

@@ -1,14 +1,10 @@
 """The corrector panel: what one corrector would leave, over its distance."""
 
-from PyQt6.QtCore import Qt
-
-from app.gui.panels.layers import origin_choice
+from app.gui.panels.layers import DistancePlot, origin_choice
 from app.gui.panels.panel import Panel, Request, Shown
 from app.gui.widgets import theme
 from app.gui.widgets.basics import Choice, ElidedLabel, column, row
-from app.gui.widgets.plot import Plot
 from app.results.corrector import FoundCorrectors, correction_sentence, find_shown_correctors
-from app.results.layers import axis_label, shown_range_m
 from reconstruction.layers.corrector import Corrector
 
 _CORRECTORS = (
@@ -33,14 +29,11 @@ class CorrectorPanel(Panel):
         self.corrector.setCurrentIndex(_DEFAULT)
         self.origin = origin_choice()
         keys = (("best command", theme.ACCENT), ("best distance", theme.AMBER), ("no corrector", theme.DIM))
-        self.plot = Plot("Residual (rad RMS)", axis_label("lenslets"), keys, widest="00.0")
-        self.plot.graphics.setMinimumHeight(3 * self.fontMetrics().height())  # the window fits small screens
-        self.plot.setToolTip(
+        about = (
             "RMS of the wavefronts over field and pupil after the best command of one corrector,\n"
             "over the distance that the corrector is conjugate to. Measurement noise is part of it."
         )
-        self._limit = self.plot.add_curve(theme.DIM, 1, Qt.PenStyle.DashLine)
-        self._curve, self._mark = self.plot.add_curve(theme.ACCENT), self.plot.add_curve(theme.AMBER)
+        self.plot = DistancePlot("Residual (rad RMS)", keys, about, widest="00.0")
         self.sentence = ElidedLabel(lines=2)
         header = row(self.corrector, self.origin, (ElidedLabel(), 1))
         column(header, (self.plot, 1), self.sentence, parent=self)
@@ -69,17 +62,10 @@ class CorrectorPanel(Panel):
         if found is None:
             self.sentence.setText(f"No residual: {made.problem}")
             return
-        distance_mm, residual_rad = found["distance"].values * 1e3, found["residual"].values
-        at_mm, without_rad = float(found["corrector_distance_m"]) * 1e3, float(found["uncorrected"])
-        origin = found.attrs["distances_from"]
-        range_m = shown_range_m(found["corrector_distance_m"].values, found["distance"].values, origin)
-        low_mm, high_mm = (1e3 * end_m for end_m in range_m)
-        top = 1.1 * max(without_rad, 1e-6)
-        self._curve.setData(distance_mm, residual_rad)
-        self._limit.setData([low_mm, high_mm], [without_rad, without_rad])
-        self.plot.axes["bottom"].setLabel(axis_label(origin))
-        self._mark.setData([at_mm, at_mm], [0.0, top])
-        self.plot.set_ranges((low_mm, high_mm), (0, top))
+        at_m, without_rad = found["corrector_distance_m"].values, float(found["uncorrected"])
+        distance_m, residual_rad = found["distance"].values, found["residual"].values
+        self.plot.show_curve(distance_m, residual_rad, without_rad, at_m, found.attrs["distances_from"])
+        self.plot.mark(at_m)
         text = correction_sentence(found)
         self.sentence.setText(text[0].upper() + text[1:])
 

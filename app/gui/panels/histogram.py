@@ -2,7 +2,7 @@
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtCore import QSignalBlocker, pyqtSignal
 from PyQt6.QtGui import QColor
 
 from app.gui.panels.panel import Panel, Shown
@@ -32,13 +32,11 @@ class HistogramPanel(Panel):
         )
         self.curve = pg.PlotCurveItem(x=[0, 1], y=[0], stepMode="center", fillLevel=0)
         self.plot.view.addItem(self.curve)
-        self._lines = [pg.InfiniteLine(0, angle=90) for _ in keys]
         self.levels = pg.LinearRegionItem(swapMode="block", brush=(0, 0, 0, 0))
         self.levels.sigRegionChanged.connect(lambda: self.levels_chosen.emit(*self.levels.getRegion()))
         self.plot.view.addItem(self.levels)
         theme.follow(self.plot, self._colour)
-        for line in self._lines:
-            self.plot.view.addItem(line)
+        self._lines = [self.plot.add_line(colour, 90) for _, colour in keys]
         self.plot.axes["left"].setTicks([[(decade, f"{10**decade}") for decade in range(8)]])
         column(self.plot, parent=self)
 
@@ -50,8 +48,6 @@ class HistogramPanel(Panel):
         for handle in self.levels.lines:
             handle.setPen(pg.mkPen(theme.TEXT, width=2))
             handle.setHoverPen(pg.mkPen(theme.ACCENT, width=3))
-        for line, colour in zip(self._lines, (theme.AMBER, theme.RED), strict=True):
-            line.setPen(pg.mkPen(colour, width=1, style=Qt.PenStyle.DashLine))
 
     def show_levels(self, black: float, white: float) -> None:
         """Show the counts that are black and white."""

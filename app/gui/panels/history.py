@@ -2,11 +2,8 @@
 
 import math
 from collections.abc import Mapping
-from functools import partial
 
 import numpy as np
-import pyqtgraph as pg
-from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QApplication, QScrollArea, QWidget
 
@@ -51,16 +48,11 @@ class StripChart(QWidget):
         self.plot = _plot(None)
         self.plot.graphics.setMinimumHeight(_LEAST_LINES * self.fontMetrics().height() + 9)
         self.curve = self.plot.add_curve(theme.ACCENT, 1)
-        self.limit_lines = [pg.InfiniteLine(angle=0) for _ in range(2)]
-        for line in self.limit_lines:
-            theme.follow(self, partial(_colour_limit, line))
-            self.plot.view.addItem(line, ignoreBounds=True)
+        self.limit_lines = [self.plot.add_line(theme.RED, 0) for _ in range(2)]
         self.drift = [ElidedLabel("dim") for _ in range(2)]
         drift = QWidget()
         column(*self.drift, spacing=0, parent=drift).addStretch()
-        drift.setFixedWidth(_drift_width(self))
-        row(labels, (self.plot, 1), drift, parent=self)
-        labels.setFixedWidth(_name_width(self))
+        row(_wide_as(_NAME, labels), (self.plot, 1), _wide_as(_DRIFT, drift), parent=self)
 
     def show_series(self, time_min: Floats, values: Floats, span_min: float, unit: str, limits: SeriesLimits) -> None:
         """Show values (time,) over the minutes before now, NaN in gaps, and the limits that are crossed or near."""
@@ -143,10 +135,9 @@ class HistoryPanel(Panel):
         beside, after = QWidget(), QWidget()
         row(self.export, self.limits, (QWidget(), 1), parent=beside)
         column(self.samples, parent=after).addStretch()
-        beside.setFixedWidth(_name_width(self))
-        after.setFixedWidth(_drift_width(self))
         header = row(*self.toggles.values(), (self._hint, 1), self.minutes)
-        column(header, (area, 1), row(beside, (self.time_axis, 1), after), spacing=2, parent=self)
+        axis = row(_wide_as(_NAME, beside), (self.time_axis, 1), _wide_as(_DRIFT, after))
+        column(header, (area, 1), axis, spacing=2, parent=self)
         self._arrange()
 
     def menu_entries(self) -> Mapping[str, Entries]:
@@ -277,16 +268,10 @@ class HistoryPanel(Panel):
         self.refresh()
 
 
-def _colour_limit(line: pg.InfiniteLine) -> None:
-    line.setPen(pg.mkPen(theme.RED, width=1, style=Qt.PenStyle.DashLine))
-
-
-def _name_width(widget: QWidget) -> int:
-    return widget.fontMetrics().horizontalAdvance(_NAME)
-
-
-def _drift_width(widget: QWidget) -> int:
-    return widget.fontMetrics().horizontalAdvance(_DRIFT)
+def _wide_as(text: str, widget: QWidget) -> QWidget:
+    """Return the widget, now as wide as a text in it."""
+    widget.setFixedWidth(widget.fontMetrics().horizontalAdvance(text))
+    return widget
 
 
 def _plot(bottom: str | None) -> Plot:

@@ -4,6 +4,7 @@ from typing import get_args
 
 import numpy as np
 from PyQt6.QtCore import QSignalBlocker, Qt
+from PyQt6.QtGui import QColor
 
 from app.bench.config import Bench
 from app.gui.panels.panel import Panel, Request, Shown
@@ -27,7 +28,7 @@ from app.results.layers import (
     shown_range_m,
 )
 from drivers.interface import Range
-from reconstruction.layers.layer_search import LayerSearch
+from reconstruction.arrays import Floats
 
 _MODES = (("find one layer", 1), ("find two layers", 2), ("layer known at", 0))
 _SEARCHING = "Searching \N{HORIZONTAL ELLIPSIS}"
@@ -41,6 +42,32 @@ def origin_choice() -> Choice:
         "From the lenslets, negative distances lie behind them; there is no distance from the mask there.",
         [(f"from the {origin}", origin) for origin in get_args(Origin)],
     )
+
+
+class DistancePlot(Plot):
+    """A curve over distances, a dashed level beside it, and a vertical line at each distance that was found."""
+
+    def __init__(self, title: str, keys: tuple[tuple[str, QColor], ...], tool_tip: str, widest: str) -> None:
+        super().__init__(title, axis_label("lenslets"), keys, widest)
+        self.graphics.setMinimumHeight(3 * self.fontMetrics().height())  # the window fits small screens
+        self.setToolTip(tool_tip)
+        self.level = self.add_curve(theme.DIM, 1, Qt.PenStyle.DashLine)
+        self.curve, self.marks = self.add_curve(theme.ACCENT), self.add_curve(theme.AMBER)
+
+    def show_curve(self, distance_m: Floats, values: Floats, level: float, found_m: Floats, origin: Origin) -> None:
+        """Show values over distances (distance,), m, on an axis about those that were found."""
+        distance_mm = distance_m * 1e3
+        low_mm, high_mm = (1e3 * end_m for end_m in shown_range_m(found_m, distance_m, origin))
+        self.curve.setData(distance_mm, values)
+        self.level.setData([low_mm, high_mm], [level, level])
+        self.axes["bottom"].setLabel(axis_label(origin))
+        shown = values[(low_mm <= distance_mm) & (distance_mm <= high_mm)]
+        self.set_ranges((low_mm, high_mm), (0, 1.1 * max(float(shown.max()), level, 1e-6)))
+
+    def mark(self, found_m: Floats) -> None:
+        """Draw a line at each distance (found,), m, as high as the plot."""
+        top = self.view.viewRange()[1][1]
+        self.marks.setData(np.repeat(found_m * 1e3, 2), np.tile([0.0, top], found_m.size), connect="pairs")
 
 
 class LayersPanel(Panel):
@@ -65,14 +92,11 @@ class LayersPanel(Panel):
         self.origin = origin_choice()
         self.origin.currentIndexChanged.connect(self._show_distance)
         keys = (("one layer", theme.ACCENT), ("found", theme.AMBER), ("limit", theme.DIM))
-        self.plot = Plot("Unexplained (%)", axis_label("lenslets"), keys, widest="100")
-        self.plot.graphics.setMinimumHeight(3 * self.fontMetrics().height())  # the window fits small screens
-        self.plot.setToolTip(
+        about = (
             "Share of the displacements (RMS) that a single layer at each distance does not explain.\n"
             "The dashed line is any wavefront, without layers."
         )
-        self._limit = self.plot.add_curve(theme.DIM, 1, Qt.PenStyle.DashLine)
-        self._curve, self._marks = self.plot.add_curve(theme.ACCENT), self.plot.add_curve(theme.AMBER)
+        self.plot = DistancePlot("Unexplained (%)", keys, about, widest="100")
         self.map = ViewGrid((80, 50))
         self.map.setToolTip("Phase of each layer, without piston")
         self.sentence = ElidedLabel(lines=2)
@@ -116,30 +140,15 @@ class LayersPanel(Panel):
         if found.search is not None:
             self._ratio = found.ratios[0]
             self._show_distance()
-            self._show_curve(found, found.search)
-        self._mark(found)
+            order = np.argsort(found.curve_m)[: np.count_nonzero(np.isfinite(found.curve_m))]  # NaN comes last
+            misfits, least = 100 * found.search.misfits[order], 100 * found.search.any_wavefront.misfit
+            self.plot.show_curve(found.curve_m[order], misfits, least, found.distances_m, found.origin)
+        self.plot.mark(found.distances_m)
         self._show_maps(found)
 
     def show_nothing(self) -> None:
         """Show the maps in grey: they are not those of the newest frame."""
         self.map.show_stale(is_stale=True)
-
-    def _show_curve(self, found: FoundLayers, search: LayerSearch) -> None:
-        order = np.argsort(found.curve_m)[: np.count_nonzero(np.isfinite(found.curve_m))]  # NaN comes last
-        distance_mm, percent = found.curve_m[order] * 1e3, 100 * search.misfits[order]
-        self._curve.setData(distance_mm, percent)
-        least = 100 * search.any_wavefront.misfit
-        low_mm, high_mm = (1e3 * end_m for end_m in shown_range_m(found.distances_m, found.curve_m, found.origin))
-        self._limit.setData([low_mm, high_mm], [least, least])
-        self.plot.axes["bottom"].setLabel(axis_label(found.origin))
-        shown = percent[(low_mm <= distance_mm) & (distance_mm <= high_mm)]
-        self.plot.set_ranges((low_mm, high_mm), (0, 1.1 * max(float(shown.max()), least)))
-
-    def _mark(self, found: FoundLayers) -> None:
-        """Draw a vertical line at each distance."""
-        top = self.plot.view.viewRange()[1][1]
-        each_mm = np.repeat(found.distances_m * 1e3, 2)
-        self._marks.setData(each_mm, np.tile([0.0, top], len(found.distances_m)), connect="pairs")
 
     def _show_maps(self, found: FoundLayers) -> None:
         values = found.maps * self.shown.per_rad

@@ -11,7 +11,6 @@ from app.gui.widgets.presentation import number, percent, with_error
 from app.gui.widgets.scales import AdaptiveScale, ColourScale, diverging
 from app.gui.widgets.view_grid import LEAST_LINES, Maps, ViewGrid
 from app.results.view_analysis import LensletInspection, inspect_lenslet
-from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 
 _LIGHT = (0.0, 0.5, 1.0)  # numbered fractions of the colour bar
@@ -125,14 +124,13 @@ class LensletPanel(Panel):
         self.exclude.setText("Use again" if found.outcome is Outcome.EXCLUDED else "Exclude")
         top = max(float(found.reference.max()), float(found.frame.max()), 1.0)
         light = ColourScale("inferno", 0.0, self._top.follow(top), "", _LIGHT)
-        images = (found.reference, found.frame, found.fitted, found.residual)
-        for tile, image in zip(self.tiles.values(), images, strict=True):
-            scale = light if image is not found.residual or image is None else self._residual_scale(image)
+        scales, images = [light] * 4, (found.reference, found.frame, found.fitted, found.residual)
+        if found.residual is not None:
+            most = max(float(np.nanmax(np.abs(found.residual), initial=0.0)), 1.0)
+            scales[-1] = diverging(self._most.follow(most), "")
+        for tile, image, scale in zip(self.tiles.values(), images, scales, strict=True):
             tile.show_maps(None if image is None else Maps(image[None, None], scale, _describe))
         self._write(*_numbers(found))
-
-    def _residual_scale(self, residual: Floats) -> ColourScale:
-        return diverging(self._most.follow(max(float(np.nanmax(np.abs(residual), initial=0.0)), 1.0)), "")
 
     def _exclude(self) -> None:
         if self.lenslet is not None:

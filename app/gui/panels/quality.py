@@ -113,12 +113,9 @@ class StructurePlot(Plot):
             theme.follow(self, partial(_tint, band, colour))
             self.view.addItem(band)
             self._curves.append((self.add_curve(colour), *ends))
-        limit = pg.InfiniteLine(
-            1.0, angle=0, label="1 rad", labelOpts={"position": 0.04, "anchors": [(0, 0.95), (0, 0.95)]}
-        )
-        theme.follow(self, lambda: limit.setPen(pg.mkPen(theme.AMBER, width=1, style=Qt.PenStyle.DashLine)))
+        place = {"position": 0.04, "anchors": [(0, 0.95), (0, 0.95)]}
+        limit = self.add_line(theme.AMBER, 0, 1.0, label="1 rad", labelOpts=place)
         theme.follow(self, lambda: limit.label.setColor(theme.AMBER))
-        self.view.addItem(limit)
         self.set_ranges((0, 1), (0, 1.5))
 
     def show_structure(self, found: Isoplanatism | None) -> None:

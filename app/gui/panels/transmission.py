@@ -47,7 +47,7 @@ class TransmissionPanel(Panel):
         values, sigma = found
         low, high = np.floor(known.min() / _STEP) * _STEP, np.ceil(known.max() / _STEP) * _STEP
         scale = ColourScale("inferno", float(low), float(max(high, low + _STEP)), "", (0.0, 0.5, 1.0))
-        self.grid.show_maps(Maps(values, scale, _describe))
+        self.grid.show_maps(Maps(values, scale, lambda *at: "row {}, column {}: ".format(*at) + number(at[-1])))
         self.sentence.setText(
             f"Mean {number(float(known.mean()))}, RMS {number(float(known.std()))},"
             f" error {number(float(np.nanmean(sigma)))} by noise"
@@ -57,7 +57,3 @@ class TransmissionPanel(Panel):
         """Clear the panel."""
         self.grid.show_maps(None)
         self.sentence.setText("")
-
-
-def _describe(row: int, column: int, value: float) -> str:
-    return f"row {row}, column {column}: {number(value)}"

@@ -12,11 +12,10 @@ from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtWidgets import QDialog, QFileDialog, QHBoxLayout, QLabel, QMenu, QWidget
 
 from app.bench.bench_files import BenchError, bench_file, excerpt, read_bench_text
-from app.bench.config import Bench, load_bench, write_bench
+from app.bench.config import Bench, load_bench, save_bench
 from app.bench.presets import PRESETS
 from app.bench.trusted_libraries import unconfirmed
 from app.errors import InputError, RunError
-from app.files import atomic_write
 from app.gui.shell.controller import Controller
 from app.gui.shell.menus import RecentFiles, listing_menu
 from app.gui.shell.settings_control import SettingsControl
@@ -132,8 +131,7 @@ class Benches(QObject):
         if status is None or path is None:
             return
         try:
-            with atomic_write(path) as temporary:
-                temporary.write_text(write_bench(status.bench_in_force), "utf-8")
+            save_bench(path, status.bench_in_force)
         except (InputError, RunError, ValueError) as error:  # ValueError: inconsistent settings
             self._messages.warn(str(error))
         else:

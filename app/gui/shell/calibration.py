@@ -208,9 +208,6 @@ class CalibrationGuide(QDialog):
             self._mark(step, "failed", str(error))
             self._ask(f"{step.title} failed.", "Try again", self._next)
 
-    def _stop(self) -> None:
-        self._end("stopped")
-
     def _end(self, text: str) -> None:
         if self._left:
             self._mark(self._left[0], "failed", self.results[self._left[0]].text() if text == "stopped" else text)
@@ -227,7 +224,7 @@ class CalibrationGuide(QDialog):
     ) -> None:
         """Ask a question; without another refusal, it stops the calibration."""
         self._answers[True] = accept
-        self._show_question(question, yes, no, refuse or self._stop)
+        self._show_question(question, yes, no, refuse or partial(self._end, "stopped"))
         self.yes.setFocus()
 
     def _show_question(self, question: str, yes: str, no: str, refuse: Callable[[], object]) -> None:

@@ -43,8 +43,8 @@ class Controller(QObject):
         self.acquisition: Carrier | None = None
         self.is_stuck = False  # whether the worker did not end on `close`
         self._pending: list[tuple[Future[Any], Then, Otherwise]] = []
-        self._on_accept: Callable[[], object] | None = None  # called if the question is accepted
-        messages.answered.connect(self._decide)
+        self.ask = messages.ask
+        messages.answered.connect(lambda _: self.question_closed.emit())
         messages.cancel_requested.connect(self.cancel)
 
     @property
@@ -130,7 +130,9 @@ class Controller(QObject):
     def cancel(self) -> None:
         """End the routine that is running."""
         if self.acquisition is not None:
-            self.acquisition.cancel()
+            future = self.acquisition.cancel()
+            if self.acquisition.activity.text:  # else there is nothing to end: a refusal need not be told
+                self._pending.append((future, None, None))
 
     def poll(self) -> bool:
         """Pass on the results of finished commands; return whether there were any."""
@@ -147,22 +149,3 @@ class Controller(QObject):
                 if then is not None:
                     then(result)
         return bool(done)
-
-    def ask(
-        self,
-        question: str,
-        act: Callable[[], object],
-        accept: str = "Use it",
-        discard: str = "Discard",
-        *,
-        loses: bool = False,
-    ) -> None:
-        """Ask the user, and act if the answer is yes; see `MessageStrip.ask`."""
-        self._on_accept = act
-        self.messages.ask(question, accept=accept, discard=discard, loses=loses)
-
-    def _decide(self, is_accepted: bool) -> None:
-        act, self._on_accept = self._on_accept, None
-        self.question_closed.emit()
-        if act is not None and is_accepted:
-            act()

@@ -99,8 +99,9 @@ class MainWindow(BaseWindow):
         self.replay = ReplayBar(self.controls)
         self.analyses = Analyses(self.panels, self.shown)
         self._lay_out()
-        self._make_for = make_for
-        self.benches = Benches(self, self._open_bench, self.controller, self.settings, settings)
+        self.benches = Benches(
+            self, lambda bench: self.open(lambda: make_for(bench)), self.controller, self.settings, settings
+        )
         self._connect()
         fill_menus(self, self._menus())
         if settings is not None:
@@ -261,9 +262,6 @@ class MainWindow(BaseWindow):
 
         self.recording_bar.ask_to_end(lambda: self.light.ask_off(connect))
 
-    def _open_bench(self, bench: Bench) -> None:
-        self.open(lambda: self._make_for(bench))
-
     def refresh(self) -> None:
         """Show what has changed in the acquisition."""
         acquisition = self.controller.acquisition
@@ -395,8 +393,6 @@ class MainWindow(BaseWindow):
 
     def show_tour(self) -> None:
         """Explain one part of the window after the other, beginning with the panels."""
-        for other in self.findChildren(Tour):
-            other.close()
         tour = Tour(
             self,
             (

@@ -2,6 +2,7 @@
 
 import time
 from collections import deque
+from collections.abc import Callable
 from datetime import datetime
 
 from PyQt6.QtCore import pyqtSignal
@@ -31,7 +32,8 @@ class MessageStrip(QFrame):
         self.setProperty("role", "strip")
         self._notice, self._notice_colour, self._notice_until_s = "", theme.AMBER, 0.0
         self._alarm = self._question = ""
-        self._loses = False  # whether "yes" ends something
+        self._act: Callable[[], object] = lambda: None  # after a "yes"
+        self._loses = False  # whether it ends something
         self._lines: deque[tuple[str, str]] = deque(maxlen=_MOST)  # time and message
         self._standing: dict[str, str] = {}  # last failure and warning
         self._shown = ("", theme.DIM)
@@ -84,12 +86,20 @@ class MessageStrip(QFrame):
             self.dismissed.emit()
         self._say(text)
 
-    def ask(self, question: str, *, accept: str = "Use it", discard: str = "Discard", loses: bool = False) -> None:
-        """Show a question with the texts of its buttons; `answered` emits the decision.
+    def ask(
+        self,
+        question: str,
+        act: Callable[[], object] = lambda: None,
+        accept: str = "Use it",
+        discard: str = "Discard",
+        *,
+        loses: bool = False,
+    ) -> None:
+        """Show a question with the texts of its buttons, and act if the answer is yes.
 
         If "yes" `loses` something, it is amber, and Return does not accept.
         """
-        self._question, self._loses = question, loses
+        self._question, self._act, self._loses = question, act, loses
         self._say(question)
         self.accept.setText(accept)
         self.accept.setToolTip("Accept" if loses else "Accept (Return)")
@@ -165,8 +175,10 @@ class MessageStrip(QFrame):
         return bool(self._question) and not self._alarm and not is_refusing
 
     def _answer(self, *, is_accepted: bool) -> None:
-        self._question = ""
+        act, self._act, self._question = self._act, lambda: None, ""  # it may hold a closed bench
         self.answered.emit(is_accepted)
+        if is_accepted:
+            act()
 
     def _notify(self, text: str, colour: QColor) -> None:
         self._notice, self._notice_colour, self._notice_until_s = text, colour, time.monotonic() + _NOTICE_S

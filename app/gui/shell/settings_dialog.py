@@ -4,25 +4,14 @@ import re
 import threading
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 from PyQt6.QtCore import QSize
-from PyQt6.QtWidgets import (
-    QCheckBox,
-    QDialog,
-    QFileDialog,
-    QFormLayout,
-    QLineEdit,
-    QListWidget,
-    QStackedWidget,
-    QWidget,
-)
+from PyQt6.QtWidgets import QCheckBox, QDialog, QFormLayout, QLineEdit, QListWidget, QStackedWidget, QWidget
 
-from app.bench.config import Bench, write_bench
+from app.bench.config import Bench, save_bench
 from app.bench.device_kinds import KINDS
 from app.bench.settings_form import FormField, SettingsForm, fault_in_words, fault_path
 from app.errors import InputError, RunError
-from app.files import atomic_write
 from app.gui.widgets import theme
 from app.gui.widgets.basics import (
     NAMES,
@@ -38,6 +27,7 @@ from app.gui.widgets.basics import (
     timer,
     within_screen,
 )
+from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberLine, TextLine
 from drivers.device import DiscoveredDevice
 
@@ -248,19 +238,16 @@ class SettingsDialog(QDialog):
 
     def _save(self) -> None:
         bench = self._check()
-        if bench is None:
-            return
-        name, _ = QFileDialog.getSaveFileName(self, "Save the bench", "bench.toml", "Bench (*.toml)")
-        if not name:
+        path = None if bench is None else ask_file(self, "Save the bench", "bench.toml", "Bench (*.toml)")
+        if bench is None or path is None:
             return
         try:
-            with atomic_write(Path(name)) as temporary:
-                temporary.write_text(write_bench(bench), "utf-8")
+            save_bench(path, bench)
         except RunError as error:
             self._show_problem(str(error), None)
             return
         self.close()
-        self._opened(name)
+        self._opened(str(path))
 
 
 def _in_names(text: str) -> str:

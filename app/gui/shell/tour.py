@@ -4,7 +4,7 @@ from PyQt6.QtCore import QEvent, QObject, QPoint, QRect, Qt
 from PyQt6.QtGui import QCloseEvent, QKeyEvent
 from PyQt6.QtWidgets import QFrame, QLabel, QWidget
 
-from app.gui.widgets.basics import Button, column, label, row
+from app.gui.widgets.basics import Button, column, keeps_key, label, row
 
 _WIDTH = 340  # px
 
@@ -50,9 +50,7 @@ class Tour(QFrame):
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
         """Follow the window's size, and end at Esc."""
         if isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.isVisible():
-            if event.type() == QEvent.Type.ShortcutOverride:
-                event.accept()
-            elif event.type() == QEvent.Type.KeyPress:
+            if not keeps_key(event, Qt.Key.Key_Escape) and event.type() == QEvent.Type.KeyPress:
                 self.close()
             return True
         if event is not None and event.type() == QEvent.Type.Resize:

@@ -145,6 +145,14 @@ class ElidedLabel(QLabel):
         return lines
 
 
+def keeps_key(event: QEvent | None, *keys: Qt.Key) -> bool:
+    """Keep these keys from the shortcuts of the window; return whether the event offers one of them."""
+    is_offered = isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride and event.key() in keys
+    if event is not None and is_offered:
+        event.accept()
+    return is_offered
+
+
 class Button(QPushButton):
     """A button that does not take the focus when clicked.
 
@@ -161,14 +169,10 @@ class Button(QPushButton):
 
     def event(self, event: QEvent | None) -> bool:
         """Keep both keys from the shortcuts."""
-        if isinstance(event, QKeyEvent) and event.key() in {Qt.Key.Key_Space, *ENTER}:
-            if event.type() == QEvent.Type.ShortcutOverride:
-                event.accept()
-                return True
-            if event.type() == QEvent.Type.KeyPress and event.key() in ENTER:
-                self.click()
-                return True
-        return super().event(event)
+        if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.KeyPress and event.key() in ENTER:
+            self.click()
+            return True
+        return keeps_key(event, Qt.Key.Key_Space, *ENTER) or super().event(event)
 
 
 class Toggle(Button):
@@ -232,11 +236,7 @@ class Choice(QComboBox):
 
     def event(self, event: QEvent | None) -> bool:
         """Keep Space from the shortcuts."""
-        is_shortcut = isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride
-        if isinstance(event, QKeyEvent) and is_shortcut and event.key() == Qt.Key.Key_Space:
-            event.accept()
-            return True
-        return super().event(event)
+        return keeps_key(event, Qt.Key.Key_Space) or super().event(event)
 
     def wheelEvent(self, event: QWheelEvent | None) -> None:  # noqa: N802 - Qt's name
         """Ignore the wheel without the focus: scrolling past must not change a setting."""

@@ -9,7 +9,7 @@ from PyQt6.QtGui import QGuiApplication, QPixmap
 from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
 
 from app.errors import RunError
-from app.files import atomic_write
+from app.files import write_whole
 from reconstruction.arrays import Floats
 
 
@@ -60,5 +60,4 @@ def write_picture(path: Path, picture: QPixmap) -> None:
     encoded.open(QBuffer.OpenModeFlag.WriteOnly)
     if not picture.save(encoded, path.suffix.lstrip(".") or "png"):
         raise RunError(f"{path} cannot be written: give a name that ends in .png or .jpg")
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(encoded.data().data())
+    write_whole(path, encoded.data().data())

@@ -7,7 +7,7 @@ from PyQt6.QtGui import QFocusEvent, QKeyEvent, QValidator, QWheelEvent
 from PyQt6.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QLineEdit, QWidget
 
 from app.bench.settings_form import typed_number
-from app.gui.widgets.basics import ENTER, mark_refused
+from app.gui.widgets.basics import ENTER, keeps_key, mark_refused
 from drivers.interface import Range
 
 BUTTONS_WIDTH = 26  # px, with the frame
@@ -250,16 +250,13 @@ class TextField(TextLine):
 
     def event(self, event: QEvent | None) -> bool:
         """Keep Return and Esc from the shortcuts; Qt does that for other letters than L."""
-        if isinstance(event, QKeyEvent) and (event.key() == Qt.Key.Key_Escape or event.key() in ENTER):
-            if event.type() == QEvent.Type.ShortcutOverride:
-                event.accept()
-                return True
-            if event.type() == QEvent.Type.KeyPress:
-                if event.key() == Qt.Key.Key_Escape:
-                    self.setText(self._in_force)
-                self.clearFocus()
-                return True
-        return super().event(event)
+        ends = (Qt.Key.Key_Escape, *ENTER)
+        if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.KeyPress and event.key() in ends:
+            if event.key() == Qt.Key.Key_Escape:
+                self.setText(self._in_force)
+            self.clearFocus()
+            return True
+        return keeps_key(event, *ends) or super().event(event)
 
     def focusInEvent(self, event: QFocusEvent | None) -> None:  # noqa: N802 - Qt's name
         """Watch for clicks elsewhere."""

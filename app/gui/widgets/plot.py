@@ -103,6 +103,13 @@ class Plot(QWidget):
         self.curves.append(curve)
         return curve
 
+    def add_line(self, colour: QColor, angle: int, at: float = 0.0, **options: object) -> pg.InfiniteLine:
+        """Add a dashed line through the whole plot, which does not widen its ranges."""
+        line = pg.InfiniteLine(at, angle=angle, **options)
+        theme.follow(self, lambda: line.setPen(pg.mkPen(colour, width=1, style=Qt.PenStyle.DashLine)))
+        self.view.addItem(line, ignoreBounds=True)
+        return line
+
     def _colour_axes(self) -> None:
         for axis in self.axes.values():
             axis.setPen(theme.LINE)

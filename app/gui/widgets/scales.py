@@ -9,7 +9,7 @@ import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
 
-from app.results.pictures import Pixels
+from app.results.pictures import Pixels, step_above
 from reconstruction.arrays import Floats
 
 MAGNIFICATIONS = (1.0, 2.0, 5.0)
@@ -98,16 +98,11 @@ class AdaptiveScale:
         if math.isfinite(needed) and needed > 0:
             if needed > self.value or not self.is_set:
                 self.is_set = True
-                self.value = self._step_above(needed)
+                self.value = step_above(needed, self._steps)
             else:
-                self.value = min(self.value, self._step_above(needed / _FILL))
+                self.value = min(self.value, step_above(needed / _FILL, self._steps))
         return self.value
 
     def use(self, value: float) -> None:
         """Take a limit as it is, until another is needed."""
         self.is_set, self.value = True, value
-
-    def _step_above(self, value: float) -> float:
-        """Return the smallest step that is at least `value`."""
-        decade = 10.0 ** math.floor(math.log10(value))
-        return next(step * decade for step in (*self._steps, 10.0) if step * decade >= value * (1 - 1e-9))

@@ -7,38 +7,30 @@ from PyQt6.QtCore import QEvent, QObject, QPointF, Qt
 from PyQt6.QtGui import QBrush, QColor, QIcon, QPainter, QPainterPath, QPalette, QPixmap, QPolygonF
 from PyQt6.QtWidgets import QApplication, QWidget
 
-BACKGROUND = QColor("#14171b")
-SURFACE = QColor("#1c2026")
-RAISED = QColor("#2a3038")
-LINE = QColor("#363d47")
-TEXT = QColor("#dde2e8")
-DIM = QColor("#98a2ae")
-ACCENT = QColor("#4fa3e3")
-GREEN = QColor("#62c073")
-AMBER = QColor("#f0b64a")
-RED = QColor("#ff6a5f")
-DISABLED = QColor("#69727d")
-CHECKED = QColor("#22394c")
-LIT = QColor("#ffc14d")  # the lamp of a light that is on
+_PAIRS: list[tuple[QColor, str, str]] = []  # of the dark and of the light theme
+
+
+def _pair(dark: str, light: str) -> QColor:
+    """Make a colour of the window, which all parts share and the theme changes."""
+    _PAIRS.append((colour := QColor(dark), dark, light))
+    return colour
+
+
+BACKGROUND = _pair("#14171b", "#eef0f3")
+SURFACE = _pair("#1c2026", "#fafbfc")
+RAISED = _pair("#2a3038", "#dfe4ea")
+LINE = _pair("#363d47", "#b4bdc8")
+TEXT = _pair("#dde2e8", "#1b2026")
+DIM = _pair("#98a2ae", "#525d69")
+ACCENT = _pair("#4fa3e3", "#1668a8")
+GREEN = _pair("#62c073", "#1d7433")
+AMBER = _pair("#f0b64a", "#8a5600")
+RED = _pair("#ff6a5f", "#c0281c")
+DISABLED = _pair("#69727d", "#8b949e")
+CHECKED = _pair("#22394c", "#c5dcef")
+LIT = _pair("#ffc14d", "#f0a400")  # the lamp of a light that is on
 ACCENT_ON_IMAGE, GREEN_ON_IMAGE, AMBER_ON_IMAGE, RED_ON_IMAGE = map(QColor, (ACCENT, GREEN, AMBER, RED))
 # An image is as dark in every theme.
-
-_LIGHT = (  # in place of the dark ones above
-    (BACKGROUND, "#eef0f3"),
-    (SURFACE, "#fafbfc"),
-    (RAISED, "#dfe4ea"),
-    (LINE, "#b4bdc8"),
-    (TEXT, "#1b2026"),
-    (DIM, "#525d69"),
-    (ACCENT, "#1668a8"),
-    (GREEN, "#1d7433"),
-    (AMBER, "#8a5600"),
-    (RED, "#c0281c"),
-    (DISABLED, "#8b949e"),
-    (CHECKED, "#c5dcef"),
-    (LIT, "#f0a400"),
-)
-_DARK = tuple((colour, colour.name()) for colour, _ in _LIGHT)
 _TONES = {"text": TEXT, "dim": DIM, "accent": ACCENT, "green": GREEN, "amber": AMBER, "red": RED}  # of texts
 
 
@@ -102,8 +94,9 @@ def tone(colour: QColor) -> str:
 def _colour(application: QApplication) -> None:
     hints, chosen = application.styleHints(), application.property("theme")
     is_desktop_light = hints is not None and hints.colorScheme() is Qt.ColorScheme.Light
-    for colour, name in _LIGHT if chosen == "light" or (is_desktop_light and chosen != "dark") else _DARK:
-        colour.setNamedColor(name)  # the object that all parts of the window use
+    is_light = chosen == "light" or (is_desktop_light and chosen != "dark")
+    for colour, *names in _PAIRS:
+        colour.setNamedColor(names[is_light])
     palette = QPalette()
     roles = QPalette.ColorRole
     for role, colour in (

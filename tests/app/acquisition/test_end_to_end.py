@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from support.patience import HANG_S, wait_until
+from support.simulated_scene import current_state, states_rendered
 
 from app.acquisition.devices import open_devices, simulated_bench
 from app.acquisition.instrument import Instrument
@@ -27,7 +28,7 @@ def test_live_wavefronts_match_truth_without_loss() -> None:
     coarse = "simulation.object_samples=13", "simulation.pupil_samples=10"
     bench = load_bench("live_demo", ("camera.exposure_s=0.1", "camera.em_gain=1.0", *coarse))
     with closing(simulated_bench(bench, lambda _: None)) as ahead:  # render before the acquisition needs the processor
-        wait_until(lambda: ahead.current_state(ahead.clock.now()) >= 0 and ahead.states_rendered > 1)
+        wait_until(lambda: current_state(ahead) >= 0 and states_rendered(ahead) > 1)
     measurements: list[Measurement] = []
     acquisition = Acquisition(bench, open_devices, sinks=(measurements.append,))
 

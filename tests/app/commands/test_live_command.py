@@ -33,7 +33,7 @@ def test_last_bench_is_offered_only_if_none_is_named(
     class Window(QWidget):
         benches = Benches()
 
-    def run_window(*_: Any, open_first: Any, **__: Any) -> int:
+    def run_window(open_first: Any, **_: Any) -> int:
         open_first(Window())
         return 0
 

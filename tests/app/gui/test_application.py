@@ -21,6 +21,7 @@ from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition, Measurement
 from app.errors import Interrupted, RunError
 from app.gui.application import run_window
+from app.gui.shell.main_window import MainWindow
 from drivers.interface import Disconnected
 
 pytestmark = pytest.mark.usefixtures("restored_theme")
@@ -42,16 +43,15 @@ def when_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:
     timer.stop()
 
 
+def opening(camera: FakeCamera) -> Callable[[MainWindow], object]:
+    return lambda window: window.open(lambda: Acquisition(BENCH, opener(camera)))
+
+
 @pytest.mark.slow
 def test_unattended_run_saves_screenshot_and_result(qapp: QApplication, tmp_path: Path) -> None:
     camera = FakeCamera()
     finished: list[Measurement] = []
-    status = run_window(
-        lambda: Acquisition(BENCH, opener(camera)),
-        offscreen_s=0.3,
-        screenshot=tmp_path / "window.png",
-        on_finish=finished.append,
-    )
+    status = run_window(opening(camera), offscreen_s=0.3, screenshot=tmp_path / "window.png", on_finish=finished.append)
     assert status == 0
     assert finished[0].wavefront is not None
     image = QImage(str(tmp_path / "window.png"))
@@ -72,7 +72,7 @@ def test_full_disk_leaves_no_screenshot(qapp: QApplication, tmp_path: Path, monk
     monkeypatch.setattr(os, "fsync", fill_up)
     camera = FakeCamera()
     with pytest.raises(RunError, match=r"window\.png: cannot be written"):
-        run_window(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=0.1, screenshot=tmp_path / "window.png")
+        run_window(opening(camera), offscreen_s=0.1, screenshot=tmp_path / "window.png")
     assert not list(tmp_path.iterdir())
 
 
@@ -80,7 +80,7 @@ def test_unattended_run_raises_device_error(qapp: QApplication) -> None:
     camera = FakeCamera()
     camera.fault = Disconnected("no camera was found")
     with pytest.raises(RunError, match=r"^no camera was found"):
-        run_window(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=0.3)
+        run_window(opening(camera), offscreen_s=0.3)
     assert qapp is QApplication.instance()
 
 
@@ -105,7 +105,7 @@ def test_slow_computation_raises_no_false_alarm_about_the_light(
             when_lit(camera, lambda: QTimer.singleShot(200, qapp.closeAllWindows)),
             pytest.raises(RunError, match=r"^a device or a computation did not end within .* s; the light is off$"),
         ):
-            run_window(lambda: acquisition)
+            run_window(lambda window: window.open(lambda: acquisition))
         assert not camera.light.shines
         assert not camera.is_closed
     finally:
@@ -122,7 +122,7 @@ def test_signal_closes_window_and_turns_light_off(
     camera = FakeCamera()
     before = signal.getsignal(number)
     with when_lit(camera, lambda: os.kill(os.getpid(), number)), pytest.raises(Interrupted):
-        run_window(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=offscreen_s)
+        run_window(opening(camera), offscreen_s=offscreen_s)
     assert camera.is_closed
     assert not camera.light.shines
     assert signal.getsignal(number) == before
@@ -132,12 +132,7 @@ def test_unattended_run_closed_early_raises_and_saves_nothing(qapp: QApplication
     camera = FakeCamera()
     finished: list[Measurement] = []
     with when_lit(camera, qapp.closeAllWindows), pytest.raises(RunError, match="closed before the run had finished"):
-        run_window(
-            lambda: Acquisition(BENCH, opener(camera)),
-            offscreen_s=HANG_S,
-            screenshot=tmp_path / "window.png",
-            on_finish=finished.append,
-        )
+        run_window(opening(camera), offscreen_s=HANG_S, screenshot=tmp_path / "window.png", on_finish=finished.append)
     assert not finished
     assert not list(tmp_path.iterdir())
     assert camera.is_closed

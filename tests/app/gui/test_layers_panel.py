@@ -64,13 +64,13 @@ def test_layer_is_found_with_curve_and_map(window: MainWindow, qtbot: QtBot) -> 
     assert panel.sentence.text().startswith("One layer 19")
     assert " mm in front of the lenslets: " in panel.sentence.text()
     assert panel.distance.value() == pytest.approx(DISTANCE_M * 1e3, abs=4)
-    distance_mm, percent = panel._curve.getData()
+    distance_mm, percent = panel.plot.curve.getData()
     assert abs(distance_mm[np.argmin(percent)] - DISTANCE_M * 1e3) < 20
     assert percent[distance_mm == 0] > 5 * percent.min()
     assert percent[np.argmin(np.abs(distance_mm + DISTANCE_M * 1e3))] > 10 * percent.min()  # as far behind the lenslets
     low_mm, high_mm = panel.plot.view.viewRange()[0]
     assert (low_mm, high_mm) == pytest.approx((-panel.distance.value(), 2 * panel.distance.value()), rel=1e-3)
-    marks_mm, _ = panel._marks.getData()
+    marks_mm, _ = panel.plot.marks.getData()
     np.testing.assert_allclose(marks_mm, panel.distance.value(), atol=0.06)
     maps = panel.map.maps
     assert maps is not None
@@ -210,7 +210,7 @@ def test_corrector_leaves_least_in_the_layer(window: MainWindow, qtbot: QtBot) -
     open_tab(qtbot, window, "Corrector")
     panel = window.panels.corrector
     qtbot.waitUntil(lambda: panel.sentence.text().startswith("One corrector"))
-    distance_mm, residual_rad = panel._curve.getData()
+    distance_mm, residual_rad = panel.plot.curve.getData()
     assert abs(distance_mm[np.argmin(residual_rad)] - DISTANCE_M * 1e3) < 20
     # At the pupil the deviation from the mean wavefront of the field remains, apart from the modes' own error.
     bench = load_bench("small_demo")
@@ -219,7 +219,7 @@ def test_corrector_leaves_least_in_the_layer(window: MainWindow, qtbot: QtBot) -
     true = light.phase.at(s_m[None, :, None, :], s_m[:, None, :, None]).reshape(49, -1)
     true -= true.mean(axis=1, keepdims=True)
     assert residual_rad[distance_mm == 0] == pytest.approx(np.sqrt(np.mean((true - true.mean(axis=0)) ** 2)), rel=0.1)
-    without_rad = panel._limit.getData()[1][0]
+    without_rad = panel.plot.level.getData()[1][0]
     assert without_rad == pytest.approx(np.sqrt(np.mean(true**2)), rel=0.02)
     assert panel.sentence.text().startswith(
         f"One corrector at the pupil leaves {residual_rad[distance_mm == 0][0]:.2g} of {without_rad:.2g} rad"
@@ -227,4 +227,4 @@ def test_corrector_leaves_least_in_the_layer(window: MainWindow, qtbot: QtBot) -
     before = panel.sentence.text()
     panel.corrector.setCurrentIndex(0)  # fewer modes
     qtbot.waitUntil(lambda: panel.sentence.text() != before)
-    assert panel._curve.getData()[1].min() > residual_rad.min()
+    assert panel.plot.curve.getData()[1].min() > residual_rad.min()

@@ -77,7 +77,7 @@ def test_open_window_follows_the_desktop(
         window.docks.show_panel(panel)
         QApplication.processEvents()
     window.docks.show_panel(window.panels.quality)
-    dark = {id(colour): colour.name() for colour, _ in theme._LIGHT}
+    dark = {id(colour): colour.name() for colour, _, _ in theme._PAIRS}
     qtbot.waitUntil(lambda: share(window.panels.quality, theme.AMBER.name()) > 0)
     assert share(window, theme.BACKGROUND.name()) > 1e5
     desktop.change(Qt.ColorScheme.Light)
