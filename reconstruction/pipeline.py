@@ -12,6 +12,7 @@ import numpy as np
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, Outcomes, RegistrationMethod
 from reconstruction.errors import ReconstructionError, TooManyModes
+from reconstruction.frame.linearity import Linearity
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.pixels import AboveDark, find_bad_pixels
 from reconstruction.geometry import Field, Lattice, Sensor
@@ -126,8 +127,10 @@ class Reconstructor:
         Counts without light. Without it, the darkest percent of each image's pixels is the background.
     full_scale : float
         Count at which a pixel is saturated.
+    linearity : Linearity, optional
+        Nonlinearity of the camera, which is corrected in every frame, dark subtracted.
     noise : CameraNoise, optional
-        Noise of a single frame. It weights pixels and lenslets and gives absolute error bars.
+        Noise of a single frame, so corrected. It weights pixels and lenslets and gives absolute error bars.
     reference_frames : float
         Number of frames averaged in the reference.
     own : OwnMethods
@@ -153,13 +156,14 @@ class Reconstructor:
         reconstruction: ReconstructionSettings,
         dark: Counts | None = None,
         full_scale: float = np.inf,
+        linearity: Linearity | None = None,
         noise: CameraNoise | None = None,
         reference_frames: float = np.inf,
         own: OwnMethods = NO_OWN,
         lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None = None,
     ) -> None:
         self.frame_shape = reference.shape[0], reference.shape[-1]
-        self._above_dark = AboveDark(self.frame_shape, dark, full_scale)
+        self._above_dark = AboveDark(self.frame_shape, dark, full_scale, linearity)
         self.sensor, self.lattice, self.field, self.noise = sensor, lattice, field, noise
         self._own = own
         registration, self.reconstruction = own.named(registration, reconstruction)

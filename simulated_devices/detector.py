@@ -1,7 +1,7 @@
 """An electron-multiplying CCD: from the mean number of photons to the counts of one frame.
 
 photons -> quantum efficiency, shot noise, dark current and clock-induced charge -> full well -> multiplication
-register, when its gain is above 1 -> read noise -> offset -> converter.
+register, when its gain is above 1 -> nonlinearity -> read noise -> offset -> converter.
 The random numbers of a pixel are hashes of (seed, frame, pixel): a frame does not depend on threads or on the frames
 before it. Large numbers of electrons follow Cornish-Fisher expansions, which turn one normal deviate z into a deviate
 with the right mean, variance and skewness (and, for Poisson, the next order). Small numbers are drawn one by one.
@@ -164,7 +164,7 @@ def expose_rows(
     photons: Image, key: np.uint64, parameters: Image, start: int, end: int, counts: NDArray[np.uint16]
 ) -> None:
     """Fill rows start ... end of `counts` from mean `photons` (row, column); `parameters` as `Detector` lists them."""
-    efficiency, background, full_well, em_gain, register_well, read_noise, per_electron, offset, top = parameters
+    efficiency, background, full_well, em_gain, register_well, loss, read_noise, per_electron, offset, top = parameters
     columns = photons.shape[1]
     bits, means = np.empty(columns, np.uint64), np.empty(columns, np.float32)
     deviates, electrons = np.empty(columns), np.empty(columns)
@@ -187,7 +187,9 @@ def expose_rows(
         _fill_normal(bits, deviates, in_tail)
         well = register_well if em_gain > 1 else full_well
         for column in range(columns):
-            value = (min(electrons[column], well) + read_noise * deviates[column]) * per_electron + offset
+            signal = min(electrons[column], well)
+            signal -= loss * signal * signal
+            value = (signal + read_noise * deviates[column]) * per_electron + offset
             counts[row, column] = np.uint16(min(max(value + 0.5, 0.0), top))
 
 
@@ -257,6 +259,7 @@ class Detector:
                 settings.full_well_e,
                 exposure.em_gain if exposure.amplifier == "em" else 1.0,
                 settings.register_full_well_e,
+                settings.loss_per_e,
                 self.read_noise_e(exposure.amplifier, exposure.readout_speed),
                 1 / settings.electrons_per_count,
                 settings.offset_counts,

@@ -46,6 +46,7 @@ class Scene:
     read_noise_counts: float = 6.4
     counts_per_electron: float = 1 / 5.8
     well_counts: float = 1e9
+    nonlinearity: float = 0.0  # share that is lost of a signal at full scale
     ambient_counts_per_s: float = 0.0
     flicker: float = 0.0  # relative
     hot_pixels: int = 0
@@ -104,6 +105,7 @@ class ManyFramesCamera(Camera):
         electrons = (scene.image * light + scene.ambient_counts_per_s * exposure_s) / scene.counts_per_electron
         noisy = electrons + np.sqrt(electrons) * random.standard_normal(electrons.shape)
         counts = np.clip(noisy * scene.counts_per_electron, 0, scene.well_counts)
+        counts -= scene.nonlinearity / 2**scene.bits * counts**2
         counts += scene.offset_counts + scene.read_noise_counts * random.standard_normal(counts.shape)
         counts[tuple(self._hot)] = 1e9
         row, column = random.integers(0, SIDE_PX - 8, (2, scene.cosmic_rays))

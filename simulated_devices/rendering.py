@@ -5,6 +5,8 @@ as missing. Images are rendered ahead in a child process at low priority, so tha
 the processes share only these files. The child ends when its standard input closes, however the parent ends.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import hashlib
 import json
@@ -15,6 +17,7 @@ import subprocess
 import sys
 import threading
 import uuid
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -45,6 +48,7 @@ class Scene:
     rows: int
     columns: int
     pixel_fill_factor: float
+    lines: tuple[tuple[float, float], ...] = ()  # wavelength (m) and share of the light; none: the sensor's wavelength
 
     @property
     def states(self) -> int:
@@ -55,6 +59,8 @@ class Scene:
         """SHA-256 of all parameters, of the files of screen and mask, and of the format."""
         parameters = {"format": _FORMAT, **dataclasses.asdict(self)}
         del parameters["simulation"]["source"]["mask"]  # the initial mask changes no image
+        if not self.lines:
+            del parameters["lines"]  # images of earlier versions stay good
         digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
         for file in self.simulation.files:
             try:
@@ -65,20 +71,40 @@ class Scene:
 
 
 class Renderer:
-    """Renders one scene; prepares optics and screen when first needed."""
+    """Renders one scene; prepares optics and screen when first needed.
 
-    def __init__(self, scene: Scene, *, threads: int = 2) -> None:
+    `phase_scale` multiplies the phase of the screen.
+    """
+
+    def __init__(self, scene: Scene, *, phase_scale: float = 1.0, threads: int = 2) -> None:
         self.scene = scene
-        self._threads = threads
+        self._phase_scale, self._threads = phase_scale, threads
+
+    @cached_property
+    def lines(self) -> tuple[tuple[float, Renderer], ...]:
+        """Share of the light, and renderer, of each line of the spectrum: their images add up.
+
+        The screen delays all of them by the same path, so that its phase goes with the wavenumber.
+        """
+        scene, nominal_m = self.scene, self.scene.sensor.wavelength_m
+
+        def line(wavelength_m: float) -> Renderer:
+            alone = dataclasses.replace(
+                scene, lines=(), sensor=dataclasses.replace(scene.sensor, wavelength_m=wavelength_m)
+            )
+            return Renderer(alone, phase_scale=nominal_m / wavelength_m, threads=self._threads)
+
+        return tuple((share, line(wavelength_m)) for wavelength_m, share in scene.lines) or ((1.0, self),)
 
     @cached_property
     def sample(self) -> Sample:
-        """The phase screen in this scene."""
-        return make_sample(self.scene.simulation, self.scene.sensor, self.scene.field)
+        """The phase screen in this scene, at the sensor's wavelength."""
+        scene = self.scene
+        return make_sample(scene.simulation, scene.sensor, scene.field, phase_scale=self._phase_scale)
 
     @cached_property
     def model(self) -> ForwardModel:
-        """The optics."""
+        """The optics at the sensor's wavelength."""
         scene = self.scene
         return ForwardModel(
             scene.sensor,
@@ -99,11 +125,29 @@ class Renderer:
 
     def reference(self, mask: str, progress: OnFraction | None = None) -> NDArray[np.float32]:
         """Irradiance (row, column), m^2, without the sample."""
-        return self.model.irradiance(self.points(mask), progress=progress)
+        return self._sum(lambda line, part: line.model.irradiance(line.points(mask), progress=part), progress)
 
     def state(self, mask: str, state: int, progress: OnFraction | None = None) -> NDArray[np.float32]:
         """Irradiance (row, column), m^2, with the sample in state number `state`."""
-        return self.model.irradiance(self.points(mask), self.light(state), progress=progress)
+
+        def of_line(line: Renderer, part: OnFraction | None) -> NDArray[np.float32]:
+            return line.model.irradiance(line.points(mask), line.light(state), progress=part)
+
+        return self._sum(of_line, progress)
+
+    def _sum(
+        self, render: Callable[[Renderer, OnFraction | None], NDArray[np.float32]], progress: OnFraction | None
+    ) -> NDArray[np.float32]:
+        """Add up the images of all lines."""
+        lines = self.lines
+        if len(lines) == 1:
+            return render(lines[0][1], progress)
+
+        def part(first: int) -> OnFraction | None:
+            return progress and (lambda done: progress((first + done) / len(lines)))
+
+        images = (share * render(line, part(first)) for first, (share, line) in enumerate(lines))
+        return np.asarray(sum(images), np.float32)
 
     def check_rays(self) -> None:
         """Raise `ValueError` if a ray of any state would leave the screen."""
@@ -111,7 +155,10 @@ class Renderer:
             self.light(state)
 
     def truth_wavefront(self, state: int) -> Floats:
-        """Wavefront of every view in that state: (view_row, view_column, lenslet_row, lenslet_column), rad."""
+        """Wavefront of every view in that state: (view_row, view_column, lenslet_row, lenslet_column), rad.
+
+        It is that of the sensor's wavelength, whatever the spectrum.
+        """
         scene = self.scene
         return self.sample.wavefront(scene.sensor, scene.field, shift_m(scene.simulation, state))
 

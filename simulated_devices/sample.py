@@ -1,7 +1,7 @@
 """The sample: its screen from a seed or a file, where rays meet it, its light at the lenslets and its drift."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -208,13 +208,13 @@ def ray_map(screen: Screen, field: Field) -> RayMap:
     return place(distance_m=screen.distance_m, collimator_focal_length_m=field.collimator_focal_length_m)
 
 
-def make_sample(simulation: Simulation, sensor: Sensor, field: Field) -> Sample:
+def make_sample(simulation: Simulation, sensor: Sensor, field: Field, *, phase_scale: float = 1.0) -> Sample:
     """Make the screen from its file or from the seed, large enough for every ray of every state, and its light.
 
     A screen from the seed without `pv_rad` is scaled so that the mean over the views of the piston-removed RMS at
     the lenslet centres, before any drift, is `rms_rad`; with `pv_rad`, the screen itself has that PV and that RMS.
     If `border_lenslets` or a drift need a larger screen, the requested one is at its centre, and has that RMS and PV. A
-    screen from a file is used unchanged; one that is too small is rejected later.
+    screen from a file is used unchanged; one that is too small is rejected later. `phase_scale` multiplies the phases.
 
     Raises
     ------
@@ -223,9 +223,11 @@ def make_sample(simulation: Simulation, sensor: Sensor, field: Field) -> Sample:
     """
     screen, rays = simulation.screen, ray_map(simulation.screen, field)
     if screen.file:
-        phase = wide = PhaseScreen(read_screen(Path(screen.file)), screen.sample_spacing_m)
+        phase = wide = PhaseScreen(read_screen(Path(screen.file)), screen.sample_spacing_m).scaled(phase_scale)
         size = ScreenSize(0, 0)
     else:
+        pv_rad = None if screen.pv_rad is None else screen.pv_rad * phase_scale
+        simulation = replace(simulation, screen=replace(screen, rms_rad=screen.rms_rad * phase_scale, pv_rad=pv_rad))
         size = screen_size(simulation, sensor, field, rays)
         phase, wide = _generated_phases(simulation, sensor, field, rays, size)
     wide_amplitude = amplitude_of(simulation, wide, size)

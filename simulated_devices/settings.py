@@ -146,6 +146,7 @@ class SimulatedCameraSettings(Checked):
     full_well_e: Annotated[float, Ge(1), Le(1e9)] = 370e3
     register_full_well_e: Annotated[float, Ge(1), Le(1e9), Doc("Of the multiplication register")] = 800e3
     electrons_per_count: Annotated[float, Ge(1e-4), Le(1e4)] = 5.8
+    nonlinearity: Annotated[float, Ge(-0.5), Le(0.5), Doc("Share that is lost of a signal at full scale")] = 0.0
     offset_counts: Annotated[float, Ge(0), Le(65535)] = 500.0
     bits: Annotated[int, Ge(8), Le(16)] = 16
     pixel_fill_factor: Annotated[float, Ge(0), Le(1), Doc("Sensitive width over the pitch; 0: the centre")] = 1.0
@@ -159,6 +160,11 @@ class SimulatedCameraSettings(Checked):
         if self.offset_counts >= 2**self.bits:
             yield "offset_counts", "must lie on the camera's scale"
 
+    @property
+    def loss_per_e(self) -> float:
+        """Share that the nonlinearity takes of one electron's signal, for each electron with it."""
+        return self.nonlinearity / (self.electrons_per_count * (2.0**self.bits - 1))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedLightSettings(Checked):
@@ -167,8 +173,26 @@ class SimulatedLightSettings(Checked):
     driver: Literal["simulated"] = "simulated"
     current_a: Annotated[float, Ge(0), Le(1e3)] = 0.35
     maximum_current_a: Annotated[float, Ge(1e-15), Le(1e3)] = 1.0
+    wavelengths_m: Annotated[
+        tuple[float, ...], Ge(1e-7), Le(1e-4), Doc("Lines of a broad spectrum; none: sensor.wavelength_m alone")
+    ] = ()
+    weights: Annotated[
+        tuple[float, ...], Ge(0), Le(1e12), Doc("Light of each line as the camera sees it; none: all alike")
+    ] = ()
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
+        if self.weights and len(self.weights) != len(self.wavelengths_m):
+            yield "weights", f"must be as many as wavelengths_m, {len(self.wavelengths_m)}"
+        if self.weights and not sum(self.weights) > 0:
+            yield "weights", "must not all be 0"
         if self.current_a > self.maximum_current_a:
             yield "current_a", f"must be 0 ... {self.maximum_current_a:g} A (maximum_current_a)"
+
+    @property
+    def lines(self) -> tuple[tuple[float, float], ...]:
+        """Wavelength (m) and share of the light of each line that shines; none without `wavelengths_m`."""
+        weights = self.weights or (1.0,) * len(self.wavelengths_m)
+        total = sum(weights)
+        lines = zip(self.wavelengths_m, weights, strict=True)
+        return tuple((length_m, weight / total) for length_m, weight in lines if weight > 0)

@@ -84,7 +84,7 @@ def _no_leftovers(request: pytest.FixtureRequest) -> Iterator[None]:
 def runtime_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder of its own in which instruments and their clients meet; a socket's path must be short."""
     with TemporaryDirectory(prefix="svwfs", dir=gettempdir()) as made:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", made)
+        monkeypatch.setenv("SVWFS_RUNTIME_DIR", made)
         yield Path(made)
 
 

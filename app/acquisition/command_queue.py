@@ -19,6 +19,30 @@ T = TypeVar("T")
 _HARMLESS = (Cancelled, RoutineError, ReconstructionError, InputError, BadValue, Unsupported, WrongState)
 
 
+def done() -> Future[None]:
+    """Return the future of what is done already."""
+    future: Future[None] = Future()
+    future.set_result(None)
+    return future
+
+
+def begun_beside(work: Callable[[], T], name: str) -> tuple[Future[T], threading.Thread]:
+    """Begin work that may wait for long, on a thread of its own; return its result to come, and the thread."""
+    future: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            result = work()
+        except BaseException as error:  # noqa: BLE001 - the future passes it on
+            future.set_exception(error)
+        else:
+            future.set_result(result)
+
+    thread = threading.Thread(target=run, name=name, daemon=True)
+    thread.start()
+    return future, thread
+
+
 class CommandQueue:
     """Accepts commands from any thread until it is closed; each gets a future.
 
@@ -108,10 +132,8 @@ class LightSwitch:
     def switch_off(self) -> Future[None]:
         """Switch the light off; the future resolves when it is off, or has the error of the light."""
         self.requests += 1
-        future: Future[None] = Future()
-        thread = threading.Thread(target=self._switch_off, args=(future,), name="light off", daemon=True)
+        future, thread = begun_beside(self._switch_off, "light off")
         self._threads = [*(one for one in self._threads if one.is_alive()), thread]
-        thread.start()
         return future
 
     def close(self, timeout_s: float) -> None:
@@ -119,12 +141,7 @@ class LightSwitch:
         for thread in self._threads:
             thread.join(timeout_s)
 
-    def _switch_off(self, future: Future[None]) -> None:
-        try:
-            if self._light is not None:  # else no device is open yet, and `may_shine` keeps the light off
-                self._light.set_on(False)
-        except BaseException as error:  # noqa: BLE001 - the future passes it on
-            future.set_exception(error)
-        else:
-            self.served += 1
-            future.set_result(None)
+    def _switch_off(self) -> None:
+        if self._light is not None:  # else no device is open yet, and `may_shine` keeps the light off
+            self._light.set_on(False)
+        self.served += 1

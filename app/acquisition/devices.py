@@ -128,4 +128,5 @@ def scene_of(bench: Bench) -> Scene:
         rows=camera.rows,
         columns=camera.columns,
         pixel_fill_factor=camera.pixel_fill_factor,
+        lines=bench.light_model.lines,
     )

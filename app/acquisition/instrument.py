@@ -18,6 +18,7 @@ from app.measurement.auto_exposure import AutoExposure, auto_expose
 from app.measurement.averages import Average, BackgroundCheck, check_background, take_dark, take_reference
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.estimator import Estimator, mask_sentence
+from app.measurement.linearity import EXPOSURE_FRAMES, measure_linearity
 from app.measurement.live_solver import LiveSolver
 from app.measurement.measurement import SKIPPED, Assumptions, Measurement
 from app.measurement.routines import UNWATCHED, Circumstances, RoutineError, Watch, restored
@@ -27,6 +28,7 @@ from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError, UnusableSettings
+from reconstruction.frame.linearity import MeasuredLinearity
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 from reconstruction.quality.verdict import Fault, Quality
@@ -226,6 +228,11 @@ class Instrument:
             raise WrongState(self.references.doubt(self._now()))
         return self._survey(reference)
 
+    def measure_linearity(self, frames: int = EXPOSURE_FRAMES) -> MeasuredLinearity:
+        """Measure the camera's nonlinearity in exposures of `frames` frames without the sample, changing nothing."""
+        watch = self._watch(self, "measuring the camera's nonlinearity")
+        return measure_linearity(self.devices, self._pitch_px, frames, **watch)
+
     def set_area(self, area: SensorArea) -> SensorArea:
         """Read out another area of the sensor, the camera paused; return the area that the camera accepted.
 
@@ -320,9 +327,12 @@ class Instrument:
             if f"{before:.4g}" != f"{after:.4g}"
         )
 
+    @property
+    def _pitch_px(self) -> float:
+        return self.bench.sensor.lenslet_pitch_px if self._lattice is None else self._lattice.pitch_px
+
     def _auto_expose(self, watch: Watch) -> AutoExposure:
-        pitch_px = self.bench.sensor.lenslet_pitch_px if self._lattice is None else self._lattice.pitch_px
-        return auto_expose(self.devices, pitch_px, **watch)
+        return auto_expose(self.devices, self._pitch_px, **watch)
 
     def _survey(self, reference: Average) -> Survey:
         """Find the lenslets in a reference of the current region; `ReconstructionError` if it shows none."""

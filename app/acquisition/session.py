@@ -13,18 +13,20 @@ from typing import Any, Self, TypeVar
 
 from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument, Setting, Status
+from app.acquisition.place import NAME
 from app.acquisition.remote.connection import Connection
-from app.acquisition.remote.place import NAME
 from app.acquisition.start_up import FRAMES, calibrate, knows_sample, start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
 from app.bench.device_kinds import RecordingSettings
 from app.errors import RunError
 from app.measurement.bench_reconstructor import whole_number
+from app.measurement.linearity import EXPOSURE_FRAMES
 from app.measurement.measurement import SKIPPED, Measurement
 from app.progress import Progress, counted
 from app.recording.recorder import RecordingLimit, RecordingState
 from drivers.interface import WrongState
+from reconstruction.frame.linearity import MeasuredLinearity
 
 T = TypeVar("T")
 
@@ -252,6 +254,14 @@ class LiveBench:
         The dark and the reference are stale afterwards: take them again.
         """
         return self._result(self._acquisition.submit(Instrument.auto_expose)).exposure_s
+
+    def measure_linearity(self, frames: int = EXPOSURE_FRAMES) -> MeasuredLinearity:
+        """Measure the camera's nonlinearity without the sample; nothing is changed.
+
+        Exposures of `frames` frames each are taken with rising and falling length, twice; `.linearity` of the result is
+        the section `[linearity]` of a bench. `RoutineError` says why it cannot be told.
+        """
+        return self._result(self._acquisition.submit(Instrument.measure_linearity, frames))
 
     def record(self, folder: Path | str, frames: int, *, command: str = "python") -> Path:
         """Record the next `frames` frames into a new folder, wait for the last one, and return the folder.

@@ -11,12 +11,13 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import closing, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from app.acquisition import devices as bench_devices
 from app.acquisition.carrier import Activity
-from app.acquisition.command_queue import CommandQueue, LightSwitch
+from app.acquisition.command_queue import CommandQueue, LightSwitch, begun_beside, done
 from app.acquisition.frame_path import FramePath, read_frame
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.streams.publisher import stream_sinks
@@ -97,9 +98,10 @@ class Acquisition:
 
         return self._commands.submit(execute)
 
-    def cancel(self) -> None:
+    def cancel(self) -> Future[None]:
         """End the current routine, if any; it restores the devices."""
         self._cancelling.set()
+        return done()
 
     def switch_light_off(self) -> Future[None]:
         """Switch the light off at once, beside the worker, and cancel the current routine.
@@ -164,13 +166,15 @@ class Acquisition:
             )
         )
 
-    def limit_recording(self, limit: RecordingLimit) -> None:
+    def limit_recording(self, limit: RecordingLimit) -> Future[None]:
         """Replace the limit of the current recording, if any."""
         self._recorder.limit(limit)
+        return done()
 
-    def stop_recording(self) -> None:
+    def stop_recording(self) -> Future[None]:
         """End the current recording, if any; it is finished soon after."""
         self._recorder.stop()
+        return done()
 
     def keep_recent(self, folder: Path, *, command: str = "live", may_rename: bool = False) -> Future[None]:
         """Write the last ten seconds as a recording, even during another one; see `start_recording`."""
@@ -178,9 +182,9 @@ class Acquisition:
             lambda instrument: self._recorder.keep_recent(folder, _facts(instrument, command), may_rename=may_rename)
         )
 
-    def free_minutes(self, folder: Path) -> float:
-        """Recording time left in a folder at the current rate; see `Recorder.free_minutes`."""
-        return self._recorder.free_minutes(folder)
+    def free_minutes(self, folder: Path) -> Future[float]:
+        """Find the recording time left in a folder at the current rate; see `Recorder.free_minutes`."""
+        return begun_beside(partial(self._recorder.free_minutes, folder), "free space")[0]
 
     @property
     def recording(self) -> RecordingState | None:

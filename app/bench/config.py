@@ -6,6 +6,7 @@ becomes a number, and no 1 becomes true.
 
 import dataclasses
 import ipaddress
+import math
 import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -24,6 +25,7 @@ from app.files import in_words, write_whole
 from drivers.light_source import ManualLightSettings
 from reconstruction.annotated_settings import Checked, Limit, SettingError, settings_of
 from reconstruction.deconvolution.imaging import Imaging
+from reconstruction.frame.linearity import Linearity
 from reconstruction.geometry import Field, Lattice, Sensor, nominal_lattice
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 
 Settings = TypeVar("Settings", bound="DataclassInstance")
 
+_SAME_WAVELENGTH = 0.01  # relative; see docs/estimator.md
 AUTOMATIC = "automatic"  # same as omitting the setting
 _CHOSEN_IF_OMITTED = (("registration", "warp"), ("reconstruction", "pupil_modes"))
 _EXACT: dict[Any, str] = {int: "a whole number", bool: "true or false", str: "text in quotes"}
@@ -71,6 +74,7 @@ class Bench(Checked):
     simulation: Simulation = Simulation()
     streams: StreamSettings = StreamSettings()
     imaging: Imaging | None = None  # of images to be corrected
+    linearity: Linearity | None = None  # of the camera; None: counts are proportional to light
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict those of other sections, and why."""
@@ -85,6 +89,11 @@ class Bench(Checked):
         if self.lattice is not None and not 0.9 < self.lattice.pitch_px / designed_px < 1.1:
             ratio = f"sensor.lenslet_pitch_m / pixel_pitch_m = {designed_px:.4g}"
             yield "lattice.pitch_px", f"= {self.lattice.pitch_px:g} is far from {ratio}"
+        if self.light_model.lines:
+            mean_m = math.fsum(length_m * share for length_m, share in self.light_model.lines)
+            if not math.isclose(mean_m, self.sensor.wavelength_m, rel_tol=_SAME_WAVELENGTH):
+                nominal = f"sensor.wavelength_m = {self.sensor.wavelength_m:g}"
+                yield "light.wavelengths_m", f"have the mean {mean_m:g}, more than 1 % from {nominal}"
         shape = self.sensor.lenslet_rows, self.sensor.lenslet_columns
         for lenslet in self.registration.excluded:
             if not all(0 <= index < count for index, count in zip(lenslet, shape, strict=True)):
@@ -264,7 +273,11 @@ def changes_in_words(before: Bench, after: Bench) -> str:
         for name, value in dataclasses.asdict(new).items()
         if value != getattr(old, name)
     ]
-    return ", ".join(texts) or "the new lattice" * (before.lattice != after.lattice) or "the same settings"
+    others = {
+        "the new lattice": before.lattice != after.lattice,
+        "the nonlinearity": before.linearity != after.linearity,
+    }
+    return ", ".join(texts) or next((name for name, is_new in others.items() if is_new), "the same settings")
 
 
 def save_bench(path: Path, bench: Bench) -> None:

@@ -1,4 +1,4 @@
-"""`svwfs calibrate`: find the lattice in a reference and write it into the bench."""
+"""`svwfs calibrate`: find the lattice in a reference, or measure the camera's nonlinearity; write it into the bench."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from app.commands import options, terminal
-from app.errors import InputError
+from app.errors import InputError, RunError
 from app.files import atomic_write
 from app.images import FORMATS
 from app.progress import Progress
@@ -23,33 +23,61 @@ if TYPE_CHECKING:
 
     from app.bench.config import Bench
     from app.measurement.mask_scale import MaskScale
+    from reconstruction.frame.linearity import MeasuredLinearity
     from reconstruction.geometry import Lattice
     from reconstruction.lattice.search import Survey
 
 _NOTEWORTHY = 0.005  # relative deviation of the pitch from the design that is reported
-_LATTICE_SECTION = re.compile(r"^\[lattice\][^\n]*\n(?:(?!\[)[^\n]*\n)*", re.MULTILINE)
 
 
 def calibrate(
-    reference: Annotated[Path, typer.Argument(help=f"Frame without the sample: {FORMATS}.")],
+    reference: Annotated[Path | None, typer.Argument(help=f"Frame without the sample: {FORMATS}.")] = None,
     *,
     bench: options.Bench,
-    out: Annotated[Path | None, typer.Option(help="Bench TOML file to write, with the lattice.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Bench TOML file to write, with what was found.")] = None,
     dark: Annotated[Path | None, typer.Option(help="Frame with the light off.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture of the frame with its lenslets: PNG, PDF or SVG.")] = None,
+    linearity: Annotated[
+        bool, typer.Option("--linearity", help="Measure the camera's nonlinearity with the bench's devices instead.")
+    ] = False,
+    average: Annotated[
+        int | None,
+        typer.Option(min=2, max=1000, help="Number of frames averaged into each exposure of --linearity [default: 8]."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON.")] = False,
     overwrite: options.Overwrite = False,
+    trust_library: options.Trust = False,
     setting: options.Set = None,
 ) -> None:
-    """Find the lenslet lattice in a reference frame.
+    """Find the lenslet lattice in a reference frame, or measure the camera's nonlinearity.
 
     The result is pitch, rotation, centre, which lenslets are lit, and the size of the mask's image: the scale of every
     wavefront. Check the picture of --plot: every lit subimage should lie in the middle of its cell. Without --out the
     result is only printed.
 
+    With --linearity it needs no reference: it takes darks, then exposures without the sample from short to long and
+    back, twice, and restores the devices. The bench of --out corrects every frame, its dark subtracted.
+
     Example: svwfs calibrate reference.tif --bench paper_experiment --out bench.toml --plot lattice.png
+
+    Example: svwfs calibrate --linearity --bench small_demo --set camera.nonlinearity=0.04 --out linear.toml
     """
     loaded = options.load(bench, setting)
+    if linearity:
+        if not all(given is None for given in (reference, dark, plot)):
+            raise InputError("--linearity takes its own exposures: leave reference, --dark and --plot out")
+        options.check_files(out, ".toml", reads=options.files_of_bench(bench, loaded), overwrite=overwrite)
+        terminal.confirm_libraries(loaded, trust=trust_library)
+        with terminal.progress_bar() as progress:
+            measured = find_linearity(loaded, average, progress)
+        if out is not None:
+            _write(dataclasses.replace(loaded, linearity=measured.linearity), "linearity", bench, out)
+        typer.echo(json.dumps(dataclasses.asdict(measured)) if as_json else "\n".join(linearity_summary(measured)))
+        return
+    if reference is None:
+        raise InputError("give the reference frame; only --linearity takes its own")
+    if average is not None:
+        raise InputError("--average belongs to --linearity")
     options.check_images(reference, dark)
     reads = (reference, dark, *options.files_of_bench(bench, loaded))
     options.check_files(out, ".toml", reads=reads, plot=plot, overwrite=overwrite)
@@ -108,6 +136,35 @@ def find_lattice(
         raise InputError(f"{dark if error.image == 'dark' else reference}: {error}") from error
     except ValueError as error:  # a pitch far from the design
         raise InputError(f"{reference}: {error}; check the sensor's lenslet_pitch_m and pixel_pitch_m") from error
+
+
+def find_linearity(bench: Bench, frames: int | None, progress: Progress) -> MeasuredLinearity:
+    """Measure the nonlinearity of a bench's camera with its devices; `RunError` says why it cannot be told."""
+    from app.acquisition.session import LiveBench
+    from app.measurement.linearity import EXPOSURE_FRAMES
+    from drivers.interface import DeviceError
+
+    live = LiveBench(bench, average=0, progress=progress)
+    try:
+        with live:
+            if bench.has_manual_stage:
+                terminal.ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
+            return live.measure_linearity(frames or EXPOSURE_FRAMES)
+    except DeviceError as error:
+        raise RunError(live.failure or str(error)) from error
+
+
+def linearity_summary(measured: MeasuredLinearity) -> list[str]:
+    """Return the nonlinearity as lines of text."""
+    found = measured.linearity
+    return [
+        f"linearity    {found.sentence}, +- {100 * measured.sigma:.3f} %",
+        f"quadratic    {found.quadratic:+.5f} +- {found.quadratic_sigma:.5f}",
+        f"cubic        {found.cubic:+.5f} +- {found.cubic_sigma:.5f}",
+        f"chi-square   {found.chi_square:.2f} of the exposures against the curve, reduced",
+        f"exposures    {measured.late_s * 1e3:+.4f} +- {measured.late_sigma_s * 1e3:.4f} ms longer than reported",
+        f"light        drifted by {100 * measured.drift:+.2f} %, flickers by {100 * measured.flicker:.3f} %",
+    ]
 
 
 def _rounded(lattice: Lattice) -> Lattice:
@@ -181,15 +238,19 @@ def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | str | lis
 
 def write_calibrated(calibrated: CalibratedBench, source: str, path: Path) -> None:
     """Write the bench with its lattice, keeping the comments of `source`, a TOML file or preset."""
+    _write(calibrated.bench, "lattice", source, path)
+
+
+def _write(bench: Bench, name: str, source: str, path: Path) -> None:
     from app.bench.bench_files import bench_file, read_bench_text
 
-    text = bench_text(read_bench_text(bench_file(source)), calibrated.bench)
+    text = bench_text(read_bench_text(bench_file(source)), bench, name)
     with atomic_write(path) as temporary:
         temporary.write_text(text, "utf-8")
 
 
-def bench_text(text: str, bench: Bench) -> str:
-    """Insert the lattice of `bench` into its TOML text, keeping the comments.
+def bench_text(text: str, bench: Bench, name: str = "lattice") -> str:
+    """Insert a section of `bench`, its lattice or its linearity, into its TOML text, keeping the comments.
 
     If the result would not read back to the same bench, for example after --set, the whole bench is written anew.
     """
@@ -197,9 +258,11 @@ def bench_text(text: str, bench: Bench) -> str:
 
     from app.bench.config import parse_bench, write_bench
 
-    values = {} if bench.lattice is None else dataclasses.asdict(bench.lattice)
-    section = f"[lattice] # found by svwfs calibrate\n{tomli_w.dumps(values)}\n"
-    edited, count = _LATTICE_SECTION.subn(lambda _: section, text, count=1)
+    found = getattr(bench, name)
+    values = {} if found is None else dataclasses.asdict(found)
+    section = f"[{name}] # found by svwfs calibrate\n{tomli_w.dumps(values)}\n"
+    before = re.compile(rf"^\[{name}\][^\n]*\n(?:(?!\[)[^\n]*\n)*", re.MULTILINE)
+    edited, count = before.subn(lambda _: section, text, count=1)
     if not count:
         edited = f"{text.rstrip()}\n\n{section}"
     try:

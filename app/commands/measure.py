@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.acquisition.remote.place import NAME
+from app.acquisition.place import NAME
 from app.bench.presets import PRESETS
 from app.commands import options, terminal
 from app.errors import InputError, Interrupted, RunError
@@ -15,7 +15,7 @@ from app.files import MEASURED, check_outputs
 from app.progress import Progress, counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
 
     from app.acquisition.session import LiveBench
     from app.bench.config import Bench
@@ -41,6 +41,9 @@ def measure(
     trust_library: options.Trust = False,
     setting: options.Set = None,
     attach: options.Attach = False,
+    take_control: Annotated[
+        bool, typer.Option("--take-control", help="With --attach: take control from the program that has it.")
+    ] = False,
     name: options.Instrument = NAME,
 ) -> None:
     """Measure without a window: dark, reference, frames, results.
@@ -61,7 +64,9 @@ def measure(
     if attach:
         options.refuse_with_attach(bench=bench, mask=mask, average=average, auto_expose=auto_expose, set=setting)
         with terminal.progress_bar() as progress:
-            measured = measure_attached(name, frames, out, progress, overwrite=overwrite)
+            measured = measure_attached(name, frames, out, progress, overwrite=overwrite, takes_control=take_control)
+    elif take_control:
+        raise InputError("--take-control is for an instrument that runs: add --attach")
     elif bench is None:
         raise InputError("say what to measure with: --bench TOML, or --attach for an instrument that runs")
     else:
@@ -75,12 +80,16 @@ def measure(
     print_measurement(measured, out)
 
 
-def measure_attached(name: str, frames: int, out: Path, progress: Progress, *, overwrite: bool = False) -> Measured:
+def measure_attached(
+    name: str, frames: int, out: Path, progress: Progress, *, overwrite: bool = False, takes_control: bool = False
+) -> Measured:
     """Let the instrument of a name record `frames` frames, and write their results; see `measure_bench`."""
     from app.acquisition.session import ConnectedBench
 
+    _check_out(out, (), overwrite=overwrite)  # before another program loses control
     live = ConnectedBench("measure", name, progress=progress)
-    return _measured(live, live.bench, frames, out, progress, lambda: None, overwrite=overwrite)
+    begin = live.take_control if takes_control else lambda: None
+    return _measured(live, live.bench, frames, out, progress, begin, overwrite=overwrite)
 
 
 def measure_bench(
@@ -126,12 +135,11 @@ def _measured(
     overwrite: bool,
 ) -> Measured:
     """Record with a live bench, and write the results."""
-    from app.recording.folder import RUN, check_free, remove_empty
+    from app.recording.folder import RUN, remove_empty
     from app.recording.reader import Recording
     from app.results.frame_tallies import write_measured
 
-    check_free(out)
-    check_outputs([out / name for name in MEASURED], inputs=bench.files, overwrite=overwrite)
+    _check_out(out, bench.files, overwrite=overwrite)
     is_stopped, fault = _record(live, frames, out, calibrate)
     recording = Recording(out) if (out / RUN).exists() else None
     if not recording:
@@ -153,6 +161,13 @@ def _measured(
     if not measured.reconstructed:
         raise RunError(f"no frame could be reconstructed: {measured.problem or 'none was recorded'}")
     return measured
+
+
+def _check_out(out: Path, inputs: Collection[Path], *, overwrite: bool) -> None:
+    from app.recording.folder import check_free
+
+    check_free(out)
+    check_outputs([out / name for name in MEASURED], inputs=inputs, overwrite=overwrite)
 
 
 def _record(live: LiveBench, frames: int, out: Path, calibrate: Callable[[], object]) -> tuple[bool, str]:

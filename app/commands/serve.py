@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from app.acquisition.remote.place import NAME, taken_place
+from app.acquisition.place import NAME, taken_place
 from app.commands import options, terminal
 
 if TYPE_CHECKING:

@@ -239,6 +239,8 @@ class BenchReconstructor:
         """Variance of a single image's pixels against their light; None if it does not show them."""
         dark, bad = self._dark_of(image), self._bad
         light = np.subtract(image, np.min(image) if dark is None else dark, dtype=np.float32)
+        if (linearity := self.bench.linearity) is not None:
+            light = np.asarray(linearity.light(light), np.float32)
         return image_transfer(repaired(light, bad) if light.shape == bad.shape else light, self.bench.sensor.blur_px)
 
     @cached_property

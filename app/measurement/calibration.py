@@ -18,6 +18,7 @@ from reconstruction.frame.noise import CameraNoise, TransferCurve, photon_transf
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey, survey
 from reconstruction.pipeline import NO_OWN, OwnMethods, Reconstructor
+from reconstruction.quality.verdict import Fault, Quality
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +77,25 @@ class Calibration:
             return self.known
         dark, reference, curve = self.dark, self.reference, None
         if dark is not None and dark.mean.shape == reference.mean.shape:  # `reconstructor` refuses another
-            light, frames = reference.mean - dark.mean, reference.frames
-            curve = photon_transfer(light, reference.variance, frames=frames, dark_variance=dark.variance)
+            light, variance, frames = reference.mean - dark.mean, reference.variance, reference.frames
+            if (linearity := self.bench.linearity) is not None:  # of the light, as frames have it
+                light, variance = linearity.light(light), variance * linearity.slope(light) ** 2
+            curve = photon_transfer(light, variance, frames=frames, dark_variance=dark.variance)
         return KnownNoise(None if curve is None else curve.noise, reference.frames, curve)
+
+    @property
+    def linearity_quality(self) -> Quality:
+        """Judge whether the camera is in the mode in which its nonlinearity was measured."""
+        measured, reference = self.bench.linearity, self.reference
+        if measured is None or not measured.amplifier or not reference.amplifier:
+            return Quality()
+        if (measured.amplifier, measured.em_gain) == (reference.amplifier, reference.em_gain):
+            return Quality()
+        why = (
+            f"the nonlinearity was measured with amplifier {measured.amplifier} and gain {measured.em_gain:g}: measure"
+            " it again (svwfs calibrate --linearity), or remove [linearity]"
+        )
+        return Quality({Fault.LINEARITY: why})
 
     def reconstructor(self) -> Reconstructor:
         """Build the reconstructor; `ReconstructionError` if dark, reference and settings do not fit."""
@@ -92,6 +109,7 @@ class Calibration:
             reconstruction=bench.reconstruction,
             dark=self.dark_image,
             full_scale=self.full_scale,
+            linearity=bench.linearity,
             noise=noise.noise,
             reference_frames=noise.reference_frames,
             own=self.own,

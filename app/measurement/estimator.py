@@ -72,7 +72,9 @@ class Estimator:
             sensor=made.sensor,
             field=made.field,
             dark=given.dark_image,
+            linearity=given.bench.linearity,
             of_reference=sample_quality(made.subimages)
+            | given.linearity_quality
             | linearity_quality(noise.curve, "reference")
             | of_reference
             | scale_quality(given)

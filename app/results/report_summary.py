@@ -295,6 +295,8 @@ def _of_calibration(summary: Summary) -> Iterator[Fact]:
         else f"{noise.counts_per_electron:.3g} counts per electron, read noise {noise.read_noise_counts:.3g} counts,"
         " from dark and reference",
     )
+    if calibration.bench.linearity is not None:
+        yield "linearity", f"corrected: {calibration.bench.linearity.sentence}"
     sensor, lattice = calibration.bench.sensor, calibration.lattice
     lies = f"centre ({lattice.center_x_px:.2f}, {lattice.center_y_px:.2f}) px"
     lies += f", turned by {lattice.rotation_rad * 1e3:+.2f} mrad"

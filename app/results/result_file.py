@@ -159,6 +159,8 @@ def _add_sums(path: Path, piece: xr.Dataset, sums: dict[Hashable, int]) -> None:
 def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str]) -> memoryview:
     """Return the contents of a file. HDF5 crashes on a full disk, so it writes into memory."""
     origin = {"software": f"svwfs {version('svwfs')}", "bench": write_bench(bench), **inputs}
+    if bench.linearity is not None:
+        origin["linearity"] = f"corrected: {bench.linearity.sentence}"
     # names of files need not be text
     origin = {name: text.encode(errors="replace").decode() for name, text in origin.items()}
     return piece.assign_attrs(**{"title": "Space-variant wavefront"} | piece.attrs | origin).to_netcdf(

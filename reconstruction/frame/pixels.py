@@ -1,4 +1,4 @@
-"""From the counts of an image to its light: dark, saturated and clipped pixels, dead and hot pixels."""
+"""From the counts of an image to its light: dark, nonlinearity, saturated and clipped pixels, dead and hot pixels."""
 
 import math
 from typing import Any
@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.errors import ReconstructionError
+from reconstruction.frame.linearity import LINEAR, Linearity
 from reconstruction.runtime.compilation import compiled
 
 _SATURATED_FRACTION = 0.01  # of the image's pixels; with more, it is rejected
@@ -19,13 +20,16 @@ PEAK_PERCENT = 99.9  # this one is the peak, so that hot pixels do not count
 
 
 class AboveDark:
-    """Subtracts one dark (row, column), if there is one, from images of one size.
+    """Subtracts one dark (row, column), if there is one, from images of one size, and corrects the nonlinearity.
 
     Pixels from `full_scale` on are saturated.
     """
 
-    def __init__(self, shape: tuple[int, ...], dark: Counts | None, full_scale: float) -> None:
-        self._shape, self._full_scale = shape, full_scale
+    def __init__(
+        self, shape: tuple[int, ...], dark: Counts | None, full_scale: float, linearity: Linearity | None = None
+    ) -> None:
+        self._shape, self._full_scale, self._linearity = shape, full_scale, linearity
+        self._curve = LINEAR if linearity is None else linearity.curve
         self._dark: Image | None = None
         if dark is not None:
             self._check(dark, "dark")
@@ -50,6 +54,8 @@ class AboveDark:
             # Comparing integers with a float takes seven times as long.
             saturated = np.asarray(image >= (math.ceil(self._full_scale) if is_integer else self._full_scale))
             full = int(np.count_nonzero(saturated))
+            if self._linearity is not None:
+                light = np.asarray(self._linearity.light(light), np.float32)
         if full > _SATURATED_FRACTION * image.size:
             raise ReconstructionError(
                 f"the {name} is saturated: shorten the exposure or lower the light's current", image=name
@@ -62,7 +68,7 @@ class AboveDark:
         pixels: NDArray[Any] = np.ascontiguousarray(image).view()
         pixels.setflags(write=False)  # as frames are: so that one kind is compiled
         least = math.ceil(min(max(self._full_scale, 0.0), 2.0**16))
-        return light, saturated, _subtract(pixels, dark, np.float32(least), light, saturated)
+        return light, saturated, _subtract(pixels, dark, self._curve, np.float32(least), light, saturated)
 
     def _check(self, image: Counts, name: str) -> None:
         """Raise if an image has the wrong shape or does not hold numbers."""
@@ -75,13 +81,18 @@ class AboveDark:
 
 
 @compiled
-def _subtract(image: Counts, dark: Image, least: np.float32, light: Image, saturated: Booleans) -> int:
-    """Subtract the dark, mark the pixels of at least so many counts, and return their number."""
+def _subtract(
+    image: Counts, dark: Image, curve: Image, least: np.float32, light: Image, saturated: Booleans
+) -> int:  # `curve` as `Linearity.curve` lists it
+    """Subtract the dark, correct the nonlinearity, mark pixels of at least so many counts, and return their number."""
     full: int = 0
+    square, cube, highest, end = curve
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
             count = np.float32(image[row, column])
-            light[row, column] = count - dark[row, column]
+            signal = count - dark[row, column]
+            within = min(signal, highest)
+            light[row, column] = within * (np.float32(1) + within * (square + within * cube)) + (signal - within) * end
             saturated[row, column] = count >= least
             full += int(count >= least)
     return full

@@ -18,6 +18,7 @@ import numpy as np
 
 from reconstruction.arrays import Booleans, Counts, Floats
 from reconstruction.displacement import Displacement, Outcome
+from reconstruction.frame.linearity import Linearity
 from reconstruction.frame.pixels import BACKGROUND_PERCENT, CLIPPED, clipped_fraction
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.field_modes import PolynomialModes
@@ -77,9 +78,11 @@ class FrameJudge:
         sensor: Sensor,
         field: Field,
         dark: Counts | None = None,
+        linearity: Linearity | None = None,
         of_reference: Quality = Quality(),  # noqa: B008 - immutable
     ) -> None:
         """Prepare; `of_reference` is the reference's own quality, which all its frames share."""
+        self._linearity = linearity
         self._sensor, self._noise, self.of_reference = sensor, reference.noise, of_reference
         is_ours = settings.method == "gauss_newton"
         self._limits = _LIMITS[settings.warp or "quartic"] if is_ours else _LIMITS["translation"]
@@ -156,6 +159,8 @@ class FrameJudge:
         counts = frame.take(self._sampled)
         above = counts - (np.percentile(counts, BACKGROUND_PERCENT) if self._dark is None else self._dark)
         brightest = above.max(initial=-np.inf)
+        if self._linearity is not None:
+            above = self._linearity.light(above)
         if self._is_good is not None:
             above, counts = np.where(self._is_good, above, 0.0), counts[self._is_good]
         light = above.sum(axis=1)

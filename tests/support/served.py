@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
+from app.acquisition.place import NAME, is_taken, taken_place
 from app.acquisition.remote.connection import Connection
-from app.acquisition.remote.place import Place, taken_place
 from app.acquisition.remote.server import Server
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
-from app.errors import RunError
 from drivers.interface import Disconnected
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import wait_until
@@ -19,20 +18,29 @@ from support.patience import wait_until
 
 @contextmanager
 def served(
-    camera: FakeCamera, *, begin: Callable[[Acquisition], object] = lambda to: start_up(to, 3)
+    camera: FakeCamera,
+    *,
+    begin: Callable[[Acquisition], object] = lambda to: start_up(to, 3),
+    faults: list[Exception] | None = None,
 ) -> Iterator[Server]:
-    """Serve a fake camera until the end of the block; what ended it is then in `acquisition.error`."""
+    """Serve a fake camera until the end of the block; `faults` that are expected get what ended it."""
     servers: list[Server] = []
 
     def work() -> None:
         with taken_place() as place:
             servers.append(Server(BENCH, place, opener(camera)))
-            with suppress(Disconnected):  # of the fake camera; tests look at it
+            try:
                 servers[0].run(begin)
+            except Disconnected:  # of the fake camera; tests look at it
+                pass
+            except Exception as error:
+                if faults is None:
+                    raise
+                faults.append(error)
 
     thread = threading.Thread(target=work, name="served")
     thread.start()
-    wait_until(_is_announced)
+    wait_until(lambda: is_taken(NAME))
     try:
         yield servers[0]
     finally:
@@ -48,11 +56,3 @@ def connected(what: str = "test", *, controls: bool = True) -> Iterator[Connecti
         yield connection
     finally:
         connection.close()
-
-
-def _is_announced() -> bool:
-    try:
-        Place.of()
-    except RunError:
-        return False
-    return True

@@ -1,1 +1,1 @@
-"""The instrument in a process of its own: where it is found, what travels, and both ends."""
+"""The instrument in a process of its own: what travels, and both ends."""

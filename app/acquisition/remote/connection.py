@@ -8,7 +8,6 @@ import math
 import os
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
@@ -20,19 +19,32 @@ from zmq.utils.monitor import recv_monitor_message
 
 from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Instrument, Status
-from app.acquisition.remote import messages
+from app.acquisition.place import NAME, Place, clear_abandoned
 from app.acquisition.remote.frames import NewestFrames
-from app.acquisition.remote.messages import Accepted, Answer, Command, Notice, State, Traveller
-from app.acquisition.remote.place import NAME, Place
-from app.acquisition.remote.wire import Absent, Packed, unpacked
+from app.acquisition.remote.messages import (
+    MOST_BYTES,
+    Accepted,
+    Answer,
+    Arrivals,
+    Command,
+    Hello,
+    Notice,
+    Sign,
+    State,
+    Traveller,
+    Wanted,
+)
+from app.acquisition.remote.wire import Packed
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.sensor_region import SensorArea
 from app.recording.recorder import RecordingLimit, RecordingState
 from app.timing import Stage, StageTimes, Timings
+from drivers.errors import BadValue
 
 _COUNT = itertools.count(1)  # of connections of this process
+_CLOSED = "the connection to the instrument is closed"
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -40,10 +52,9 @@ P = ParamSpec("P")
 _ANSWER_S = 5.0  # for the first state, and for a command to be accepted
 _ALIVE_S = 1.0  # between two signs of life
 _SILENT_S = 2.0  # after which the instrument counts as frozen
+_DYING_S = 0.5  # for a killed process to give its files back
 _TICK_MS = 50
-_SHOWN_S = 0.025  # between two measurements for a mailbox that a window reads
-_ASK_AGAIN_S = 3.0
-_KEPT = 8  # objects that travelled by themselves
+_SHOWN_S = 0.04  # between two measurements for a mailbox: as often as a window shows one
 
 
 class _Timings(Timings):
@@ -78,25 +89,30 @@ class Connection:
         number = next(_COUNT)
         self.name = f"{what} {os.getpid()}{f'.{number}' * (number > 1)}"
         self.timings = _Timings()
-        self._state: State | None = None
+        self.bench: Bench  # as the instrument was started with; the attributes are those of its newest state
+        self.status: Status | None  # None until the devices are open
+        self.counts: FrameTotals
+        self.recording: RecordingState | None
+        self.kept: RecordingState | None
+        self.clients: tuple[str, ...]  # names of all
+        self.controller: str  # name of the client that has control; empty: nobody
+        self._activity: Activity
         self._has_state, self._closing = threading.Event(), threading.Event()
         self._ended: Exception | None = None
         self._pending: dict[int, tuple[Future[Any], float]] = {}  # with the time when it was sent
         self._accepted: set[int] = set()
-        self._numbers, self._sending = 0, threading.Lock()
-        self._outgoing: list[object] = []
+        self._numbers, self._sending = itertools.count(1), threading.Lock()
+        self._outgoing: list[tuple[int, bytearray]] = []  # messages, with the number of a command
         self._has_left = False
-        self._objects: OrderedDict[int, Any] = OrderedDict()
-        self._asked_s: dict[int, float] = {}  # when an absent object was asked for
-        self._unread: list[bytes] = []  # messages that refer to an object on its way
-        self._frames = NewestFrames(self._find, (self._note, *sinks), 0.0 if sinks else _SHOWN_S)
+        self._arrivals = Arrivals(self._ask)
+        self._frames = NewestFrames(self._arrivals.find, (self._note, *sinks), 0.0 if sinks else _SHOWN_S)
         self._takers: dict[type, Callable[[Any], None]] = {
             State: self._take_state,
             Notice: self._frames.announce,
-            Traveller: self._take_object,
-            Accepted: self._take_acceptance,
+            Traveller: lambda _: self._frames.try_again(),
+            Accepted: lambda accepted: self._accepted.add(accepted.number),
             Answer: self._take_answer,
-            messages.Forgotten: lambda _: self._say(messages.Hello(self.name, controls=False)),
+            Sign: lambda _: self._say(Hello(self.name, controls=False)),  # it has forgotten this client
         }
         self._heard_s = self._said_s = time.monotonic()
         self._context = zmq.Context()
@@ -108,51 +124,21 @@ class Connection:
         self._wake.bind("inproc://wake")
         self._woken = self._context.socket(zmq.PAIR)
         self._woken.connect("inproc://wake")
-        self._say(messages.Hello(self.name, controls))
+        self._say(Hello(self.name, controls))
         self._thread = threading.Thread(target=self._work, name="connection", daemon=True)
         self._thread.start()
-        if not self._has_state.wait(_ANSWER_S) or self._state is None:
+        if not self._has_state.wait(_ANSWER_S) or self._ended is not None:
             self.close()
             raise self._ended or RunError(
                 f"the instrument of process {self.place.process} does not answer: stop it, and start it again"
             )
 
     @property
-    def _now(self) -> State:
-        assert self._state is not None  # noqa: S101 - the constructor waits for it
-        return self._state
-
-    @property
-    def bench(self) -> Bench:
-        """The bench as the instrument was started with."""
-        return self._now.bench
-
-    @property
-    def status(self) -> Status | None:
-        """Newest status; None until the devices are open."""
-        return self._now.status
-
-    @property
     def activity(self) -> Activity:
         """Work besides taking frames; also that the instrument does not answer."""
         if self.is_alive and time.monotonic() > self._heard_s + _SILENT_S:
             return Activity("the instrument's process does not answer", may_cancel=False)
-        return self._now.activity
-
-    @property
-    def counts(self) -> FrameTotals:
-        """Numbers of frames acquired, reconstructed and lost by the instrument."""
-        return self._now.counts
-
-    @property
-    def recording(self) -> RecordingState | None:
-        """State of the current or last recording."""
-        return self._now.recording
-
-    @property
-    def kept(self) -> RecordingState | None:
-        """State of the recording of the last seconds."""
-        return self._now.kept
+        return self._activity
 
     @property
     def newest(self) -> Measurement | None:
@@ -162,10 +148,7 @@ class Connection:
     @property
     def error(self) -> Exception | None:
         """Why the instrument ended, or was lost."""
-        if self._closing.is_set():
-            return None
-        there = self._now.ended_by
-        return self._ended if there is None else there.error()
+        return None if self._closing.is_set() else self._ended
 
     @property
     def failure(self) -> str:
@@ -180,17 +163,7 @@ class Connection:
     @property
     def has_control(self) -> bool:
         """Whether commands of this client are executed."""
-        return self._now.controls == self.name
-
-    @property
-    def controller(self) -> str:
-        """Name of the client that has control; empty: nobody."""
-        return self._now.controls
-
-    @property
-    def clients(self) -> tuple[str, ...]:
-        """Names of all clients."""
-        return self._now.clients
+        return self.controller == self.name
 
     def start(self) -> None:
         """Do nothing: the instrument runs."""
@@ -201,9 +174,9 @@ class Connection:
         """Execute a request of the instrument between two frames, as `submit(Instrument.take_dark, 20)`."""
         return self._send(request.__name__, *arguments, **named)
 
-    def cancel(self) -> None:
+    def cancel(self) -> Future[None]:
         """End the current routine."""
-        self._send("cancel")
+        return self._send("cancel")
 
     def switch_light_off(self) -> Future[None]:
         """Switch the light off at once; watching clients may, too."""
@@ -228,24 +201,21 @@ class Connection:
         """Let the instrument record every frame; see `Acquisition.start_recording`."""
         return self._send("start_recording", folder.absolute(), command=command, limit=limit, may_rename=may_rename)
 
-    def limit_recording(self, limit: RecordingLimit) -> None:
+    def limit_recording(self, limit: RecordingLimit) -> Future[None]:
         """Replace the limit of the current recording."""
-        self._send("limit_recording", limit)
+        return self._send("limit_recording", limit)
 
-    def stop_recording(self) -> None:
+    def stop_recording(self) -> Future[None]:
         """End the current recording."""
-        self._send("stop_recording")
+        return self._send("stop_recording")
 
     def keep_recent(self, folder: Path, *, command: str = "live", may_rename: bool = False) -> Future[None]:
         """Let the instrument write its last ten seconds as a recording."""
         return self._send("keep_recent", folder.absolute(), command=command, may_rename=may_rename)
 
-    def free_minutes(self, folder: Path) -> float:
-        """Recording time left in a folder at the current rate."""
-        try:
-            return float(self._send("free_minutes", folder.absolute()).result(_ANSWER_S))
-        except Exception as error:
-            raise OSError("the instrument does not answer") from error
+    def free_minutes(self, folder: Path) -> Future[float]:
+        """Find the recording time left in a folder at the current rate."""
+        return self._send("free_minutes", folder.absolute())
 
     def take_control(self) -> Future[None]:
         """Take control from whoever has it."""
@@ -269,20 +239,30 @@ class Connection:
     def _send(self, request: str, *arguments: Any, **named: Any) -> Future[Any]:
         future: Future[Any] = Future()
         future.set_running_or_notify_cancel()  # what is sent cannot be called back
+        refusal: Exception | None = None
+        number = next(self._numbers)
         try:
-            Packed((arguments, named))
+            message = Packed(Command(number, request, arguments, named)).message()
         except TypeError as error:
-            future.set_exception(error)
-            return future
-        with self._sending:
-            if self._has_left:
-                future.set_exception(self.error or RunError("the connection to the instrument is closed"))
-                return future
-            self._numbers += 1
-            self._pending[self._numbers] = future, math.inf
-            self._outgoing.append(Command(self._numbers, request, arguments, named))
+            refusal = error
+        else:
+            if len(message) > MOST_BYTES:
+                refusal = BadValue(f"{request}: this is too large to be sent to the instrument")
+            with self._sending:
+                if self._has_left:
+                    refusal = self.error or RunError(_CLOSED)
+                elif refusal is None:
+                    self._pending[number] = future, math.inf
+                    self._outgoing.append((number, message))
+        if refusal is not None:
+            future.set_exception(refusal)
         self._notify()
         return future
+
+    def _ask(self, number: int) -> None:
+        with self._sending:
+            self._outgoing.append((0, Packed(Wanted(number)).message()))
+        self._notify()
 
     def _note(self, measurement: Measurement) -> None:
         self.timings.note("to_result", measurement.latency_s)
@@ -292,8 +272,11 @@ class Connection:
             self._wake.send(b"", zmq.NOBLOCK)
 
     def _say(self, message: object) -> None:
+        self._say_packed(Packed(message).message())
+
+    def _say_packed(self, message: bytearray) -> None:
         with suppress(zmq.Again):  # the instrument stands still
-            self._socket.send_multipart([self.place.key.encode(), Packed(message).message()], zmq.NOBLOCK)
+            self._socket.send_multipart([self.place.key.encode(), message], zmq.NOBLOCK)
         self._said_s = time.monotonic()
 
     def _work(self) -> None:
@@ -305,14 +288,14 @@ class Connection:
                 ready = dict(poller.poll(_TICK_MS))
                 self._turn(ready)
             self._say_outgoing()
-            self._say(messages.Bye())
+            self._say(Sign.BYE)
         except Exception as error:
             self._ended = error
             raise
         finally:
             with self._sending:
                 left, self._pending, self._has_left = list(self._pending.values()), {}, True
-                lost = self._ended or RunError("the connection to the instrument is closed")
+                lost = self._ended or RunError(_CLOSED)
             for future, _ in left:
                 future.set_exception(lost)
             self._has_state.set()
@@ -324,10 +307,10 @@ class Connection:
     def _say_outgoing(self) -> None:
         with self._sending:
             outgoing, self._outgoing = self._outgoing, []
-        for message in outgoing:
-            self._say(message)
-            if isinstance(message, Command):
-                self._pending[message.number] = self._pending[message.number][0], time.monotonic()
+        for number, message in outgoing:
+            self._say_packed(message)
+            if number in self._pending:
+                self._pending[number] = self._pending[number][0], time.monotonic()
 
     def _turn(self, ready: dict[Any, int]) -> None:
         while self._woken.poll(0):
@@ -336,8 +319,10 @@ class Connection:
         is_gone = self._monitor in ready and recv_monitor_message(self._monitor)["event"] == zmq.EVENT_DISCONNECTED
         while self._socket.poll(0):
             self._heard_s = time.monotonic()
-            self._hear(self._socket.recv())
+            for message in self._arrivals.receive(self._socket.recv()):
+                self._takers.get(type(message), lambda _: None)(message)
         if is_gone and self._ended is None:
+            clear_abandoned(self.place.name, _DYING_S)
             self._ended = RunError(
                 f"the instrument's process {self.place.process} has ended: its light is off, unless that is manual"
             )
@@ -345,42 +330,13 @@ class Connection:
             self._ended = RunError(f"frames of the instrument cannot be shown: {self._frames.error}")
         now_s = time.monotonic()
         if now_s > self._said_s + _ALIVE_S:
-            self._say(messages.Alive())
+            self._say(Sign.ALIVE)
         for number, (future, sent_s) in list(self._pending.items()):
             if number not in self._accepted and now_s > sent_s + _ANSWER_S:
                 del self._pending[number]
                 future.set_exception(RunError("the instrument does not answer"))
 
-    def _hear(self, body: bytes) -> None:
-        try:
-            message = unpacked(body, self._find)
-        except Absent:
-            self._unread.append(body)
-            return
-        take = self._takers.get(type(message))
-        if take is not None:
-            take(message)
-
-    def _take_object(self, traveller: Traveller) -> None:
-        if traveller.value is None:  # the instrument has no use of it any more: newer frames and states need others
-            if self._unread:  # an answer may be among them
-                self._ended = RunError("an answer of the instrument was lost: connect again")
-            return
-        with self._sending:
-            self._objects[traveller.number] = traveller.value
-            self._asked_s.pop(traveller.number, None)
-            while len(self._objects) > _KEPT:
-                self._objects.popitem(last=False)
-        self._frames.try_again()
-        unread, self._unread = self._unread, []
-        for body in unread:
-            self._hear(body)
-
-    def _take_acceptance(self, accepted: Accepted) -> None:
-        self._accepted.add(accepted.number)
-
     def _take_answer(self, answer: Answer) -> None:
-        self._take_state(answer.state)
         self._frames.outdate(answer.count)
         self._accepted.discard(answer.number)
         future, _ = self._pending.pop(answer.number, (None, 0.0))
@@ -391,21 +347,11 @@ class Connection:
                 future.set_exception(answer.failure.error())
 
     def _take_state(self, state: State) -> None:
-        self._state = state
+        self.bench, self.status, self._activity = state.bench, state.status, state.activity
+        self.counts, self.recording, self.kept = state.counts, state.recording, state.kept
+        self.clients, self.controller = state.clients, state.controls
         self.timings.there = dict(state.timings)
-        self._has_state.set()
         if not state.is_alive and self._ended is None:
             ended_by = state.ended_by
             self._ended = RunError("the instrument was shut down") if ended_by is None else ended_by.error()
-
-    def _find(self, number: int) -> Any:
-        """An object that travels by itself; asked for, and `Absent`, if it has not come. Called by both threads."""
-        with self._sending:
-            if number in self._objects:
-                self._objects.move_to_end(number)
-                return self._objects[number]
-            if time.monotonic() > self._asked_s.get(number, -math.inf) + _ASK_AGAIN_S:
-                self._asked_s[number] = time.monotonic()
-                self._outgoing.append(messages.Wanted(number))
-        self._notify()
-        raise Absent
+        self._has_state.set()

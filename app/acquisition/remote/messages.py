@@ -1,13 +1,17 @@
 """What an instrument and its clients say to each other, and the number of each object that travels by itself."""
 
+import math
 import threading
-from collections import OrderedDict
-from collections.abc import Mapping
+import time
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Any
 
 from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Status
+from app.acquisition.remote.wire import Absent, unpacked
 from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
@@ -19,7 +23,9 @@ from drivers import errors
 from reconstruction.errors import ReconstructionError
 from reconstruction.registration.gauss_newton.template import Propagated
 
+MOST_BYTES = 2**28  # of a message to the instrument: a calibration of 2048 x 2048 pixels has a third
 _KEPT = 8  # objects; in use are two or three
+_ASK_AGAIN_S = 3.0  # for an object
 _ERRORS: dict[str, type[Exception]] = {
     each.__name__: each
     for each in (
@@ -55,19 +61,12 @@ class Wanted:
     number: int
 
 
-@dataclass(frozen=True, slots=True)
-class Alive:
-    """A sign of life."""
+class Sign(Enum):
+    """A message that is one word."""
 
-
-@dataclass(frozen=True, slots=True)
-class Bye:
-    """A client leaves."""
-
-
-@dataclass(frozen=True, slots=True)
-class Forgotten:
-    """A client was silent for too long: it may say hello again."""
+    ALIVE = "a client lives and reads"
+    BYE = "a client leaves"
+    FORGOTTEN = "a client was silent for too long: it may say hello again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,12 +130,11 @@ class Accepted:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A command is done: its result or its failure, the state after it, and the count of the newest frame then."""
+    """A command is done: its result or its failure, and the count of the newest frame then; follows the state then."""
 
     number: int
     result: Any
     failure: Failure | None
-    state: State
     count: int
 
 
@@ -166,18 +164,82 @@ class Travellers:
                 return found[0]
             if isinstance(value, Propagated) and id(value) not in self._seen:  # with lost pixels, of one frame only
                 self._seen[id(value)] = value
-                self._trim(self._seen)
+                _trim(self._seen)
                 return None
             self._last += 1
             self._numbered[id(value)] = self._last, value
-            self._trim(self._numbered)
+            _trim(self._numbered)
             return self._last
 
     def __getitem__(self, number: int) -> Any:
         with self._lock:
             return next((value for found, value in self._numbered.values() if found == number), None)
 
-    @staticmethod
-    def _trim(kept: OrderedDict[int, Any]) -> None:
-        while len(kept) > _KEPT:
-            kept.popitem(last=False)
+
+class Arrivals:
+    """A client's end of that: messages in the order in which they were sent, with their objects.
+
+    One thread receives; two find objects.
+    """
+
+    def __init__(self, ask: Callable[[int], object]) -> None:
+        """`ask` requests the object of a number."""
+        self._ask, self._lock = ask, threading.Lock()
+        self._objects: OrderedDict[int, Any] = OrderedDict()
+        self._asked_s: dict[int, float] = {}
+        self._waiting: deque[bytes | bytearray] = deque()
+
+    def find(self, number: int) -> Any:
+        """Return the object of a number; if it has not come, it is asked for, and `Absent` raised."""
+        with self._lock:
+            if number in self._objects:
+                self._objects.move_to_end(number)
+                return self._objects[number]
+            now_s = time.monotonic()
+            is_due = now_s > self._asked_s.get(number, -math.inf) + _ASK_AGAIN_S
+            if is_due:
+                self._asked_s[number] = now_s
+        if is_due:
+            self._ask(number)
+        raise Absent(number)
+
+    def receive(self, body: bytes | bytearray) -> Iterator[Any]:
+        """Yield the messages that can be read now: one whose object is missing waits, and those behind it, too."""
+        try:
+            message = unpacked(body, self.find)
+        except Absent:
+            self._waiting.append(body)
+            return
+        if isinstance(message, Traveller):
+            self._keep(message)
+            yield message
+            yield from self._released(message.number)
+        elif self._waiting:
+            self._waiting.append(body)
+        else:
+            yield message
+
+    def _keep(self, traveller: Traveller) -> None:
+        with self._lock:
+            self._asked_s.pop(traveller.number, None)
+            if traveller.value is not None:
+                self._objects[traveller.number] = traveller.value
+                _trim(self._objects)
+
+    def _released(self, number: int) -> Iterator[Any]:
+        """Yield what waited; left out is a state whose object has come as None: the instrument has a newer one."""
+        while self._waiting:
+            try:
+                message = unpacked(self._waiting[0], self.find)
+            except Absent as absent:
+                if absent.args != (number,):
+                    return
+                self._waiting.popleft()
+            else:
+                self._waiting.popleft()
+                yield message
+
+
+def _trim(kept: OrderedDict[int, Any]) -> None:
+    while len(kept) > _KEPT:
+        kept.popitem(last=False)

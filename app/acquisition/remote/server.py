@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import Lock
@@ -17,10 +17,24 @@ from typing import Any
 
 import zmq
 
+from app.acquisition.command_queue import done
 from app.acquisition.instrument import Instrument
-from app.acquisition.remote import messages
-from app.acquisition.remote.messages import Answer, Command, Failure, Notice, Record, State, Traveller, Travellers
-from app.acquisition.remote.place import Place, runtime_folder
+from app.acquisition.place import Place, runtime_folder
+from app.acquisition.remote.messages import (
+    MOST_BYTES,
+    Accepted,
+    Answer,
+    Command,
+    Failure,
+    Hello,
+    Notice,
+    Record,
+    Sign,
+    State,
+    Traveller,
+    Travellers,
+    Wanted,
+)
 from app.acquisition.remote.ring import RingWriter
 from app.acquisition.remote.wire import Packed, unpacked
 from app.acquisition.wake import Wake
@@ -36,8 +50,8 @@ from drivers.interface import Devices
 _TICK_MS = 50
 _STATE_S = 0.1  # between two states that differ
 _PULSE_S = 0.5  # between two that do not
+_BEHIND_S = 1.5  # after which a client counts as not reading: only answers are sent to it
 _SILENT_S = 5.0  # after which a client counts as gone
-_QUEUED = 200  # messages to one client; beyond, new ones are dropped for it
 _LINGER_MS = 300
 _SPARE = 1.5  # a slot's size over that of the first record which needs it
 
@@ -47,6 +61,7 @@ _OF_INSTRUMENT: dict[str, Callable[..., Any]] = {
         *(Instrument.take_dark, Instrument.take_reference, Instrument.use, Instrument.set),
         *(Instrument.auto_expose, Instrument.expose_without_sample, Instrument.check_background),
         *(Instrument.find_lattice, Instrument.survey_lattice, Instrument.change_settings),
+        Instrument.measure_linearity,
     )
 }
 _OF_ACQUISITION: dict[str, Callable[..., Any]] = {
@@ -64,6 +79,7 @@ _FOR_ALL = {"take_control", "switch_light_off", "free_minutes"}
 class _Client:
     name: str
     heard_s: float
+    is_behind: bool = False  # news were left out for it
 
 
 class Server:
@@ -83,6 +99,7 @@ class Server:
             on_show=partial(self._publish, is_shown_only=True),
         )
         self._unwritten: tuple[Measurement, bool] | None = None  # and whether it is shown only
+        self._folder = runtime_folder()
         self._ring: RingWriter | None = None
         self._older_rings: deque[RingWriter] = deque()
         self._writing, self._travellers = Lock(), Travellers()
@@ -94,10 +111,12 @@ class Server:
         self._timings: dict[Stage, StageTimes] = {}
         self._noticed = ("", 0)
         self._is_over = False
+        self._fault: Exception | None = None  # of this end
         self._wake = Wake()
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.ROUTER)
-        self._socket.setsockopt(zmq.SNDHWM, _QUEUED)
+        self._socket.setsockopt(zmq.SNDHWM, 0)  # no answer is dropped; news are bounded by `_BEHIND_S`
+        self._socket.setsockopt(zmq.MAXMSGSIZE, MOST_BYTES)  # nobody fills the memory
         self._socket.setsockopt(zmq.LINGER, _LINGER_MS)
         try:
             self._socket.bind(place.endpoint)
@@ -110,32 +129,35 @@ class Server:
     def run(self, begin: Callable[[Acquisition], object]) -> None:
         """Start the acquisition, send its first commands by `begin`, and serve until it ends or a client ends it.
 
-        Raises what ended the acquisition, if it was not asked to.
+        Raises what ended it, if it was not asked to.
         """
         poller = zmq.Poller()
         for each in (self._socket, self._wake):
             poller.register(each, zmq.POLLIN)
-        try:
-            self.acquisition.start()
-            begin(self.acquisition)
-            self.place.announce()
-            while self.acquisition.is_alive and not self._is_over:
-                poller.poll(_TICK_MS)
-                self._wake.clear()
-                self._turn()
-        finally:
-            self.acquisition.begin_close()
-            self._tell_state(is_over=True)  # the light is off or going off: clients need not wait for the rest
-            self.acquisition.close()
-            self._turn()
-            self._tell_state(is_over=True)
-            self._socket.close()
-            self._context.destroy()
-            for ring in (*self._older_rings, *([self._ring] if self._ring else [])):
-                ring.close()
-            self._wake.close()
+        end_clients = partial(self._tell_state, is_over=True)
+        with ExitStack() as at_end:  # each step runs, whatever becomes of the others
+            for step in (self._close_rings, self._wake.close, self._context.destroy, end_clients, self._turn):
+                at_end.callback(step)
+            at_end.callback(self.acquisition.close)
+            at_end.callback(end_clients)  # the light is off or going off: clients need not wait for the rest
+            at_end.callback(self.acquisition.begin_close)
+            try:
+                self.acquisition.start()
+                begin(self.acquisition)
+                self.place.announce()
+                while self.acquisition.is_alive and not self._is_over:
+                    poller.poll(_TICK_MS)
+                    self._wake.clear()
+                    self._turn()
+            except Exception as error:
+                self._fault = error
+                raise
         if self.acquisition.error is not None:
             raise self.acquisition.error
+
+    def _close_rings(self) -> None:
+        for ring in (*self._older_rings, *([self._ring] if self._ring else [])):
+            ring.close()
 
     def end(self) -> None:
         """Let `run` end, from any thread."""
@@ -166,7 +188,7 @@ class Server:
                     self._older_rings.append(self._ring)  # the newest: a reader may be about to open it
                     while len(self._older_rings) > 1:
                         self._older_rings.popleft().close()
-                self._ring = RingWriter(int(_SPARE * packed.nbytes), runtime_folder(), count=count)
+                self._ring = RingWriter(int(_SPARE * packed.nbytes), self._folder, count=count)
             self._ring.write(packed)
         self._wake.notify()
 
@@ -175,8 +197,11 @@ class Server:
         while self._socket.poll(0):
             identity, key, body = (*self._socket.recv_multipart(), b"", b"")[:3]
             if key == self._key:
-                with suppress(RunError):  # of another version
-                    self._hear(identity, unpacked(body), now_s)
+                try:
+                    message = unpacked(body)
+                except RunError:  # of another version
+                    continue
+                self._hear(identity, message, now_s)
         for identity in [each for each, client in self._clients.items() if now_s > client.heard_s + _SILENT_S]:
             self._forget(identity)
         while self._done:
@@ -189,25 +214,27 @@ class Server:
             self._tell_state()
 
     def _hear(self, identity: bytes, message: Any, now_s: float) -> None:
-        if isinstance(message, messages.Hello):
+        if isinstance(message, Hello):
             self._clients[identity] = _Client(message.name, now_s)
             if message.controls and not self._controller:
                 self._controller = identity
             self._write()
-            self._tell(identity, self._present())
-            self._tell(identity, Notice(*self._noticed))
+            self._tell_news(identity)
         elif isinstance(message, Command) and message.request == "switch_light_off":
             self._execute(identity, message)  # also of a client that was forgotten
         elif identity not in self._clients:  # forgotten, maybe while it was stopped
-            self._tell(identity, messages.Forgotten())
+            self._tell(identity, Sign.FORGOTTEN)
         elif isinstance(message, Command):
             self._execute(identity, message)
-        elif isinstance(message, messages.Wanted):
-            self._tell(identity, Traveller(message.number, self._travellers[message.number]), is_whole=True)
-        elif isinstance(message, messages.Bye):
+        elif isinstance(message, Wanted):
+            self._tell(identity, Traveller(message.number, self._travellers[message.number]))
+        elif message is Sign.BYE:
             self._forget(identity)
-        if identity in self._clients:
-            self._clients[identity].heard_s = now_s
+        if (client := self._clients.get(identity)) is not None:
+            client.heard_s = now_s
+            if client.is_behind:
+                client.is_behind = False
+                self._tell_news(identity)
 
     def _forget(self, identity: bytes) -> None:
         del self._clients[identity]
@@ -216,25 +243,20 @@ class Server:
 
     def _execute(self, identity: bytes, command: Command) -> None:
         """Begin a command; its future is answered when it is done."""
-        self._tell(identity, messages.Accepted(command.number))
-        future: Future[Any]
+        self._tell(identity, Accepted(command.number))
         try:
-            found = self._begin(identity, command)
+            future = self._begin(identity, command)
         except Exception as error:  # noqa: BLE001 - the client is told
             future = Future()
             future.set_exception(error)
-        else:
-            future = found if isinstance(found, Future) else Future()
-            if future is not found:
-                future.set_result(found)
 
-        def note(done: Future[Any]) -> None:
-            self._done.append((identity, command.number, done))
+        def note(answer: Future[Any]) -> None:
+            self._done.append((identity, command.number, answer))
             self._wake.notify()
 
         future.add_done_callback(note)
 
-    def _begin(self, identity: bytes, command: Command) -> Any:
+    def _begin(self, identity: bytes, command: Command) -> Future[Any]:
         name = command.request
         if identity != self._controller and name not in _FOR_ALL:
             holder = self._clients.get(self._controller)
@@ -242,10 +264,10 @@ class Server:
             raise WrongState(f"this program only watches: {whose}; take control first")
         if name == "take_control":
             self._controller = identity
-            return None
+            return done()
         if name == "shut_down":
             self._is_over = True  # after this turn, in which it is answered
-            return None
+            return done()
         is_instruments = name in _OF_INSTRUMENT
         request = _OF_INSTRUMENT.get(name) or _OF_ACQUISITION.get(name)
         if request is None:
@@ -266,20 +288,23 @@ class Server:
                     raise BadValue(f"{name}: {error}") from error
 
             return self.acquisition.submit(checked)
-        return request(self.acquisition, *command.arguments, **command.named)
+        future: Future[Any] = request(self.acquisition, *command.arguments, **command.named)
+        return future
 
     def _answer(self, identity: bytes, number: int, future: Future[Any]) -> None:
         error = future.exception()
         count = 0 if self._ring is None else self._ring.count
         result = None if error is not None else future.result()
         failure = None if error is None else Failure.of(error)
+        self._tell(identity, self._present())
         try:
-            self._tell(identity, Answer(number, result, failure, self._present(), count))
+            self._tell(identity, Answer(number, result, failure, count))
         except TypeError as unsendable:
-            self._tell(identity, Answer(number, None, Failure.of(unsendable), self._present(), count))
+            self._tell(identity, Answer(number, None, Failure.of(unsendable), count))
 
     def _present(self, *, is_over: bool = False) -> State:
         acquisition, now_s = self.acquisition, time.monotonic()
+        fault = acquisition.error or self._fault
         if now_s > self._timings_s + _PULSE_S:
             self._timings, self._timings_s = acquisition.timings.summary(), now_s
         controller = self._clients.get(self._controller)
@@ -290,7 +315,7 @@ class Server:
             counts=acquisition.counts,
             recording=acquisition.recording,
             kept=acquisition.kept,
-            ended_by=None if acquisition.error is None else Failure.of(acquisition.error),
+            ended_by=None if fault is None else Failure.of(fault),
             is_alive=not is_over,
             timings=self._timings,
             clients=tuple(client.name for client in self._clients.values()),
@@ -303,15 +328,18 @@ class Server:
             self._state, self._sent_s = state, now_s
             self._tell_all(state)
 
-    def _tell_all(self, message: object) -> None:
-        packed = Packed(message, self._travellers.number).message()
-        for identity in self._clients:
-            self._send(identity, packed)
+    def _tell_all(self, message: State | Notice) -> None:
+        packed, now_s = Packed(message, self._travellers.number).message(), time.monotonic()
+        for identity, client in self._clients.items():
+            client.is_behind |= now_s > client.heard_s + _BEHIND_S
+            if not client.is_behind:
+                self._socket.send_multipart([identity, packed])
 
-    def _tell(self, identity: bytes, message: object, *, is_whole: bool = False) -> None:
-        packed = Packed(message) if is_whole else Packed(message, self._travellers.number)
-        self._send(identity, packed.message())
+    def _tell_news(self, identity: bytes) -> None:
+        self._tell(identity, self._present())
+        self._tell(identity, Notice(*self._noticed))
 
-    def _send(self, identity: bytes, packed: bytearray) -> None:
-        with suppress(zmq.Again):  # dropped for a client that is behind
-            self._socket.send_multipart([identity, packed], zmq.NOBLOCK)
+    def _tell(self, identity: bytes, message: object) -> None:
+        """Send a message; only states refer to objects that travel by themselves."""
+        packed = Packed(message, self._travellers.number) if isinstance(message, State) else Packed(message)
+        self._socket.send_multipart([identity, packed.message()])

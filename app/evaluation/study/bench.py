@@ -18,7 +18,7 @@ from app.bench.config import Bench
 from app.evaluation.frames import seeded, with_screen, with_source
 from app.evaluation.studies import CaseResult
 from app.evaluation.study.estimators import WarpEstimator, compared, with_rms
-from app.evaluation.study.noise import camera, error_bar_rad
+from app.evaluation.study.noise import EmCamera, camera, error_bar_rad
 from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
@@ -78,6 +78,8 @@ class _Case:
     name: str
     imperfections: Imperfections
     is_distance_told: bool = False  # the bench's settings have the camera's distance as focal length
+    is_calibrated: bool = False  # the camera's nonlinearity was measured
+    brightness: float = 1.0  # of the light behind the frame, over that behind the reference
 
 
 _NAMES = {
@@ -100,6 +102,8 @@ _CASES = (
     _Case("absorption 4 %", Imperfections(absorption_rms=0.04)),
     _Case("defocus 0.4 %, not told", Imperfections(defocus=0.004)),
     _Case("defocus 4 %, told", Imperfections(defocus=_ALL.defocus), is_distance_told=True),
+    _Case("nonlinear 5 %, frame half as bright", Imperfections(nonlinearity=0.05), brightness=0.5),
+    _Case("the same, calibrated", Imperfections(nonlinearity=0.05), brightness=0.5, is_calibrated=True),
     _Case("all, defocus told", _ALL, is_distance_told=True),
 )
 
@@ -110,34 +114,29 @@ class ImperfectBench:
     def __init__(self, bench: Bench, imperfections: Imperfections) -> None:
         self._imperfections, screen = imperfections, bench.simulation.screen
         self._random = np.random.default_rng([bench.simulation.seed, _STREAM])
-        wavelength_m, focal_length_m = bench.sensor.wavelength_m, bench.sensor.lenslet_focal_length_m
-        offsets_m = {sign * imperfections.bandwidth_m for sign in (-1, 0, 1)}
-        self._of_line = []
-        for ratio in sorted(wavelength_m / (wavelength_m + offset_m) for offset_m in offsets_m):
-            sensor = replace(
-                bench.sensor,
-                wavelength_m=wavelength_m / ratio,
-                lenslet_focal_length_m=focal_length_m * (1 + imperfections.defocus),
-            )
-            line = with_screen(
-                replace(bench, sensor=sensor),
-                rms_rad=screen.rms_rad * ratio,
-                transmission_rms=imperfections.absorption_rms or screen.transmission_rms,
-            )
-            self._of_line.append((ratio, Renderer(scene_of(line))))
+        focal_length_m = bench.sensor.lenslet_focal_length_m * (1 + imperfections.defocus)
+        seen = with_screen(
+            replace(bench, sensor=replace(bench.sensor, lenslet_focal_length_m=focal_length_m)),
+            transmission_rms=imperfections.absorption_rms or screen.transmission_rms,
+        )
+        scene, offset_m = scene_of(seen), imperfections.bandwidth_m
+        if offset_m:
+            scene = replace(scene, lines=tuple((bench.sensor.wavelength_m + n * offset_m, 1 / 3) for n in (-1, 0, 1)))
+        self._renderer = Renderer(scene)
         self._bench = bench
 
     @cached_property
     def truth(self) -> Floats:
-        """Phase of the light of the middle wavelength, see `Renderer.truth_wavefront`."""
-        _, renderer = self._of_line[len(self._of_line) // 2]
-        return renderer.truth_wavefront(0)
+        """Phase of the light at the bench's wavelength, see `Renderer.truth_wavefront`."""
+        return self._renderer.truth_wavefront(0)
 
     def images(self) -> tuple[Image, Image]:
-        """Reference and frame, (row, column), m^2, mean over the wavelengths."""
-        pupil = self._pupil(self._of_line[0][1].model)
-        mask, lines = self._bench.simulation.source.mask, []
-        for ratio, renderer in self._of_line:
+        """Reference and frame, (row, column), m^2, of all wavelengths."""
+        lines = self._renderer.lines
+        pupil = self._pupil(lines[0][1].model)
+        mask, images = self._bench.simulation.source.mask, []
+        for share, renderer in lines:
+            ratio = self._bench.sensor.wavelength_m / renderer.scene.sensor.wavelength_m
             points = renderer.points(mask)
             along = points.position_m[:, 0] / self._bench.field.half_width_m
             points = replace(points, area_m2=points.area_m2 * (1 + self._imperfections.uneven_source * along))
@@ -146,9 +145,9 @@ class ImperfectBench:
                 _through(lambda *_: np.ones((1, 1), np.complex64), amplitude),
                 _through(renderer.light(0), amplitude),
             )
-            lines.append([renderer.model.irradiance(points, field) for field in fields])
-        both = np.mean(np.array(lines), axis=0)
-        return both[0], both[1]
+            images.append([share * renderer.model.irradiance(points, field) for field in fields])
+        reference, frame = np.sum(np.array(images), axis=0)
+        return reference, frame
 
     def _pupil(self, model: ForwardModel) -> Callable[[float], NDArray[np.complex64]]:
         """Amplitude and phase that lenslets and beam add at the pupil samples, (y, x), by the ratio of wavelengths."""
@@ -188,7 +187,10 @@ def _through(light: PointField, amplitude: NDArray[np.complex64]) -> PointField:
 
 
 def detected(images: tuple[Image, Image], imperfections: Imperfections, seed: int) -> tuple[Image, Image]:
-    """Electrons of reference and frame, (row, column), from their irradiance, with the detector's imperfections."""
+    """Electrons of reference and frame, (row, column), from their irradiance, as the imperfect detector collects them.
+
+    Its read-out follows, and with it the nonlinearity, see `_camera`.
+    """
     gain = 1 + imperfections.prnu * np.random.default_rng([seed, _STREAM, 1]).standard_normal(images[0].shape)
     scale = _PEAK_E / images[0].max()
 
@@ -196,7 +198,7 @@ def detected(images: tuple[Image, Image], imperfections: Imperfections, seed: in
         scattered = ndimage.gaussian_filter(image, _HALO_PX, mode="constant")
         light = (1 - imperfections.stray_light) * image + imperfections.stray_light * scattered
         light = ndimage.gaussian_filter(light, imperfections.diffusion_px, mode="constant") * scale * gain
-        return np.asarray(light * (1 - imperfections.nonlinearity * light / _PEAK_E), np.float32)
+        return np.asarray(light, np.float32)
 
     reference, frame = map(electrons, images)
     return reference, frame
@@ -217,12 +219,22 @@ def _bench(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResul
             yield from _measured(screen, case, detected(kept[1], size, screen.simulation.seed), kept[2])
 
 
+def _camera(bench: Bench, nonlinearity: float) -> EmCamera:
+    """Return the bench's camera that loses this share of the brightest pixel of the reference."""
+    settings = camera(bench).settings
+    whole_e = settings.electrons_per_count * (2**settings.bits - 1)
+    return EmCamera(replace(settings, nonlinearity=nonlinearity * whole_e / _PEAK_E))
+
+
 def _measured(bench: Bench, case: _Case, images: tuple[Image, Image], truth: Floats) -> Iterator[CaseResult]:
-    em_camera, at = camera(bench), case.name
+    em_camera, at = _camera(bench, case.imperfections.nonlinearity), case.name
+    if case.is_calibrated:
+        bench = replace(bench, linearity=em_camera.linearity(images[0], bench.simulation.seed))
     if case.is_distance_told:
         told_m = bench.sensor.lenslet_focal_length_m * (1 + case.imperfections.defocus)
         bench = replace(bench, sensor=replace(bench.sensor, lenslet_focal_length_m=told_m))
-    reference, frame = em_camera.counts(images[0]), em_camera.exposed(images[1], bench.simulation.seed, 0)
+    reference, seed = em_camera.counts(images[0]), bench.simulation.seed
+    frame = em_camera.exposed(images[1] * np.float32(case.brightness), seed, 0)
     estimator = WarpEstimator(bench, reference, None, noise=em_camera.noise)
     try:
         displacement = estimator.reconstructor.register(frame)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -91,7 +92,7 @@ def predicted_and_simulated(
     The frame through a corrector is rendered with its best command as a second screen at its distance.
     """
     mask, em_camera, positions_m = bench.simulation.source.mask, camera(bench), field_positions_m(bench.field)
-    renderer = Renderer(scene_of(bench))
+    renderer = Renderer(replace(scene_of(bench), lines=()))  # a corrector's phase is known at one wavelength
     reference, frame = renderer.reference(mask), renderer.state(mask, 0)
     scale = np.float32(_PEAK_E / frame.max())
     reconstructor = em_camera.reconstructor(bench, reference * scale)

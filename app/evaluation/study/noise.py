@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from app.evaluation.study.estimators import WarpEstimator, WarpEstimators, compa
 from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
+from reconstruction.frame.linearity import Exposures, Linearity
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.pupil_modes import pupil_modes
@@ -37,6 +39,7 @@ FAST, SLOW = 3, 1  # read-out speeds of the EM amplifier: high and low read nois
 _LIMITED_E = (300.0, 1e3, 3e3, 1e4, 1e5)  # light levels at which scatter and bound are compared
 _NOISE_DRAWS = 67  # of each screen for scatter and coverage: with three screens, 200
 _UNBIASED: tuple[Warp, ...] = ("quadratic", "cubic", "quartic")
+_FILL, _SHARES, _EXPOSURE_DRAWS = 0.8, tuple(np.geomspace(0.1, 1, 8).tolist()), 4  # exposures for the nonlinearity
 _OVER_BOUND = 1.1  # limit of scatter over bound
 
 
@@ -60,7 +63,24 @@ class EmCamera:
 
     def counts(self, electrons: Image) -> Image:
         """Mean counts above the offset from electrons before the register."""
-        return np.asarray(electrons * np.float32(self.noise.counts_per_electron))
+        signal = electrons * np.float32(self.settings.em_gain)
+        signal -= np.float32(self.settings.loss_per_e) * signal**2
+        return np.asarray(signal / np.float32(self.settings.electrons_per_count))
+
+    def linearity(self, electrons: Image, seed: int) -> Linearity:
+        """Nonlinearity as `svwfs calibrate --linearity` finds it, from exposures of an image in electrons."""
+        settings, index = self.settings, count()
+        full_scale = 2**settings.bits - 1 - settings.offset_counts
+        longest = electrons * np.float32(_FILL * full_scale / self.counts(electrons).max())
+
+        def averaged(share: float) -> tuple[Image, Image]:
+            draws = [self.exposed(longest * np.float32(share), seed, next(index)) for _ in range(_EXPOSURE_DRAWS)]
+            return np.mean(draws, axis=0), np.var(draws, axis=0, ddof=1) / _EXPOSURE_DRAWS
+
+        exposures = Exposures(averaged(1.0)[0], full_scale)
+        for share in (*_SHARES, *_SHARES[::-1]) * 2:
+            exposures.add(*averaged(share), share)
+        return exposures.fit().linearity
 
     def exposed(self, electrons: Image, seed: int, index: int) -> Image:
         """Counts above the offset of one noisy frame."""

@@ -1,6 +1,7 @@
 """The window on an instrument of another process: who has control, and whether the instrument goes on without it."""
 
 from collections.abc import Callable
+from concurrent.futures import Future
 
 from PyQt6.QtWidgets import QMessageBox, QWidget
 
@@ -50,19 +51,27 @@ class Attachment:
         """End the process of the instrument, after the user has agreed."""
         if (connection := self.connection) is None:
             self._controller.messages.warn(_NOT_ATTACHED)
+        elif _is_of_another(connection):
+            self._controller.messages.warn(self.notice)
         else:
             self._controller.ask(
                 "the instrument ends for everybody: the light goes off, recordings are finished",
-                lambda: self._controller.send(lambda _: connection.shut_down()),
+                lambda: self._controller.send(lambda _: _shut_down(connection)),
                 "End it",
                 "Keep it",
                 loses=True,
             )
 
     def ask_to_leave(self, then: Callable[[], object]) -> bool:
-        """Ask whether the instrument goes on, and call `then`; return False without asking if this process has it."""
+        """Ask whether the instrument goes on, and call `then`; return False without asking if this process has it.
+
+        An instrument that another client controls goes on.
+        """
         if (connection := self.connection) is None:
             return False
+        if _is_of_another(connection):
+            then()
+            return True
         box = QMessageBox(self._parent)
         box.setIcon(QMessageBox.Icon.Question)
         box.setWindowTitle("svwfs")
@@ -74,7 +83,19 @@ class Attachment:
         box.addButton(QMessageBox.StandardButton.Cancel)
         box.exec()
         if box.clickedButton() is ends:
-            self._controller.send(lambda _: connection.shut_down(), lambda _: then(), lambda _: None)
+            self._controller.send(lambda _: _shut_down(connection), lambda _: then(), lambda _: None)
         elif box.clickedButton() is goes_on:
             then()
         return True
+
+
+def _is_of_another(connection: Connection) -> bool:
+    """Return whether another client has control."""
+    return connection.controller not in {"", connection.name}
+
+
+def _shut_down(connection: Connection) -> Future[None]:
+    """End the instrument, also if nobody has control."""
+    if not connection.has_control:
+        connection.take_control()
+    return connection.shut_down()

@@ -11,12 +11,13 @@ from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, 
 from app.gui.panels.camera import CameraPanel
 from app.gui.shell.controller import Controller
 from app.gui.shell.settings_control import SettingsControl
-from app.gui.shell.wording import exposure_found, lattice_found
+from app.gui.shell.wording import exposure_found, lattice_found, linearity_found
 from app.gui.widgets import theme
 from app.gui.widgets.basics import Button, Scrolled, column, label, row, within_screen
 from app.measurement.auto_exposure import AutoExposure
 from app.measurement.averages import BackgroundCheck
 from app.measurement.routines import Cancelled
+from reconstruction.frame.linearity import Linearity, MeasuredLinearity
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 
@@ -25,7 +26,7 @@ _LAMP = 16  # px
 
 
 class Routines:
-    """Finds exposure and lattice, and checks the background; a found lattice is proposed."""
+    """Finds exposure, lattice and nonlinearity, and checks the background; lattice and nonlinearity are proposed."""
 
     def __init__(self, controller: Controller, settings: SettingsControl, camera: CameraPanel) -> None:
         self._controller, self._settings, self._camera = controller, settings, camera
@@ -49,6 +50,19 @@ class Routines:
             (self._messages.inform if check.is_good else self._messages.warn)(check.verdict)
 
         self._controller.send(lambda to: to.submit(Instrument.check_background), show)
+
+    def measure_linearity(self) -> None:
+        """Measure the camera's nonlinearity without the sample, and ask whether to correct it."""
+
+        def propose(found: MeasuredLinearity) -> None:
+            self._controller.ask(linearity_found(found), partial(self._use_linearity, found.linearity))
+
+        self._controller.send(lambda to: to.submit(Instrument.measure_linearity), propose)
+
+    def _use_linearity(self, linearity: Linearity) -> None:
+        self._settings.change(
+            ("linearity", linearity), then=lambda _: self._messages.inform("frames are corrected; Ctrl+S saves it")
+        )
 
     def use_lattice(self, lattice: Lattice) -> None:
         """Change the lattice of the bench."""

@@ -130,7 +130,9 @@ class Controller(QObject):
     def cancel(self) -> None:
         """End the routine that is running."""
         if self.acquisition is not None:
-            self.acquisition.cancel()
+            future = self.acquisition.cancel()
+            if self.acquisition.activity.text:  # else there is nothing to end: a refusal need not be told
+                self._pending.append((future, None, None))
 
     def poll(self) -> bool:
         """Pass on the results of finished commands; return whether there were any."""

@@ -76,7 +76,7 @@ class LightControl:
         is_busy, rests = has_ended or self._is_busy(acquisition), now_s < self._rests_until_s
         if status is not None and status.bench.has_manual_light:
             if has_ended:
-                acquisition.cancel()
+                self._controller.cancel()
             self._controls.light.setChecked(status.is_light_on)  # until it is confirmed
             self._ask_by_hand(on=on)
         elif on and not is_busy and not rests:

@@ -195,6 +195,7 @@ class MainWindow(BaseWindow):
                 *presets,
                 *of_panels("&Bench"),
                 ("Check the background", "B", self.routines.check_background),
+                ("Measure the camera's nonlinearity", "", self.routines.measure_linearity),
                 None,
                 ("Accept the proposal", "Return", self.messages.enter),
                 ("Cancel, discard or dismiss", "Esc", self.messages.escape),

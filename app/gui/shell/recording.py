@@ -114,6 +114,7 @@ class RecordingBar(QFrame):
         self._starting: Future[None] | None = None  # the last start of a recording
         self._reported: set[Path] = set()  # recordings whose end was shown
         self._free_minutes, self._disk_due_s = math.inf, -math.inf
+        self._asked_disk: Future[float] | None = None  # a network disk may not answer
         self.recent = RecentFiles(settings, "recent/recordings")
         self.commands = BackgroundCommands(controller.messages, self)
         self._of: Path | None = None  # the recording as it began
@@ -194,12 +195,13 @@ class RecordingBar(QFrame):
         acquisition = self._controller.acquisition
         if acquisition is None:
             return
-        if time.monotonic() > self._disk_due_s:
+        if self._asked_disk is not None and self._asked_disk.done():
+            is_unknown = self._asked_disk.exception() is not None  # the start of a recording reports it
+            self._free_minutes = math.inf if is_unknown else self._asked_disk.result()
+            self._asked_disk = None
+        if self._asked_disk is None and time.monotonic() > self._disk_due_s:
             self._disk_due_s = time.monotonic() + _DISK_INTERVAL_S
-            try:
-                self._free_minutes = acquisition.free_minutes(self.recordings_folder)
-            except OSError:  # the start of a recording reports it
-                self._free_minutes = math.inf
+            self._asked_disk = acquisition.free_minutes(self.recordings_folder)
         state, kept = acquisition.recording, acquisition.kept
         is_starting = self._starting is not None and not self._starting.done()
         self._panel.show_state(state, self._free_minutes, is_starting=is_starting)
@@ -235,7 +237,7 @@ class RecordingBar(QFrame):
         self.commands.start_window("--replay", folder)
 
     def _restart(self) -> None:
-        self._starting = None
+        self._starting = self._asked_disk = None
 
     def _record(self, on: bool) -> None:
         acquisition = self._controller.acquisition
@@ -247,10 +249,10 @@ class RecordingBar(QFrame):
             self._starting = self._controller.send(lambda to: to.start_recording(folder, limit=limit, may_rename=True))
             if acquisition.status is not None and not acquisition.status.is_light_on:
                 self._messages.warn("recording with the light off: L switches it on, W ends the recording")
-        elif self._starting is None:  # begun elsewhere
-            acquisition.stop_recording()
+        elif self._starting is None or self._starting.done():  # begun elsewhere, or here
+            self._controller.send(lambda to: to.stop_recording())
         elif not self._starting.cancel():
-            self._starting.add_done_callback(lambda _: acquisition.stop_recording())  # at once if it has begun
+            self._starting.add_done_callback(lambda _: acquisition.stop_recording())
 
     def _keep(self) -> None:
         self._controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
@@ -288,8 +290,7 @@ class RecordingBar(QFrame):
         self.text.setToolTip(str(folder))
 
     def _limit(self) -> None:
-        if self._controller.acquisition is not None:
-            self._controller.acquisition.limit_recording(self.limit)
+        self._controller.send(lambda to: to.limit_recording(self.limit))
 
     def _check_name(self, name: str) -> None:
         """Show in red, and say, why a name that is being typed cannot be used."""

@@ -55,6 +55,20 @@ sys.exit(acquisition.failure)
 """
 
 
+HOLDER = """
+import sys, time
+from app.acquisition.guarded_light import GuardedLight
+from app.acquisition.place import taken_place
+from drivers.serial_lights import DC4100Settings
+
+with taken_place() as place:
+    place.announce()
+    light = GuardedLight(DC4100Settings(port=sys.argv[1]))
+    print("holds", flush=True)
+    time.sleep(600)
+"""
+
+
 @pytest.fixture
 def lamp() -> DC4100Wire:
     return DC4100Wire()
@@ -293,3 +307,16 @@ def test_light_off_without_a_light(
     name = "small_demo" if driver == "simulated" else str(bench)
     assert run(monkeypatch, "light-off", "--bench", name) == status
     assert words in "".join(capsys.readouterr())
+
+
+@pytest.mark.slow
+def test_guardian_removes_the_address_of_an_instrument_that_was_killed(port: PtyServer, runtime_folder: Path) -> None:
+    with subprocess.Popen(  # noqa: S603 - this interpreter
+        [sys.executable, "-c", HOLDER, port.port], stdout=subprocess.PIPE, text=True
+    ) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "holds\n"
+        files = next(runtime_folder.iterdir())
+        assert (files / "instrument.json").exists()
+        program.kill()
+    wait_until(lambda: [each.name for each in files.iterdir()] == ["instrument.lock"])

@@ -219,3 +219,49 @@ def test_lattice_plot_marks_lit_dark_outside_and_cut_lenslets(reference: Path) -
     middle = np.asarray(dark.get_paths()[0].vertices)[:4].mean(axis=0)
     y, x = np.array(DEAD) - 7
     assert middle == pytest.approx(TRUTH.to_camera_px(np.array([x, y]) * TRUTH.pitch_px), abs=0.1)
+
+
+def linearity(*more: str | Path) -> tuple[str | Path, ...]:
+    return "calibrate", "--linearity", "--average", "2", *more
+
+
+@pytest.mark.slow
+def test_linearity_is_measured_with_the_devices_and_written(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    source, out = tmp_path / "bench.toml", tmp_path / "linear.toml"
+    source.write_text("# mine\n" + small_toml.read_text().replace("[camera]", "[camera]\nnonlinearity = 0.05"))
+    assert run(monkeypatch, *linearity("--bench", source, "--out", out)) == 0
+    found = load_bench(out)
+    assert "# mine" in out.read_text()
+    assert "[linearity] # found by svwfs calibrate" in out.read_text()
+    assert replace(found, linearity=None) == load_bench(source)
+    assert found.linearity is not None
+    assert found.linearity.amplifier == "em"
+    share = 0.05 * found.linearity.highest_counts / 65535
+    light_over_signal = (1 - np.sqrt(1 - 4 * share)) / (2 * share)  # of S = L - b L^2
+    assert found.linearity.quadratic + found.linearity.cubic == pytest.approx(light_over_signal - 1, abs=1e-3)
+    assert "quadratic    +0.0" in capsys.readouterr().out
+    again = tmp_path / "again.toml"
+    assert run(monkeypatch, *linearity("--bench", out, "--out", again, "--json")) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["linearity"]["quadratic"] == pytest.approx(found.linearity.quadratic, abs=5e-3)
+    assert again.read_text().count("[linearity]") == 1  # in place of the other
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("reference.tif", "--linearity"), "leave reference, --dark and --plot out"),
+        (("--linearity", "--plot", "p.png"), "leave reference, --dark and --plot out"),
+        ((), "give the reference frame"),
+        (("reference.tif", "--average", "4"), "--average belongs to --linearity"),
+        (("--linearity", "--out", "b.txt"), "b.txt"),
+        (("--linearity", "--set", "light.driver=manual"), "light.driver"),
+    ],
+)
+def test_options_of_lattice_and_linearity_are_kept_apart(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], sentence: str
+) -> None:
+    assert run(monkeypatch, "calibrate", *arguments, "--bench", "small_demo") == 2
+    assert sentence in capsys.readouterr().err

@@ -82,9 +82,6 @@ def test_absorption_changes_the_frame_alone(bench: Bench) -> None:
 def test_detector_loses_what_it_is_told() -> None:
     flat = np.full((80, 80), 2.0, np.float32)
     flat[:, 40:] = 1.0
-    reference, frame = detected((flat, flat / np.float32(2)), Imperfections(nonlinearity=0.1), 1)
-    assert reference[40, 20] == pytest.approx(0.9e5)
-    assert frame[40, 20] == pytest.approx(0.95 * 0.5e5)
     noisy, _ = detected((flat, flat), Imperfections(prnu=0.01), 1)
     assert np.std(noisy[:, 40:] / 0.5e5) == pytest.approx(0.01, rel=0.05)
     point = np.zeros((81, 81), np.float32)
@@ -95,6 +92,24 @@ def test_detector_loses_what_it_is_told() -> None:
     diffuse, _ = detected((point, point), Imperfections(diffusion_px=0.35), 1)
     assert diffuse.sum() == pytest.approx(1e5, rel=1e-4)
     assert diffuse[40, 40] < 0.95e5
+
+
+def test_camera_loses_its_share_of_the_brightest_pixel(bench: Bench) -> None:
+    em_camera = study._camera(bench, 0.1)
+    electrons = np.full((80, 80), 1e5, np.float32)
+    electrons[:, 40:] = 0.5e5
+    counts = em_camera.counts(electrons) * em_camera.settings.electrons_per_count
+    assert (counts[0, 0], counts[0, 79]) == (pytest.approx(0.9e5), pytest.approx(0.95 * 0.5e5))
+    frame = em_camera.exposed(electrons, 1, 0) * em_camera.settings.electrons_per_count
+    assert frame[:, :40].mean() == pytest.approx(0.9e5, rel=1e-3)
+    assert frame[:, 40:].mean() == pytest.approx(0.95 * 0.5e5, rel=1e-3)
+
+
+def test_calibrated_camera_knows_its_light(bench: Bench) -> None:
+    em_camera, light = study._camera(bench, 0.02), np.linspace(0, 2e5, 300, dtype=np.float32)
+    electrons = np.tile(light, (200, 1))
+    measured = em_camera.linearity(electrons, 1).light(em_camera.counts(light))
+    assert measured * em_camera.settings.electrons_per_count == pytest.approx(light, rel=2e-3, abs=300)
 
 
 @pytest.mark.slow

@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from PyQt6.QtWidgets import QMessageBox
 from pytestqt.qtbot import QtBot
+from support.command_line import run
 from support.gui_bench import FakeCamera
+from support.patience import HANG_S, wait_until
 from support.served import connected, served
 from support.window_tools import MakeWindow, wait_for_wavefront
 
+from app.acquisition.instrument import Instrument
+from app.acquisition.place import NAME, is_taken, taken_place
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.server import Server
 from app.gui.shell.main_window import MainWindow
+from app.measurement.measurement import Measurement
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def server(runtime_folder: Path) -> Iterator[Server]:
+def camera() -> FakeCamera:
+    return FakeCamera()
+
+
+@pytest.fixture
+def server(camera: FakeCamera, runtime_folder: Path) -> Iterator[Server]:
     assert runtime_folder.is_dir()
-    with served(FakeCamera()) as running:
+    with served(camera) as running:
         yield running
 
 
@@ -89,6 +99,97 @@ def test_closing_asks_whether_the_instrument_goes_on(
     window.quit()
     qtbot.waitUntil(lambda: not window.isVisible())
     qtbot.waitUntil(lambda: server.acquisition.is_alive is goes_on)
+
+
+def test_commands_of_a_window_that_watches_are_refused_with_a_sentence(
+    make_window: MakeWindow, server: Server, camera: FakeCamera, qtbot: QtBot, tmp_path: Path
+) -> None:
+    with connected("notebook") as notebook:
+        window = make_window()
+        window.open(lambda: Connection("window"), lambda _: ())
+        wait_for_wavefront(qtbot, window)
+        bar, panel = window.recording_bar, window.recording_panel
+
+        def is_refused(act: Callable[[], object]) -> None:
+            window.messages.clear_notice()
+            window.update_text()
+            act()
+            qtbot.waitUntil(lambda: "this program only watches: notebook" in told(window))
+
+        camera.period_s = 0.1
+        reference = notebook.submit(Instrument.take_reference, 200)
+        qtbot.waitUntil(lambda: "taking the reference" in window._activity.text)
+        is_refused(window.messages.escape)
+        notebook.cancel()
+        assert reference.exception(HANG_S) is not None
+        notebook.start_recording(tmp_path / "run").result(HANG_S)
+        qtbot.waitUntil(panel.record.isChecked)
+        is_refused(panel.record.click)
+        is_refused(lambda: bar.stop_after.entered.emit(5.0))
+        window.attachment.end_instrument()
+        qtbot.waitUntil(lambda: "this window only watches: notebook" in told(window))
+        window.quit()  # asks nothing: the instrument goes on for the notebook
+        qtbot.waitUntil(lambda: not window.isVisible())
+    assert server.acquisition.is_alive
+
+
+def test_window_goes_on_with_an_instrument_that_was_started_again(
+    make_window: MakeWindow, runtime_folder: Path, qtbot: QtBot
+) -> None:
+    assert runtime_folder.is_dir()
+    window = make_window()
+    with served(FakeCamera()) as first:
+        window.open(lambda: Connection("window"), lambda _: ())
+        wait_for_wavefront(qtbot, window)
+        first.end()
+        qtbot.waitUntil(lambda: "the instrument was shut down" in told(window))
+    with served(FakeCamera()) as second:
+        window.messages.reconnect.click()
+        wait_for_wavefront(qtbot, window)
+        connection = window.attachment.connection
+        assert connection is not None
+        assert connection.has_control
+        qtbot.waitUntil(lambda: "shut down" not in told(window))
+        assert f"in process {second.place.process}" in window.status_line.devices.toolTip()
+        window.controls.requested.emit("dark", 3)
+        qtbot.waitUntil(lambda: "dark taken" in told(window))
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # the process ends by itself
+@pytest.mark.usefixtures("runtime_folder", "qapp", "restored_theme")
+def test_window_starts_an_instrument_of_its_own_and_shows_its_camera_at_once(
+    small_toml: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("app.commands.live.use_display", lambda: True)
+    monkeypatch.setattr("app.gui.application.settings_file", lambda: None)
+    shown, first = list[Measurement](), list[bool]()
+    show = MainWindow.show_measurement
+
+    def note(window: MainWindow, measurement: Measurement) -> None:
+        show(window, measurement)
+        shown.append(measurement)
+        first.append("preparing" in window._activity.text)
+        if measurement.wavefront is not None and window.isVisible():
+            answer(monkeypatch, "End it")
+            window.quit()
+
+    monkeypatch.setattr(MainWindow, "show_measurement", note)
+    arguments = ("live", "--own-process", "--bench", small_toml)
+    with taken_place() as place:
+        place.announce()
+        assert run(monkeypatch, *arguments) == 1
+    assert "runs as instrument already" in capsys.readouterr().err
+    assert run(monkeypatch, *arguments) == 0
+    assert shown[0].wavefront is None  # while the dark is taken: before anything is prepared or compiled
+    assert not first[0]
+    wait_until(lambda: not is_taken(NAME))
+    assert run(monkeypatch, *arguments, "--seconds", "1") == 2
+    assert "--own-process is for a window" in capsys.readouterr().err
+    assert run(monkeypatch, *arguments, "--set", "camera.exposure_s=-1") == 2
+    monkeypatch.setattr("app.commands.live.is_taken", lambda _: False)  # another one came between
+    with taken_place():
+        assert run(monkeypatch, *arguments) == 1
+    assert "the instrument's process has ended: svwfs: an instrument runs as" in capsys.readouterr().err
 
 
 def test_end_of_the_instrument_is_told_and_reconnecting_says_that_none_runs(

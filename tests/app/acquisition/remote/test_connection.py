@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,13 +18,13 @@ from support.patience import HANG_S, wait_until
 from support.served import connected, served
 
 from app.acquisition.instrument import Instrument
+from app.acquisition.place import Place, runtime_folder, taken_place
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.frames import NewestFrames
-from app.acquisition.remote.messages import Alive, Command, Hello, Notice, Record
-from app.acquisition.remote.place import Place, runtime_folder, taken_place
-from app.acquisition.remote.ring import RingWriter
+from app.acquisition.remote.messages import MOST_BYTES, Accepted, Answer, Command, Hello, Notice, Record, Sign
+from app.acquisition.remote.ring import RingReader, RingWriter
 from app.acquisition.remote.server import Server
-from app.acquisition.remote.wire import Packed
+from app.acquisition.remote.wire import Packed, unpacked
 from app.acquisition.session import ConnectedBench, connect
 from app.acquisition.start_up import start_up
 from app.errors import InputError, Interrupted, RunError
@@ -86,7 +87,7 @@ def test_commands_act_and_the_status_has_changed_when_they_are_done(camera: Fake
         assert connection.status.dark == "good"
         area = connection.status.area
         assert connection.set_area(area).result(HANG_S) == area
-        assert connection.free_minutes(Path.cwd()) > 0
+        assert connection.free_minutes(Path.cwd()).result(HANG_S) > 0
         assert camera.light.shines
         connection.switch_light_off().result(HANG_S)
         assert not camera.light.shines
@@ -304,7 +305,7 @@ def test_strangers_are_not_heard(server: Server) -> None:
             [server.place.key.encode()],
             [b""],
             [server.place.key.encode(), Packed(Command(1, "shut_down")).message()],  # without a hello
-            [server.place.key.encode(), Packed(Alive()).message(), b"more"],
+            [server.place.key.encode(), Packed(Sign.ALIVE).message(), b"more"],
         ]
         for parts in messages:
             with context.socket(zmq.DEALER) as socket:
@@ -315,6 +316,134 @@ def test_strangers_are_not_heard(server: Server) -> None:
         assert watching.clients == (watching.name,)
         assert watching.is_alive
         assert not watching.controller
+
+
+@contextmanager
+def silent_client(server: Server) -> Iterator[zmq.Socket[bytes]]:
+    """A client that has said hello, and reads no more."""
+    with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
+        socket.setsockopt(zmq.RCVHWM, 1)
+        socket.connect(server.place.endpoint)
+        say(socket, server, Hello("silent", controls=True))
+        wait_until(lambda: server._clients)
+        yield socket
+
+
+def say(socket: zmq.Socket[bytes], server: Server, message: object) -> None:
+    socket.send_multipart([server.place.key.encode(), Packed(message).message()])
+
+
+def send_notices(server: Server, count: int) -> None:
+    """Let the server tell of so many frames, one after the other."""
+    frame = Measurement(make_frame(np.zeros((3, 4), np.uint16)), None, "x")
+    for _ in range(count):
+        before = server._noticed
+        server._publish(frame, is_shown_only=True)
+        while server._noticed == before:
+            time.sleep(0.0005)
+
+
+def read_all(socket: zmq.Socket[bytes]) -> list[object]:
+    """What has arrived, without what refers to an object."""
+    found = list[object]()
+    while socket.poll(500):
+        with suppress(RunError, ValueError):
+            found.append(unpacked(socket.recv()))
+    return found
+
+
+def test_an_answer_reaches_a_client_that_did_not_read_for_long(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    wait_until(lambda: server.acquisition.status is not None)
+    monkeypatch.setattr("app.acquisition.remote.server._SILENT_S", 60.0)
+    monkeypatch.setattr("app.acquisition.remote.server._BEHIND_S", 60.0, raising=False)
+    with silent_client(server) as socket:
+        send_notices(server, 2000)  # more than the system keeps by itself
+        say(socket, server, Command(7, "free_minutes", (Path.cwd(),)))
+        answers = [each.number for each in read_all(socket) if isinstance(each, Answer)]
+    assert answers == [7]
+
+
+def test_a_client_that_does_not_read_gets_no_news_until_it_does(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wait_until(lambda: server.acquisition.status is not None)
+    monkeypatch.setattr("app.acquisition.remote.server._SILENT_S", 60.0)
+    monkeypatch.setattr("app.acquisition.remote.server._BEHIND_S", 0.1)
+    with silent_client(server) as socket:
+        time.sleep(0.3)
+        read_all(socket)
+        send_notices(server, 20)
+        assert read_all(socket) == []
+        say(socket, server, Sign.ALIVE)
+        told = [each.count for each in read_all(socket) if isinstance(each, Notice)]
+    assert server._ring is not None
+    assert told
+    assert told[0] > 20
+
+
+def test_a_disk_that_does_not_answer_holds_up_nobody(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = threading.Event()
+    monkeypatch.setattr(server.acquisition._recorder, "free_minutes", lambda _: answers.wait(HANG_S) and 7.0)
+    with connected() as connection:
+        asked = connection.free_minutes(Path.cwd())
+        connection.take_control().result(HANG_S)
+        assert not asked.done()
+        answers.set()
+        assert asked.result(HANG_S) == 7.0
+
+
+def test_messages_that_are_too_large_are_not_heard(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    large = Command(1, "use", (np.zeros(2**20),))
+    with connected(controls=False) as watching, silent_client(server) as socket:
+        monkeypatch.setattr("app.acquisition.remote.connection.MOST_BYTES", 2**10)
+        with pytest.raises(BadValue, match="too large"):
+            watching._send("use", *large.arguments).result(HANG_S)
+        assert server._socket.getsockopt(zmq.MAXMSGSIZE) == MOST_BYTES
+        say(socket, server, large)
+        assert any(isinstance(each, Accepted) for each in read_all(socket))  # this one may come
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # the worker ends loudly
+@pytest.mark.parametrize("where", ["_publish", "_answer"])
+def test_a_fault_of_the_instruments_end_switches_the_light_off_and_is_told(
+    camera: FakeCamera, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    faults = list[Exception]()
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError("no memory is left")
+
+    with served(camera, faults=faults) as server, connected() as connection:
+        newest(connection)
+        if where == "_publish":
+            monkeypatch.setattr(server, "_write", fail)
+        else:
+            monkeypatch.setattr(server, "_answer", fail)
+            connection.take_control()
+        wait_until(lambda: not connection.is_alive)
+        assert connection.failure == "OSError: no memory is left"
+        wait_until(lambda: faults)
+        assert not server.acquisition.is_alive
+        assert not camera.light.shines
+    assert str(faults[0]) == "no memory is left"
+
+
+def test_everything_is_closed_though_one_step_fails(camera: FakeCamera, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError("no state")
+
+    faults = list[Exception]()
+    with served(camera, faults=faults) as server:
+        with connected() as connection:
+            newest(connection)
+        monkeypatch.setattr(server, "_tell_state", fail)
+        wait_until(lambda: faults)
+        assert not server.acquisition.is_alive
+        assert not camera.light.shines
+        assert server._socket.closed
+        assert server._ring is not None
+        with pytest.raises(FileNotFoundError):
+            RingReader(server._ring.place)
 
 
 def test_larger_frames_get_a_larger_ring(server: Server) -> None:
@@ -390,6 +519,20 @@ def test_names_that_are_no_words_are_refused(name: str) -> None:
         pass
     with pytest.raises(InputError, match="cannot have the name"):
         Place.of(name)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has a temporary folder for each user")
+def test_desktop_and_cron_find_the_same_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("SVWFS_RUNTIME_DIR")
+    found = set[Path]()
+    for variables in ({}, {"XDG_RUNTIME_DIR": str(tmp_path), "TMPDIR": str(tmp_path)}):
+        for name in ("XDG_RUNTIME_DIR", "TMPDIR"):
+            monkeypatch.delenv(name, raising=False)
+        for name, value in variables.items():
+            monkeypatch.setenv(name, value)
+        monkeypatch.setattr("tempfile.tempdir", None)
+        found.add(runtime_folder())
+    assert found == {Path(f"/tmp/svwfs-{os.getuid()}")}  # noqa: S108 - the folder that is meant
 
 
 def test_a_folder_that_others_may_enter_is_refused() -> None:

@@ -19,8 +19,8 @@ from support.command_line import run
 from support.patience import HANG_S, wait_until
 from support.served import connected
 
+from app.acquisition.place import NAME, is_taken, runtime_folder
 from app.acquisition.remote.connection import Connection
-from app.acquisition.remote.place import Place, runtime_folder
 from app.errors import RunError
 from app.recording.reader import Recording
 
@@ -61,16 +61,12 @@ def instrument(bench: Path) -> Iterator[subprocess.Popen[str]]:
     with program("-c", code, "serve", "--bench", str(bench)) as made:
         assert made.stdout is not None
         assert f"runs as process {made.pid}" in made.stdout.readline()
-        wait_until(is_announced)
+        wait_until(lambda: is_taken(NAME))
         yield made
 
 
-def is_announced() -> bool:
-    try:
-        Place.of()
-    except RunError:
-        return False
-    return True
+def nothing_is_left() -> bool:
+    return [each.name for each in runtime_folder().iterdir()] == ["instrument.lock"]
 
 
 def wait_for_wavefront(connection: Connection) -> None:
@@ -102,9 +98,9 @@ def test_clients_notice_the_death_of_the_instrument_and_nothing_is_left(how: sig
             assert time.monotonic() - died_s < 3.0
             assert connection.failure.startswith(f"the instrument's process {running.pid} has ended")
             assert connection.newest is not None  # the last one stays
+            wait_until(nothing_is_left)
         with pytest.raises(RunError, match="no instrument runs"):
             Connection("test")
-        assert [each.name for each in runtime_folder().iterdir()] == ["instrument.lock"]
 
 
 def test_a_frozen_instrument_is_shown_and_goes_on(small_toml: Path) -> None:
@@ -166,7 +162,7 @@ def test_ctrl_c_ends_the_instrument_in_order(small_toml: Path, tmp_path: Path) -
         assert connection.status is not None
         assert not connection.status.is_light_on
     assert len(Recording(tmp_path / "run")) > 0
-    assert not is_announced()
+    assert not is_taken(NAME)
 
 
 def test_measure_attaches(
@@ -179,6 +175,7 @@ def test_measure_attaches(
     attached: tuple[str | Path, ...] = ("measure", "--attach", "--frames", "4", "--out")
     fails(2, "--bench cannot go with --attach", *attached, tmp_path / "x", "--bench", "small_demo")
     fails(1, "no instrument runs as instrument", *attached, tmp_path / "x")
+    fails(2, "add --attach", "measure", "--frames", "4", "--out", tmp_path / "x", "--take-control")
     with instrument(small_toml):
         with connected(controls=False) as watching:
             wait_for_wavefront(watching)
@@ -186,6 +183,11 @@ def test_measure_attaches(
             assert "4 frames, 0 lost by the camera" in capsys.readouterr().out
             assert (tmp_path / "run" / "results.nc").exists()
         fails(1, "an instrument runs as instrument already", "serve", "--bench", small_toml)
-        with connected():
+        with connected() as other:
+            wait_until(lambda: other.has_control)
             fails(1, "only watches", *attached, tmp_path / "other")
-        assert not (tmp_path / "other").exists()
+            assert not (tmp_path / "other").exists()
+            fails(2, "holds a recording", *attached, tmp_path / "run", "--take-control")
+            assert other.has_control
+            assert run(monkeypatch, *attached, tmp_path / "other", "--take-control") == 0
+            assert not other.has_control

@@ -17,7 +17,7 @@ from hypothesis import strategies as some
 from hypothesis.extra import numpy as some_numpy
 from support.optics import SmallBench
 
-from app.acquisition.remote.messages import Command, Failure, Notice, Travellers
+from app.acquisition.remote.messages import Arrivals, Command, Failure, Notice, Traveller, Travellers
 from app.acquisition.remote.wire import Packed, unpacked
 from app.bench.config import load_bench
 from app.bench.presets import PRESETS
@@ -193,3 +193,35 @@ def test_calibration_arrives_whole(checker_bench: SmallBench) -> None:
     assert found.bench == bench
     assert found.lattice == sent.lattice
     assert math.isinf(found.full_scale)
+
+
+def arrivals() -> tuple[Arrivals, list[int]]:
+    asked = list[int]()
+    return Arrivals(asked.append), asked
+
+
+def test_messages_are_read_in_the_order_in_which_they_were_sent() -> None:
+    travellers, (bench, other) = Travellers(), [load_bench(name) for name in ("small_demo", "live_demo")]
+    sent = [("state", bench), ("state", other), "an answer"]
+    bodies = [Packed(each, travellers.number).message() for each in sent]
+    received, asked = arrivals()
+    read = [message for body in bodies for message in received.receive(body)]
+    assert read == []
+    for value in (other, bench):  # the first one's object comes last
+        number = travellers.number(value)
+        assert number in asked
+        read += received.receive(Packed(Traveller(number, value)).message())
+    assert [each for each in read if not isinstance(each, Traveller)] == sent
+
+
+def test_a_message_whose_object_is_gone_is_left_out() -> None:
+    travellers, (bench, other) = Travellers(), [load_bench(name) for name in ("small_demo", "live_demo")]
+    received, _ = arrivals()
+    read = list[Any]()
+    for message in (("state", bench), ("state", other), "an answer"):
+        read += received.receive(Packed(message, travellers.number).message())
+    for value, there in ((other, other), (bench, None)):
+        number = travellers.number(value)
+        assert number is not None
+        read += received.receive(Packed(Traveller(number, there)).message())
+    assert [each for each in read if not isinstance(each, Traveller)] == [("state", other), "an answer"]

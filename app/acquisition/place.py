@@ -16,6 +16,8 @@ from typing import Self
 from app.errors import InputError, RunError
 
 NAME = "instrument"
+_VARIABLE = "SVWFS_INSTRUMENT"  # names the instrument to processes that it starts
+_FOLDER = "SVWFS_RUNTIME_DIR"
 _PATIENCE_S = 1.0  # with a client that looks at this moment whether the last instrument was killed
 
 
@@ -32,8 +34,7 @@ class Place:
     def of(cls, name: str = NAME) -> Self:
         """Read the place of the instrument that runs under a name; `RunError` if there is none."""
         file = _file(name, "json")
-        with suppress(RunError), _lock(name):  # what a killed instrument has left there
-            _clear(name)
+        clear_abandoned(name)
         try:
             return cls(**json.loads(file.read_text()))
         except OSError as error:
@@ -50,18 +51,37 @@ class Place:
         part.replace(file)
 
 
+def is_taken(name: str) -> bool:
+    """Return whether an instrument can be reached under a name."""
+    try:
+        Place.of(name)
+    except RunError:
+        return False
+    return True
+
+
 @contextmanager
 def taken_place(name: str = NAME) -> Iterator[Place]:
     """Take the place of a name for this process until the end of a `with`.
 
     What a killed instrument left there is replaced. `RunError` if another one runs there; `InputError` for a bad name.
     """
-    with _lock(name, _PATIENCE_S):
+    with _lock(name, _PATIENCE_S), _spared_by_cleaners():
         _clear(name)
         endpoint = f"ipc://{_file(name, 'socket')}" if os.name == "posix" else "tcp://127.0.0.1:*"
+        os.environ[_VARIABLE] = name  # for the guardian of the light, which this process may start
         try:
             yield Place(name, os.getpid(), endpoint, secrets.token_hex(16))
         finally:
+            os.environ.pop(_VARIABLE, None)
+            _clear(name)
+
+
+def clear_abandoned(name: str | None = None, patience_s: float = 0.0) -> None:
+    """Remove what an instrument has left if it was killed; by default the one that has started this process, if any."""
+    name = os.environ.get(_VARIABLE) if name is None else name
+    if name is not None:
+        with suppress(RunError), _lock(name, patience_s):  # held while one runs
             _clear(name)
 
 
@@ -110,18 +130,35 @@ def _file(name: str, ending: str) -> Path:
 def runtime_folder() -> Path:
     """The folder of all instruments of this user, made if need be.
 
-    `RunError` if it belongs to someone else or others may enter it.
+    It is the same for a desktop, a service and cron: in /tmp, as XDG_RUNTIME_DIR and TMPDIR are not set in all of them.
+    The variable SVWFS_RUNTIME_DIR names another place. `RunError` if it belongs to someone else or others may enter it.
     """
-    user = ""  # under Windows the temporary folder is a user's own
-    if sys.platform != "win32":
-        user = f"-{os.getuid()}"
-    made = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir(), f"svwfs{user}")
+    if sys.platform == "win32":  # the temporary folder is a user's own, where access lists protect it
+        made = Path(os.environ.get(_FOLDER) or tempfile.gettempdir(), "svwfs")
+    else:
+        made = Path(os.environ.get(_FOLDER) or "/tmp", f"svwfs-{os.getuid()}")  # noqa: S108 - its owner is checked
     try:
         made.mkdir(mode=0o700, exist_ok=True)
     except OSError as error:
         raise RunError(f"{made} cannot be made for the instrument's address: {error.strerror}") from error
-    if sys.platform != "win32":  # where its access lists protect a user's folder
+    if sys.platform != "win32":
         found = made.lstat()  # a link is refused, too
         if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077:
             raise RunError(f"{made} belongs to another user or is open to others: remove it")
     return made
+
+
+@contextmanager
+def _spared_by_cleaners() -> Iterator[None]:
+    """Keep programs that remove old temporary files from the folder: they leave out one that is locked."""
+    if sys.platform == "win32":
+        yield
+        return
+    import fcntl  # noqa: PLC0415 - not on Windows
+
+    descriptor = os.open(runtime_folder(), os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH)
+        yield
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,91 @@
+"""Routine that measures the camera's nonlinearity: exposures of the reference, from short to long and back, twice.
+
+Equal exposures at different times tell light that drifts from a nonlinearity. The light's current stays: what an LED
+gives at another current is not known, the exposure time is.
+"""
+
+import numpy as np
+
+from app.measurement.auto_exposure import auto_expose
+from app.measurement.averages import Average, average
+from app.measurement.routines import FrameProgress, RoutineError, ShouldStop, restored
+from drivers.interface import Devices, Frame
+from drivers.light_source import ManualLight
+from reconstruction.arrays import Image
+from reconstruction.errors import ReconstructionError
+from reconstruction.frame.linearity import LEAST_SPAN, Exposures, MeasuredLinearity
+
+EXPOSURE_FRAMES = 8  # default number averaged into each exposure
+_FILL = 0.8  # of full scale, of the longest exposure
+_LEVELS = 8  # exposure times
+_SPAN = 11.3  # longest over shortest exposure, if the camera allows it
+_PASSES = 2  # up and down
+_MARGIN = 1.2  # of the exposure that a lower current shall demand
+
+
+def measure_linearity(
+    devices: Devices, cell_px: float, frames: int, *, progress: FrameProgress, should_stop: ShouldStop
+) -> MeasuredLinearity:
+    """Measure the nonlinearity in the camera's present mode from averages of `frames` frames.
+
+    `cell_px` is the lenslet pitch on the camera. A `RoutineError` says why it cannot be told; everything is restored.
+    """
+    camera, light = devices.camera, devices.light
+    if isinstance(light, ManualLight):
+        raise RoutineError("a light that is switched by hand is not as steady as this needs: connect its driver")
+    if frames < 2:
+        raise RoutineError("at least 2 frames of each exposure are needed: they tell its noise")
+    with restored(devices):
+        devices.stage.set_sample_in(False)
+        exposures_s = _exposure_times(devices, cell_px, progress, should_stop)
+        visits = (exposures_s + exposures_s[::-1]) * _PASSES
+        shares = iter(np.linspace(0, 1, len(exposures_s) + 1 + len(visits) + 1))
+
+        def averaged(exposure_s: float) -> Average:
+            camera.stop()
+            camera.set_exposure(exposure_s)
+            done = next(shares)
+            return average(camera, frames, progress=lambda frame, _: progress(frame, done), should_stop=should_stop)
+
+        light.set_on(False)
+        darks = {exposure_s: averaged(exposure_s) for exposure_s in exposures_s}
+        light.set_on(True)
+
+        def signal(exposure_s: float) -> tuple[Image, Image]:
+            lit, dark = averaged(exposure_s), darks[exposure_s]
+            variance = (lit.variance + dark.variance) / np.float32(frames)
+            return np.subtract(lit.mean, dark.mean), np.asarray(variance, np.float32)
+
+        try:
+            dark_level = float(np.median(darks[exposures_s[-1]].mean))
+            brightest, _ = signal(exposures_s[-1])  # of other frames than those of the fit, whose noise would choose
+            exposures = Exposures(brightest, camera.capabilities.full_scale - dark_level)
+            for exposure_s in visits:
+                exposures.add(*signal(exposure_s), exposure_s)
+            return exposures.fit(amplifier=camera.amplifier, em_gain=camera.em_gain)
+        except ReconstructionError as error:
+            raise RoutineError(str(error)) from error
+
+
+def _exposure_times(devices: Devices, cell_px: float, progress: FrameProgress, should_stop: ShouldStop) -> list[float]:
+    """Set the current, and return the exposures, s, of which the longest nearly fills the camera's scale."""
+    camera, light = devices.camera, devices.light
+
+    def note(frame: Frame, _: float) -> None:
+        progress(frame, 0.0)
+
+    longest_s = auto_expose(devices, cell_px, fill=_FILL, progress=note, should_stop=should_stop).exposure_s
+    allowed = camera.capabilities.exposure_range_s
+    wanted_s = min(_SPAN * allowed.minimum, allowed.maximum)
+    if longest_s < wanted_s:
+        dimmed_a = max(light.current_a * longest_s / (_MARGIN * wanted_s), light.current_range_a.minimum)
+        light.set_current(dimmed_a)
+        longest_s = auto_expose(devices, cell_px, fill=_FILL, progress=note, should_stop=should_stop).exposure_s
+    shortest_s = max(allowed.minimum, longest_s / _SPAN)
+    if longest_s < LEAST_SPAN * shortest_s:
+        raise RoutineError(
+            f"exposures of {shortest_s:.3g} to {longest_s:.3g} s do not span a factor of {LEAST_SPAN:g}:"
+            " put a filter before the camera, or choose a faster readout"
+        )
+    camera.stop()
+    return [camera.set_exposure(float(exposure_s)) for exposure_s in np.geomspace(shortest_s, longest_s, _LEVELS)]
