@@ -174,7 +174,7 @@ class SimulatedLightSettings(Checked):
     current_a: Annotated[float, Ge(0), Le(1e3)] = 0.35
     maximum_current_a: Annotated[float, Ge(1e-15), Le(1e3)] = 1.0
     wavelengths_m: Annotated[
-        tuple[float, ...], Ge(1e-7), Le(1e-4), Doc("Lines of a broad spectrum; none: sensor.wavelength_m alone")
+        tuple[float, ...], Ge(1e-7), Le(1e-4), Doc("Lines of a broad LED, about sensor.wavelength_m; none: it alone")
     ] = ()
     weights: Annotated[
         tuple[float, ...], Ge(0), Le(1e12), Doc("Light of each line as the camera sees it; none: all alike")

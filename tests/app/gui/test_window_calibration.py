@@ -17,6 +17,7 @@ from support.window_tools import press
 from app.acquisition.instrument import Instrument
 from app.bench.config import Bench, load_bench
 from app.gui.shell.main_window import MainWindow
+from reconstruction.frame.linearity import Linearity, MeasuredLinearity
 
 
 def bench_of(window: MainWindow) -> Bench:
@@ -60,6 +61,25 @@ def test_lattice_is_used_only_when_accepted(live: tuple[MainWindow, FakeCamera],
         assert not window.panels.camera._proposed_lines.isVisible()
         qtbot.waitUntil(lambda: window.controller.is_settled)
         qtbot.waitUntil(partial(is_about, window, center_x_px))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_used", [True, False])
+def test_nonlinearity_is_used_only_when_accepted(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch, is_used: bool
+) -> None:
+    window, _ = live
+    curve = Linearity(quadratic=0.05, cubic=0.01, highest_counts=40_000.0)
+    found = MeasuredLinearity(curve, sigma=1e-4, late_s=0.0, late_sigma_s=1e-5, drift=-0.002, flicker=1e-4)
+    monkeypatch.setattr("app.acquisition.instrument.measure_linearity", lambda *_, **__: found)
+    window.routines.measure_linearity()
+    qtbot.waitUntil(window.messages.accept.isVisible)
+    assert "+6.00 % off the signal at 40000 counts" in window.messages.text.text()
+    assert "drifted by -0.2 %" in window.messages.text.text()
+    press(qtbot, window, Qt.Key.Key_Return if is_used else Qt.Key.Key_Escape)
+    qtbot.waitUntil(lambda: window.controller.is_settled)
+    qtbot.waitUntil(lambda: (bench_of(window).linearity == curve) == is_used)
+    assert (bench_of(window).linearity is None) != is_used
 
 
 @pytest.mark.slow
