@@ -108,10 +108,6 @@ def _square(_: Source, size_m: float) -> Openings:
     return _one("square", size_m, size_m, rectangle(-half_m, -half_m, half_m, half_m))
 
 
-def _circle(_: Source, size_m: float) -> Openings:
-    return _one("circle", size_m, size_m, _round(size_m / 2, size_m / 2))
-
-
 def _ellipse(source: Source, size_m: float) -> Openings:
     width_m = source.ellipse_ratio * size_m
     return _one("ellipse", size_m, width_m, _round(size_m / 2, width_m / 2))
@@ -125,14 +121,6 @@ def _octagon(_: Source, size_m: float) -> Openings:
 
 def _one(name: str, size_m: float, width_m: float, polygon_m: Floats) -> Openings:
     return Openings(name=name, size_m=size_m, polygons_m=(polygon_m,), grid_m=size_m, width_m=width_m, gap_m=None)
-
-
-def _checkerboard(source: Source, size_m: float) -> Openings:
-    return _of_pixels("checkerboard", np.indices(2 * (source.checker_cells,)).sum(axis=0) % 2 == 0, size_m)
-
-
-def _optimised(_: Source, size_m: float) -> Openings:
-    return _of_pixels("optimised", OPTIMISED, size_m)
 
 
 def _stars(source: Source, size_m: float) -> Openings:
@@ -160,9 +148,11 @@ def _stars(source: Source, size_m: float) -> Openings:
 
 _CATALOGUE: dict[str, Callable[[Source, float], Openings]] = {
     "square": _square,
-    "checkerboard": _checkerboard,
-    "optimised": _optimised,
-    "circle": _circle,
+    "checkerboard": lambda source, size_m: _of_pixels(
+        "checkerboard", np.indices(2 * (source.checker_cells,)).sum(axis=0) % 2 == 0, size_m
+    ),
+    "optimised": lambda _, size_m: _of_pixels("optimised", OPTIMISED, size_m),
+    "circle": lambda _, size_m: _one("circle", size_m, size_m, _round(size_m / 2, size_m / 2)),
     "ellipse": _ellipse,
     "octagon": _octagon,
     "stars": _stars,

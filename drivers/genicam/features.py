@@ -198,7 +198,7 @@ class Geometry:
 
     def binning(self) -> int:
         """Return the binning in force."""
-        down, across = (self._axis_binning(axis) for axis in _AXES)
+        down, across = (trailing_number(self._line.optional_text(axis) or "") or 1 for axis in _AXES)
         if down != across:
             raise Unsupported(f"the camera bins {down} rows and {across} columns: square pixels are needed")
         return down
@@ -255,9 +255,6 @@ class Geometry:
             max(rows, region.rows - region.rows % rows),
             max(columns, region.columns - region.columns % columns),
         )
-
-    def _axis_binning(self, axis: str) -> int:
-        return trailing_number(self._line.optional_text(axis) or "") or 1
 
     def _values(self, axis: str) -> dict[int, str]:
         """Binnings of an axis with their text: numbers, or choices such as X2."""

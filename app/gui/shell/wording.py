@@ -67,7 +67,8 @@ def liveness(status: Status | None, failure: str, activity: Activity, measuremen
     if is_stopped or (_is_old(measurement) and age_s > 3 * measurement.latency_s):  # a slow method is always late
         why = "the camera is stopped: Space starts it" if is_stopped else "no newer frame has come yet"
         return Liveness(f"PAUSED, {age} old", activity.text or why, is_grey=True)
-    reason = _stale(status)
+    notes = ((status.dark, status.dark_note), (status.reference, status.reference_note))
+    reason = "; ".join(note.rpartition("\n")[2] for validity, note in notes if validity == "doubtful")
     return Liveness("STALE" if reason else "", reason, is_grey=bool(reason))
 
 
@@ -103,13 +104,6 @@ def _conditions_of(status: Status) -> tuple[object, ...]:
     """Return the conditions of the frames: what is wrong with a frame tells nothing of later ones under others."""
     notes = (status.dark_note, status.reference_note)
     return (status.bench, status.mask, status.is_sample_in, status.is_light_on, status.exposure_s, *notes)
-
-
-def _stale(status: Status) -> str:
-    """Return why wavefronts are shown in grey; empty if dark and reference fit the frames."""
-    notes = ((status.dark, status.dark_note), (status.reference, status.reference_note))
-    reasons = [note.rpartition("\n")[2] for validity, note in notes if validity == "doubtful"]
-    return "; ".join(reasons)
 
 
 def advice(status: Status | None, activity: Activity, measurement: Measurement | None) -> str:
