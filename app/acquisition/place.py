@@ -18,6 +18,7 @@ from app.errors import InputError, RunError
 NAME = "instrument"
 _VARIABLE = "SVWFS_INSTRUMENT"  # names the instrument to processes that it starts
 _FOLDER = "SVWFS_RUNTIME_DIR"
+_LEFT = "json", "socket"  # endings of what a killed instrument leaves
 _PATIENCE_S = 1.0  # with a client that looks at this moment whether the last instrument was killed
 
 
@@ -38,7 +39,9 @@ class Place:
         try:
             return cls(**json.loads(file.read_text()))
         except OSError as error:
-            raise RunError(f"no instrument runs as {name}: start one with svwfs serve --bench BENCH") from error
+            named = ("", "") if name == NAME else (f" as {name}", f" --name {name}")
+            sentence = f"no instrument runs{named[0]}: start one with svwfs serve --bench BENCH{named[1]}"
+            raise RunError(sentence) from error
         except (ValueError, TypeError) as error:
             raise RunError(f"{file} cannot be read: start the instrument again") from error
 
@@ -80,7 +83,7 @@ def taken_place(name: str = NAME) -> Iterator[Place]:
 def clear_abandoned(name: str | None = None, patience_s: float = 0.0) -> None:
     """Remove what an instrument has left if it was killed; by default the one that has started this process, if any."""
     name = os.environ.get(_VARIABLE) if name is None else name
-    if name is not None:
+    if name is not None and any(_file(name, ending).exists() for ending in _LEFT):
         with suppress(RunError), _lock(name, patience_s):  # held while one runs
             _clear(name)
 
@@ -117,7 +120,7 @@ def _locked(descriptor: int) -> bool:
 
 
 def _clear(name: str) -> None:
-    for ending in ("json", "socket"):
+    for ending in _LEFT:
         _file(name, ending).unlink(missing_ok=True)
 
 

@@ -404,6 +404,11 @@ class ConnectedBench(LiveBench):
         return self._connection.controller
 
     @property
+    def has_control(self) -> bool:
+        """Whether commands of this program are executed."""
+        return self._connection.has_control
+
+    @property
     def clients(self) -> tuple[str, ...]:
         """Names of all clients that are connected."""
         return self._connection.clients

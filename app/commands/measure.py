@@ -88,7 +88,13 @@ def measure_attached(
 
     _check_out(out, (), overwrite=overwrite)  # before another program loses control
     live = ConnectedBench("measure", name, progress=progress)
-    begin = live.take_control if takes_control else lambda: None
+
+    def begin() -> None:
+        if takes_control:
+            live.take_control()
+        elif live.controller and not live.has_control:
+            raise RunError(f"{live.controller} has control of the instrument: add --take-control to take it over")
+
     return _measured(live, live.bench, frames, out, progress, begin, overwrite=overwrite)
 
 

@@ -110,7 +110,7 @@ def _check_scale(image: NDArray[Any], path: Path, other: NDArray[Any], other_pat
     from reconstruction.frame.pixels import PEAK_PERCENT
 
     most = full_scale_of(image, 64 if image.dtype.kind in "ui" else bits)
-    if np.percentile(other, PEAK_PERCENT, method="lower") > most:
+    if most < np.percentile(other, PEAK_PERCENT, method="lower") < np.inf:  # infinite ones are refused later
         raise InputError(
             f"{path}: holds {image.dtype} values up to {image.max():g}, but {other_path} {other.dtype} values up to"
             f" {other.max():g}: save both in the same form"

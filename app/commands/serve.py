@@ -8,6 +8,7 @@ import typer
 
 from app.acquisition.place import NAME, taken_place
 from app.commands import options, terminal
+from app.errors import Interrupted
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -54,6 +55,10 @@ def serve(
         )
         try:
             server.run(begin)
+        except Interrupted as error:
+            if loaded.has_manual_light:
+                raise
+            raise Interrupted("interrupted: the light is off") from error
         finally:
             if loaded.has_manual_light:
                 terminal.remind(terminal.LIGHT_BY_HAND)

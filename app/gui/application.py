@@ -114,7 +114,7 @@ def _raise_failure(window: MainWindow, *, is_interrupted: bool) -> None:
         status_at_end = window.controller.status
         is_by_hand = status_at_end is not None and status_at_end.bench.has_manual_light
         light = "switch the light off by hand" if is_by_hand else "the light is off"
-        raise Interrupted(f"interrupted: {'the instrument goes on' if window.controller.is_attached else light}")
+        raise Interrupted(f"interrupted: {window.controller.left or light}")
 
 
 def _pass_on(_kind: QtMsgType, _context: QMessageLogContext, text: str | None) -> None:

@@ -13,6 +13,7 @@ from app.errors import SETTINGS_CHANGED, InputError
 from app.measurement.measurement import Measurement
 from app.results.result_file import FRAME, LENSLET, PIECE, Variable, about, require_alike, write_results
 from reconstruction.arrays import Floats
+from reconstruction.displacement import Outcome
 from reconstruction.geometry import Field, Sensor
 from reconstruction.layers.layered_wavefront import AssumedSample
 from reconstruction.quality.image_quality import diffraction_rad, mtf, psf, psf_angles_rad
@@ -86,13 +87,17 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
     displacement, solution = wavefront.displacement, wavefront.solution
     vectors, modes = (*LENSLET, "field_mode", "xy"), ("pupil_mode", "field_mode")
     misfit = "RMS misfit of the registered subimage over the contrast of the brightest one"
+    outcome = about("1", "0 converged, else why the lenslet was lost") | {
+        "flag_values": np.array(list(Outcome), displacement.outcome.dtype),
+        "flag_meanings": " ".join(each.name.lower() for each in Outcome),
+    }
     variables: dict[str, Variable] = {
         **_wavefront_variables(wavefront.views, wavefront.sensor),
         "wavefront_sigma": ((*_VIEW, *LENSLET), wavefront.sigma(), about("rad", "standard deviation of wavefront")),
         "displacement": (vectors, displacement.coefficients, about("px", "coefficients of the field modes")),
         "displacement_sigma": (vectors, np.sqrt(displacement.variance), about("px", "standard deviation")),
         "valid": (LENSLET, displacement.valid, about("1", "whether the lenslet yields a slope")),
-        "outcome": (LENSLET, displacement.outcome, about("1", "0 converged, else why the lenslet was lost")),
+        "outcome": (LENSLET, displacement.outcome, outcome),
         "residual_rms": (LENSLET, displacement.residual_rms, about("1", misfit)),
         "range_used": (LENSLET, displacement.range_used, about("1", _RANGE)),
         "chi_square": (LENSLET, displacement.chi_square, about("1", _CHI_SQUARE)),

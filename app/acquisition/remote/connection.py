@@ -136,9 +136,14 @@ class Connection:
     @property
     def activity(self) -> Activity:
         """Work besides taking frames; also that the instrument does not answer."""
-        if self.is_alive and time.monotonic() > self._heard_s + _SILENT_S:
+        if self.is_silent:
             return Activity("the instrument's process does not answer", may_cancel=False)
         return self._activity
+
+    @property
+    def is_silent(self) -> bool:
+        """True if the instrument's process does not answer: it hangs, or was stopped."""
+        return self.is_alive and time.monotonic() > self._heard_s + _SILENT_S
 
     @property
     def newest(self) -> Measurement | None:
@@ -149,6 +154,11 @@ class Connection:
     def error(self) -> Exception | None:
         """Why the instrument ended, or was lost."""
         return None if self._closing.is_set() else self._ended
+
+    @property
+    def loss(self) -> str:
+        """Why the instrument ended, or was lost; also after this connection was closed. Empty if it goes on."""
+        return str(self._ended or "")
 
     @property
     def failure(self) -> str:

@@ -25,12 +25,12 @@ class Attachment:
 
     @property
     def notice(self) -> str:
-        """Why commands would be refused; empty if they are not."""
+        """Why commands are refused; empty if they are not."""
         connection = self.connection
         if connection is None or connection.has_control:
             return ""
         who = f"{connection.controller} has control" if connection.controller else "nobody has control"
-        return f"this window only watches: {who}; Bench, Take control"
+        return f"this window only watches: {who}"
 
     @property
     def place(self) -> str:

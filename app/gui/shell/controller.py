@@ -58,6 +58,18 @@ class Controller(QObject):
         return isinstance(self.acquisition, Connection)
 
     @property
+    def is_silent(self) -> bool:
+        """True if the instrument's process does not answer."""
+        return isinstance(self.acquisition, Connection) and self.acquisition.is_silent
+
+    @property
+    def left(self) -> str:
+        """What becomes of an instrument of another process when this one ends; empty if it runs in this one."""
+        if not isinstance(self.acquisition, Connection):
+            return ""
+        return self.acquisition.loss or "the instrument goes on"
+
+    @property
     def failure(self) -> str:
         """Reason why the acquisition ended by itself, else empty."""
         return "" if self.acquisition is None else self.acquisition.failure

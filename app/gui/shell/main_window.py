@@ -77,7 +77,7 @@ class MainWindow(BaseWindow):
         super().__init__()
         self._settings, self._is_closing, self._refreshes = settings, False, 0
         self._status: Status | None = None  # as shown
-        self._failure, self._activity = "", Activity()
+        self._failure, self._activity, self._is_silent = "", Activity(), False
         self._late, self._situation = LateMeasurements(), Situation()
 
         self.shown = Shown(self)
@@ -147,6 +147,7 @@ class MainWindow(BaseWindow):
         self.shown.exclusion_requested.connect(lambda *which: self.settings.change(("lenslets", which)))
         self.messages.cancel_requested.connect(self.panels.camera.put_tool_away)
         self.messages.reconnect_requested.connect(self._reconnect)
+        self.messages.control_requested.connect(self.attachment.take_control)
         self.messages.dismissed.connect(self.errors.restart)
         for panel in self.panels:
             panel.warned.connect(self.messages.warn)
@@ -272,14 +273,11 @@ class MainWindow(BaseWindow):
         self._failure = acquisition.failure  # read once: message and buttons must agree
         self._activity = acquisition.activity  # before the status, which is that after a routine as soon as it ends
         status = acquisition.status
-        if status is not None and self._failure:
-            is_light_on = status.is_light_on and status.bench.has_manual_light
-            status = replace(status, is_running=False, is_light_on=is_light_on)  # the state of failed devices
-        if status is not None and status != self._status:
-            self.show_status(status)
-        if MAY_BE_ON in self._failure:
+        if status is not None:
+            self._show_changed(status)
+        if MAY_BE_ON in self._failure or self._is_silent:
             self.controls.show_unreached_light()
-        is_ready = self._status is not None and not self._failure
+        is_ready = self._status is not None and not self._failure and not self._is_silent
         self.controls.setEnabled(is_ready)
         self.recording_panel.setEnabled(is_ready and self.replay.isHidden())
         self.messages.show_activity(self._activity, may_cancel=is_ready)
@@ -294,6 +292,19 @@ class MainWindow(BaseWindow):
             start_s = time.perf_counter()
             self.show_measurement(measurement)
             self.unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
+
+    def _show_changed(self, status: Status) -> None:
+        """Show a status unless it is shown; devices that failed, or whose process is silent, stand still."""
+        if self.controller.is_silent is not self._is_silent:
+            self._is_silent = not self._is_silent
+            self._forget_status()
+        if self._is_silent:
+            status = replace(status, is_running=False)
+        if self._failure:
+            is_light_on = status.is_light_on and status.bench.has_manual_light
+            status = replace(status, is_running=False, is_light_on=is_light_on)
+        if status != self._status:
+            self.show_status(status)
 
     def show_measurement(self, measurement: Measurement) -> None:
         """Show a frame and its wavefront, live or recorded."""
@@ -334,12 +345,14 @@ class MainWindow(BaseWindow):
             panel.show_numbers()
             panel.show_liveness()
         self.recording_bar.refresh()
-        self.status_line.update_text(status, acquisition.timings if acquisition else None, self.attachment.place)
+        timings = acquisition.timings if acquisition else None
+        self.status_line.update_text(status, timings, self.attachment.place, is_silent=self._is_silent)
         self.status_line.show_verdict(shown.verdict)
         self.messages.show_state(
             failure=self._failure,
             way_out=way_out(status),
             may_reconnect=not is_replay(status),
+            only_watches=bool(self.attachment.notice),
             warning="; ".join(filter(None, [alarm, self.replay.notice, self.attachment.notice])),
             advice=advice(status, self._activity, measurement),
         )

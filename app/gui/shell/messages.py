@@ -22,6 +22,7 @@ class MessageStrip(QFrame):
     """Shows one message by priority: failure, alarm, refused entry, question, notice, warning, advice."""
 
     reconnect_requested = pyqtSignal()
+    control_requested = pyqtSignal()
     cancel_requested = pyqtSignal()
     logged = pyqtSignal()
     dismissed = pyqtSignal()  # the alarm was removed
@@ -43,6 +44,7 @@ class MessageStrip(QFrame):
             "Open the devices again, take dark and reference, and start measuring (Ctrl+R)",
             self.reconnect_requested,
         )
+        self.control = Button("Take control", "Command the instrument in place of others", self.control_requested)
         self.accept = Button("Use it", "", lambda: self._answer(is_accepted=True))
         self.discard = Button("Discard", "Change nothing (Esc)", lambda: self._answer(is_accepted=False))
         self.dismiss = Button("Dismiss", "Remove this message (Esc)", lambda: self.alarm(""))
@@ -50,7 +52,7 @@ class MessageStrip(QFrame):
         self.progress = QProgressBar()
         self.progress.setFixedWidth(200)
         self.progress.setFormat("%p %")
-        hidden = (self.reconnect, self.accept, self.discard, self.dismiss, self.progress, self.cancel)
+        hidden = (self.reconnect, self.control, self.accept, self.discard, self.dismiss, self.progress, self.cancel)
         for widget in hidden:
             widget.hide()
         row((self.text, 1), *hidden, parent=self).setContentsMargins(10, 3, 6, 3)
@@ -131,14 +133,25 @@ class MessageStrip(QFrame):
             self.progress.setToolTip(f"{activity.text}: Esc cancels" if activity.may_cancel else activity.text)
 
     def show_state(
-        self, *, failure: str, warning: str, advice: str, way_out: str = "", may_reconnect: bool = True
+        self,
+        *,
+        failure: str,
+        warning: str,
+        advice: str,
+        way_out: str = "",
+        may_reconnect: bool = True,
+        only_watches: bool = False,
     ) -> None:
-        """Show the message of highest priority; `way_out` tells what follows from a failure and what to do."""
+        """Show the message of highest priority; `way_out` tells what follows from a failure and what to do.
+
+        If this window `only_watches`, it can take control.
+        """
         for name, text in (("failure", failure), ("warning", warning)):
             if self._standing.get(name) != text:
                 self._standing[name] = text
                 self._say(text)
         self.reconnect.setVisible(bool(failure) and may_reconnect)
+        self.control.setVisible(only_watches and not failure)
         if failure:
             self._question = ""  # no device is left to apply it
         for widget, is_shown in (

@@ -94,8 +94,13 @@ class StatusLine(QWidget):
         self._show_correction(RefinementState("off"))
         self.assumed.setText("")
 
-    def update_text(self, status: Status | None, timings: Timings | None, place: str = "") -> None:
-        """Update the numbers, those of the tool tip once a second; `place` tells which process has the devices."""
+    def update_text(
+        self, status: Status | None, timings: Timings | None, place: str = "", *, is_silent: bool = False
+    ) -> None:
+        """Update the numbers, those of the tool tip once a second.
+
+        `place` tells which process has the devices; `is_silent`, that it does not answer.
+        """
         if timings is not None and (time.monotonic() > self._times_due_s or self.timing_row.isVisible()):
             self._times_due_s = time.monotonic() + _TIMES_INTERVAL_S
             summary = timings.summary()
@@ -103,7 +108,7 @@ class StatusLine(QWidget):
             self.delay.setToolTip(f"<p>{_DELAY}.</p>{_timing_table(summary)}")
         if status is not None:
             self.simulated.setVisible(status.bench.is_simulated)
-            self.devices.setText("running" if status.is_running else "stopped")
+            self.devices.setText("no answer" if is_silent else "running" if status.is_running else "stopped")
             self.devices.setToolTip("\n".join(filter(None, [status.camera_name, status.light_name, place])))
         last = self._newest
         if last is None:

@@ -48,7 +48,7 @@ def test_long_text_is_not_echoed(
         ("image --out m.svg", "the bench names no picture for the mask image: give the file itself"),
         ("square --size 0mm --out m.svg", "a mask of 0 mm cannot be drawn: choose a size from 2 um to 200 mm"),
         ("square --size=-1mm --out m.svg", "a mask of -1 mm cannot be drawn"),
-        ("square --size 1.2 --out m.svg", "a mask of 1200 mm cannot be drawn"),
+        ("square --size 1.2 --out m.svg", "--size 1.2: give a length with its unit"),
         ("square --size 1e300m --out m.svg", "a mask of 1e+303 mm cannot be drawn"),
         ("square --size nan --out m.svg", "--size nan: give a length with its unit, as 1.2mm or 1200um"),
         ("square --size inf --out m.svg", "--size inf: give a length"),

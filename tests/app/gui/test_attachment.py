@@ -19,6 +19,7 @@ from app.acquisition.place import NAME, is_taken, taken_place
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.server import Server
 from app.gui.shell.main_window import MainWindow
+from app.gui.widgets.presentation import NOTHING
 from app.measurement.measurement import Measurement
 
 pytestmark = pytest.mark.slow
@@ -79,8 +80,9 @@ def test_window_that_watches_says_who_has_control_and_takes_it(
         window = make_window()
         window.open(lambda: Connection("window"), lambda _: ())
         qtbot.waitUntil(lambda: "this window only watches: notebook" in told(window))
-        window.attachment.take_control()
+        window.messages.control.click()
         qtbot.waitUntil(lambda: "watches" not in told(window))
+        assert window.messages.control.isHidden()
         connection = window.attachment.connection
         assert connection is not None
         assert connection.has_control
@@ -99,6 +101,23 @@ def test_closing_asks_whether_the_instrument_goes_on(
     window.quit()
     qtbot.waitUntil(lambda: not window.isVisible())
     qtbot.waitUntil(lambda: server.acquisition.is_alive is goes_on)
+    if goes_on:
+        assert window.controller.left == "the instrument goes on"
+
+
+def test_silence_of_the_instrument_is_shown_until_it_answers(
+    window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line, controls = window.status_line, window.controls
+    with monkeypatch.context() as silence:
+        silence.setattr("app.acquisition.remote.connection._SILENT_S", -1.0)
+        qtbot.waitUntil(lambda: line.devices.text() == "no answer")
+        assert not controls.isEnabled()
+        assert controls.light.text() == "Light not\nreached"
+        assert line.rate.text() == NOTHING
+    qtbot.waitUntil(lambda: line.devices.text() == "running")
+    assert controls.isEnabled()
+    assert controls.light.text() == "Light on"
 
 
 def test_commands_of_a_window_that_watches_are_refused_with_a_sentence(
@@ -199,6 +218,7 @@ def test_end_of_the_instrument_is_told_and_reconnecting_says_that_none_runs(
     window.messages.accept.click()
     qtbot.waitUntil(lambda: "the instrument was shut down" in told(window))
     qtbot.waitUntil(lambda: not server.acquisition.is_alive)
+    assert window.controller.left == "the instrument was shut down"
     qtbot.wait(300)
     window.messages.reconnect.click()
     qtbot.waitUntil(lambda: "no instrument runs" in told(window))

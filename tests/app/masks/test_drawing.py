@@ -225,7 +225,7 @@ def test_size_scales_openings_and_bench_sets_their_proportions(drawn: Callable[.
     plate = drawn("stars", ".gds", "--size", "2400 um", "--set", "simulation.source.pinhole_diameter_m=30e-6")
     assert plate.area_mm2 == pytest.approx(9 * math.pi * 0.03**2, rel=2e-3)
     assert plate.corners["openings"].max() == pytest.approx(1.03, abs=1e-5)
-    plate = drawn("checkerboard", ".svg", "--size", "0.0016", "--set", "simulation.source.checker_cells=4")
+    plate = drawn("checkerboard", ".svg", "--size", "0.0016m", "--set", "simulation.source.checker_cells=4")
     assert "minimum feature 400 um, minimum gap 400 um; openings touch at 9 corners" in plate.text
 
 

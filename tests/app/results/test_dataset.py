@@ -56,6 +56,8 @@ def test_results_have_documented_names_dimensions_and_units(dataset: xr.Dataset,
     }
     for name, names in dimensions.items():
         assert read[name].dims == names
+    outcome = read["outcome"].attrs
+    assert outcome["flag_meanings"].split()[outcome["flag_values"].tolist().index(1)] == "dark"
     assert dict(read.sizes) == {
         "view_row": 3,
         "view_column": 3,

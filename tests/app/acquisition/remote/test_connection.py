@@ -493,7 +493,7 @@ def test_a_measurement_after_a_command_was_taken_after_it(camera: FakeCamera) ->
 
 
 def test_without_an_instrument_the_sentence_says_how_to_start_one() -> None:
-    with pytest.raises(RunError, match=r"no instrument runs as instrument: start one with svwfs serve"):
+    with pytest.raises(RunError, match=r"no instrument runs: start one with svwfs serve"):
         Connection("test")
     (runtime_folder() / "instrument.json").write_text("{")  # of a killed one
     with pytest.raises(RunError, match="no instrument runs"):

@@ -174,7 +174,7 @@ def test_measure_attaches(
 
     attached: tuple[str | Path, ...] = ("measure", "--attach", "--frames", "4", "--out")
     fails(2, "--bench cannot go with --attach", *attached, tmp_path / "x", "--bench", "small_demo")
-    fails(1, "no instrument runs as instrument", *attached, tmp_path / "x")
+    fails(1, "no instrument runs", *attached, tmp_path / "x")
     fails(2, "add --attach", "measure", "--frames", "4", "--out", tmp_path / "x", "--take-control")
     with instrument(small_toml):
         with connected(controls=False) as watching:
@@ -185,7 +185,7 @@ def test_measure_attaches(
         fails(1, "an instrument runs as instrument already", "serve", "--bench", small_toml)
         with connected() as other:
             wait_until(lambda: other.has_control)
-            fails(1, "only watches", *attached, tmp_path / "other")
+            fails(1, "add --take-control", *attached, tmp_path / "other")
             assert not (tmp_path / "other").exists()
             fails(2, "holds a recording", *attached, tmp_path / "run", "--take-control")
             assert other.has_control
