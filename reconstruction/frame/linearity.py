@@ -16,7 +16,6 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
-from scipy import optimize
 from typing_extensions import Doc
 
 from reconstruction.annotated_settings import Checked
@@ -211,6 +210,8 @@ class _Fit:
         count, bins = self._sigma.shape
         start = np.zeros(3 + _DRIFTS + bins + count)
         start[3 + _DRIFTS : 3 + _DRIFTS + bins] = np.max(self._moments[:, 0], axis=0)
+        from scipy import optimize  # noqa: PLC0415 - a bench with these settings is read without it
+
         solution = optimize.least_squares(self._residuals, start, x_scale="jac")
         self._freedom = solution.fun.size - start.size
         self._chi_square = 2 * float(solution.cost) / self._freedom
