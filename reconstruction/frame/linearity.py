@@ -207,11 +207,11 @@ class _Fit:
     @cached_property
     def found(self) -> tuple[Floats, Floats]:
         """Quadratic and cubic term, late beginning over the longest exposure, ...; and their covariance."""
+        from scipy import optimize  # noqa: PLC0415 - benches, whose settings are here, are read without it
+
         count, bins = self._sigma.shape
         start = np.zeros(3 + _DRIFTS + bins + count)
         start[3 + _DRIFTS : 3 + _DRIFTS + bins] = np.max(self._moments[:, 0], axis=0)
-        from scipy import optimize  # noqa: PLC0415 - a bench with these settings is read without it
-
         solution = optimize.least_squares(self._residuals, start, x_scale="jac")
         self._freedom = solution.fun.size - start.size
         self._chi_square = 2 * float(solution.cost) / self._freedom
