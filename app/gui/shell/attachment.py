@@ -24,9 +24,17 @@ class Attachment:
         return acquisition if isinstance(acquisition, Connection) and acquisition.is_alive else None
 
     @property
+    def only_watches(self) -> bool:
+        """True if this window could take control."""
+        connection = self.connection
+        return connection is not None and not connection.has_control and not connection.is_silent
+
+    @property
     def notice(self) -> str:
         """Why commands are refused; empty if they are not."""
         connection = self.connection
+        if connection is not None and connection.is_silent:
+            return f"the instrument's process {connection.place.process} does not answer: if that lasts, end it"
         if connection is None or connection.has_control:
             return ""
         who = f"{connection.controller} has control" if connection.controller else "nobody has control"

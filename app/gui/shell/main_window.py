@@ -352,7 +352,7 @@ class MainWindow(BaseWindow):
             failure=self._failure,
             way_out=way_out(status),
             may_reconnect=not is_replay(status),
-            only_watches=bool(self.attachment.notice),
+            only_watches=self.attachment.only_watches,
             warning="; ".join(filter(None, [alarm, self.replay.notice, self.attachment.notice])),
             advice=advice(status, self._activity, measurement),
         )

@@ -108,7 +108,7 @@ class StatusLine(QWidget):
             self.delay.setToolTip(f"<p>{_DELAY}.</p>{_timing_table(summary)}")
         if status is not None:
             self.simulated.setVisible(status.bench.is_simulated)
-            self.devices.setText("no answer" if is_silent else "running" if status.is_running else "stopped")
+            self.devices.setText("silent" if is_silent else "running" if status.is_running else "stopped")
             self.devices.setToolTip("\n".join(filter(None, [status.camera_name, status.light_name, place])))
         last = self._newest
         if last is None:

@@ -111,7 +111,8 @@ def test_silence_of_the_instrument_is_shown_until_it_answers(
     line, controls = window.status_line, window.controls
     with monkeypatch.context() as silence:
         silence.setattr("app.acquisition.remote.connection._SILENT_S", -1.0)
-        qtbot.waitUntil(lambda: line.devices.text() == "no answer")
+        qtbot.waitUntil(lambda: line.devices.text() == "silent")
+        qtbot.waitUntil(lambda: "does not answer: if that lasts, end it" in told(window))
         assert not controls.isEnabled()
         assert controls.light.text() == "Light not\nreached"
         assert line.rate.text() == NOTHING
