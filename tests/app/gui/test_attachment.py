@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -20,7 +21,6 @@ from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.server import Server
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.presentation import NOTHING
-from app.measurement.measurement import Measurement
 
 pytestmark = pytest.mark.slow
 
@@ -176,32 +176,34 @@ def test_window_goes_on_with_an_instrument_that_was_started_again(
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # the process ends by itself
-@pytest.mark.usefixtures("runtime_folder", "qapp", "restored_theme")
-def test_window_starts_an_instrument_of_its_own_and_shows_its_camera_at_once(
-    small_toml: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.usefixtures("runtime_folder")
+def test_window_starts_an_instrument_of_its_own(
+    make_window: MakeWindow,
+    small_toml: Path,
+    qtbot: QtBot,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    def run_window(open_first: Callable[[MainWindow], None]) -> int:
+        window = make_window()
+        open_first(window)
+        qtbot.waitUntil(lambda: window.status_line.valid.text() == "35 of 35")
+        connection = window.attachment.connection
+        assert connection is not None
+        assert connection.has_control
+        assert connection.place.process != os.getpid()
+        connection.shut_down()
+        qtbot.waitUntil(lambda: "the instrument was shut down" in told(window))
+        return 0
+
     monkeypatch.setattr("app.commands.live.use_display", lambda: True)
-    monkeypatch.setattr("app.gui.application.settings_file", lambda: None)
-    shown, first = list[Measurement](), list[bool]()
-    show = MainWindow.show_measurement
-
-    def note(window: MainWindow, measurement: Measurement) -> None:
-        show(window, measurement)
-        shown.append(measurement)
-        first.append("preparing" in window._activity.text)
-        if measurement.wavefront is not None and window.isVisible():
-            answer(monkeypatch, "End it")
-            window.quit()
-
-    monkeypatch.setattr(MainWindow, "show_measurement", note)
+    monkeypatch.setattr("app.gui.application.run_window", run_window)
     arguments = ("live", "--own-process", "--bench", small_toml)
     with taken_place() as place:
         place.announce()
         assert run(monkeypatch, *arguments) == 1
     assert "runs as instrument already" in capsys.readouterr().err
     assert run(monkeypatch, *arguments) == 0
-    assert shown[0].wavefront is None  # while the dark is taken: before anything is prepared or compiled
-    assert not first[0]
     wait_until(lambda: not is_taken(NAME))
     assert run(monkeypatch, *arguments, "--seconds", "1") == 2
     assert "--own-process is for a window" in capsys.readouterr().err
