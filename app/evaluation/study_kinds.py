@@ -106,7 +106,7 @@ class Sweep(Study):
         return Output({"seeds": results[-1].seeds, "sweeps": tree}, lines, figure, [*columns])
 
     def printed(self, data: pd.DataFrame) -> Printed:
-        """Return a line for each curve; for each position if these have names, which may be long."""
+        """Return a line for each curve; for each position if these are more, and have names, which may be long."""
         positions = data["at"].cat.categories
         cells: dict[str, dict[Position, str]] = {}
         for row in known_rows(self.summary(data)):
@@ -119,7 +119,7 @@ class Sweep(Study):
         shown = [self.shown(at) for at in positions]
         headings = [self.axis, *(at if isinstance(at, str) else f"{at:g}" for at in shown)]
         table = [headings, *([curve, *(of_curve.get(at, "") for at in positions)] for curve, of_curve in cells.items())]
-        if any(isinstance(at, str) for at in shown):
+        if len(cells) < len(positions) and any(isinstance(at, str) for at in shown):
             table = [list(line) for line in zip(*table, strict=True)]
         return Printed(f"{self.title}: residual RMS (rad)", table[0], table[1:])
 

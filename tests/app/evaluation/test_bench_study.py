@@ -125,6 +125,8 @@ def test_study_shows_residual_error_bar_and_flags(bench: Bench, monkeypatch: pyt
     assert summary.loc[("layers", "none"), "flags"] == ""
     assert 0 <= summary.loc[("layers: error bar", "none"), "coverage"] <= 1
     data["faults"] = float(Fault.MISFIT)
-    lines = BENCH.printed(data).lines  # one each, because their names are long
-    assert [line[0] for line in lines] == [each.name for each in chosen]
+    lines = BENCH.printed(data).lines
+    assert [line[0] for line in lines] == ["free", "free: error bar", "layers", "layers: error bar"]
     assert any("MISFIT" in cell for line in lines for cell in line)
+    lines = BENCH.printed(data[data["curve"] == "free"]).lines  # fewer than the imperfections: a line for each of these
+    assert [line[0] for line in lines] == [each.name for each in chosen]
