@@ -485,7 +485,7 @@ class MainWindow(BaseWindow):
             self.connect_devices()
 
     def _take_control(self) -> None:
-        """Let the signal know the window alone: a reference to the attachment, which has the window, would keep both."""
+        """Let the signal know the window alone: with a reference to the attachment, which has it, it would stay."""
         self.attachment.take_control()
 
     def _forget_status(self) -> None:
