@@ -32,9 +32,7 @@ def test_thread_that_ends_soon_is_none_and_earlier_ones_stay() -> None:
 
 def test_window_is_found_until_nobody_owns_it(qapp: QApplication) -> None:
     assert qapp.applicationName() is not None
-    window = QLabel()
-    window.setWindowTitle("svwfs")
     with pytest.raises(AssertionError, match=r"windows outlive the test: .*QLabel svwfs"), no_leftovers():
-        pass
+        window = QLabel("svwfs", windowTitle="svwfs")
     del window
     assert left_widgets() == []
