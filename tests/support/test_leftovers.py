@@ -30,9 +30,15 @@ def test_thread_that_ends_soon_is_none_and_earlier_ones_stay() -> None:
     ends.set()
 
 
+def titled_label() -> QLabel:
+    label = QLabel()
+    label.setWindowTitle("svwfs")
+    return label
+
+
 def test_window_is_found_until_nobody_owns_it(qapp: QApplication) -> None:
     assert qapp.applicationName() is not None
     with pytest.raises(AssertionError, match=r"windows outlive the test: .*QLabel svwfs"), no_leftovers():
-        window = QLabel("svwfs", windowTitle="svwfs")
+        window = titled_label()
     del window
     assert left_widgets() == []
