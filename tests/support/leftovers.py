@@ -16,9 +16,9 @@ _LASTING = ("zarr_io", "asyncio_", "reconstruction_")  # Zarr's, and those of `w
 @contextmanager
 def no_leftovers() -> Iterator[None]:
     """Fail if a thread that was started within, or a top-level widget, is left at the end."""
-    before, earlier = set(threading.enumerate()), _widgets()
+    before = set(threading.enumerate())
     yield
-    widgets, threads = [each for each in left_widgets() if each not in earlier], left_threads(before)
+    widgets, threads = left_widgets(), left_threads(before)
     assert not widgets, f"windows outlive the test: {widgets}"
     assert not threads, f"threads outlive the test: {threads}"
 
@@ -43,15 +43,6 @@ def left_widgets() -> list[str]:
         return []
     QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
     gc.collect()
-    return _widgets()
-
-
-def _widgets() -> list[str]:
-    """Top-level widgets by name."""
-    if "PyQt6.QtWidgets" not in sys.modules:
-        return []
-    from PyQt6.QtWidgets import QApplication  # noqa: PLC0415 - it is loaded
-
     return [f"{type(each).__name__} {each.windowTitle()}".strip() for each in QApplication.topLevelWidgets()]
 
 

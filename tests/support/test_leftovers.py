@@ -30,15 +30,11 @@ def test_thread_that_ends_soon_is_none_and_earlier_ones_stay() -> None:
     ends.set()
 
 
-def titled_label() -> QLabel:
-    label = QLabel()
-    label.setWindowTitle("svwfs")
-    return label
-
-
 def test_window_is_found_until_nobody_owns_it(qapp: QApplication) -> None:
     assert qapp.applicationName() is not None
+    window = QLabel()
+    window.setWindowTitle("svwfs")
     with pytest.raises(AssertionError, match=r"windows outlive the test: .*QLabel svwfs"), no_leftovers():
-        window = titled_label()
+        pass
     del window
     assert left_widgets() == []

@@ -44,7 +44,7 @@ class Controller(QObject):
         self.is_stuck = False  # whether the worker did not end on `close`
         self._pending: list[tuple[Future[Any], Then, Otherwise]] = []
         self.ask = messages.ask
-        messages.answered.connect(lambda _: self.question_closed.emit())
+        messages.answered.connect(self.question_closed)  # a lambda would keep the closed window
         messages.cancel_requested.connect(self.cancel)
 
     @property

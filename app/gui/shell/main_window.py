@@ -147,7 +147,7 @@ class MainWindow(BaseWindow):
         self.shown.exclusion_requested.connect(lambda *which: self.settings.change(("lenslets", which)))
         self.messages.cancel_requested.connect(self.panels.camera.put_tool_away)
         self.messages.reconnect_requested.connect(self._reconnect)
-        self.messages.control_requested.connect(self._take_control)
+        self.messages.control_requested.connect(self.attachment.take_control)
         self.messages.dismissed.connect(self.errors.restart)
         for panel in self.panels:
             panel.warned.connect(self.messages.warn)
@@ -483,10 +483,6 @@ class MainWindow(BaseWindow):
     def _reconnect(self) -> None:
         if self.controller.failure:
             self.connect_devices()
-
-    def _take_control(self) -> None:
-        """Let the signal know the window alone: with a reference to the attachment, which has it, it would stay."""
-        self.attachment.take_control()
 
     def _forget_status(self) -> None:
         """Show the status again, for example since icons are drawn in another theme."""
