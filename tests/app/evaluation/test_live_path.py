@@ -9,7 +9,7 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -21,6 +21,7 @@ import pytest
 from PyQt6.QtCore import QTimer
 from PyQt6.QtWidgets import QApplication
 from support.gui_bench import BENCH, FakeCamera, make_measurement, opener
+from support.leftovers import left_widgets
 from support.simulated_faults import lose_frames
 
 import app.commands.benchmark
@@ -73,6 +74,13 @@ class Seen:
 
     def between(self, first_s: float, last_s: float) -> list[Frame]:
         return [frame for frame in self.frames if first_s <= frame.host_time_s <= last_s]
+
+
+@pytest.fixture(autouse=True)
+def no_window_stays() -> Iterator[None]:
+    """Every window is freed after its run, although nobody deletes it."""
+    yield
+    assert not left_widgets()
 
 
 @pytest.fixture(scope="module")
