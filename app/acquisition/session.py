@@ -405,7 +405,7 @@ class ConnectedBench(LiveBench):
 
     @property
     def has_control(self) -> bool:
-        """Whether commands of this program are executed."""
+        """True while this program has control: the instrument executes its commands."""
         return self._connection.has_control
 
     @property

@@ -172,7 +172,7 @@ class Connection:
 
     @property
     def has_control(self) -> bool:
-        """Whether commands of this client are executed."""
+        """True while this client has control: the instrument executes its commands."""
         return self.controller == self.name
 
     def start(self) -> None:

@@ -64,7 +64,7 @@ class Controller(QObject):
 
     @property
     def left(self) -> str:
-        """What becomes of an instrument of another process when this one ends; empty if it runs in this one."""
+        """What becomes of the instrument when the window closes; empty if it runs in the window's own process."""
         if not isinstance(self.acquisition, Connection):
             return ""
         return self.acquisition.loss or "the instrument goes on"

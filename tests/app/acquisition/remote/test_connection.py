@@ -344,7 +344,7 @@ def send_notices(server: Server, count: int) -> None:
 
 
 def read_all(socket: zmq.Socket[bytes]) -> list[object]:
-    """What has arrived, without what refers to an object."""
+    """The messages that have arrived; those whose object is missing are left out."""
     found = list[object]()
     while socket.poll(500):
         with suppress(RunError, ValueError):
