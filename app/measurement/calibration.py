@@ -95,7 +95,7 @@ class Calibration:
             f"the nonlinearity was measured with amplifier {measured.amplifier} and gain {measured.em_gain:g}: measure"
             " it again (svwfs calibrate --linearity), or remove [linearity]"
         )
-        return Quality({Fault.LINEARITY: why})
+        return Quality.of(Fault.LINEARITY, why)
 
     def reconstructor(self) -> Reconstructor:
         """Build the reconstructor; `ReconstructionError` if dark, reference and settings do not fit."""

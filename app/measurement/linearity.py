@@ -4,12 +4,14 @@ Equal exposures at different times tell light that drifts from a nonlinearity. T
 gives at another current is not known, the exposure time is.
 """
 
+from typing import Unpack
+
 import numpy as np
 
 from app.measurement.auto_exposure import auto_expose
 from app.measurement.averages import Average, average
-from app.measurement.routines import FrameProgress, RoutineError, ShouldStop, restored
-from drivers.interface import Devices, Frame
+from app.measurement.routines import RoutineError, Watch, restored
+from drivers.interface import Devices
 from drivers.light_source import ManualLight
 from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError
@@ -23,9 +25,7 @@ _PASSES = 2  # up and down
 _MARGIN = 1.2  # of the exposure that a lower current shall demand
 
 
-def measure_linearity(
-    devices: Devices, cell_px: float, frames: int, *, progress: FrameProgress, should_stop: ShouldStop
-) -> MeasuredLinearity:
+def measure_linearity(devices: Devices, cell_px: float, frames: int, **watch: Unpack[Watch]) -> MeasuredLinearity:
     """Measure the nonlinearity in the camera's present mode from averages of `frames` frames.
 
     `cell_px` is the lenslet pitch on the camera. A `RoutineError` says why it cannot be told; everything is restored.
@@ -37,15 +37,14 @@ def measure_linearity(
         raise RoutineError("at least 2 frames of each exposure are needed: they tell its noise")
     with restored(devices):
         devices.stage.set_sample_in(False)
-        exposures_s = _exposure_times(devices, cell_px, progress, should_stop)
+        exposures_s = _exposure_times(devices, cell_px, watch)
         visits = (exposures_s + exposures_s[::-1]) * _PASSES
         shares = iter(np.linspace(0, 1, len(exposures_s) + 1 + len(visits) + 1))
 
         def averaged(exposure_s: float) -> Average:
             camera.stop()
             camera.set_exposure(exposure_s)
-            done = next(shares)
-            return average(camera, frames, progress=lambda frame, _: progress(frame, done), should_stop=should_stop)
+            return average(camera, frames, **_at(next(shares), watch))
 
         light.set_on(False)
         darks = {exposure_s: averaged(exposure_s) for exposure_s in exposures_s}
@@ -67,20 +66,22 @@ def measure_linearity(
             raise RoutineError(str(error)) from error
 
 
-def _exposure_times(devices: Devices, cell_px: float, progress: FrameProgress, should_stop: ShouldStop) -> list[float]:
+def _at(share: float, watch: Watch) -> Watch:
+    """Callbacks of a part of the routine, during which the progress stays at `share`."""
+    return {"progress": lambda frame, _: watch["progress"](frame, share), "should_stop": watch["should_stop"]}
+
+
+def _exposure_times(devices: Devices, cell_px: float, watch: Watch) -> list[float]:
     """Set the current, and return the exposures, s, of which the longest nearly fills the camera's scale."""
     camera, light = devices.camera, devices.light
 
-    def note(frame: Frame, _: float) -> None:
-        progress(frame, 0.0)
-
-    longest_s = auto_expose(devices, cell_px, fill=_FILL, progress=note, should_stop=should_stop).exposure_s
+    longest_s = auto_expose(devices, cell_px, fill=_FILL, **_at(0.0, watch)).exposure_s
     allowed = camera.capabilities.exposure_range_s
     wanted_s = min(_SPAN * allowed.minimum, allowed.maximum)
     if longest_s < wanted_s:
         dimmed_a = max(light.current_a * longest_s / (_MARGIN * wanted_s), light.current_range_a.minimum)
         light.set_current(dimmed_a)
-        longest_s = auto_expose(devices, cell_px, fill=_FILL, progress=note, should_stop=should_stop).exposure_s
+        longest_s = auto_expose(devices, cell_px, fill=_FILL, **_at(0.0, watch)).exposure_s
     shortest_s = max(allowed.minimum, longest_s / _SPAN)
     if longest_s < LEAST_SPAN * shortest_s:
         raise RoutineError(
