@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PyQt6.QtWidgets import QMessageBox
@@ -175,7 +177,6 @@ def test_window_goes_on_with_an_instrument_that_was_started_again(
         qtbot.waitUntil(lambda: "dark taken" in told(window))
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # the process ends by itself
 @pytest.mark.usefixtures("runtime_folder")
 def test_window_starts_an_instrument_of_its_own(
     make_window: MakeWindow,
@@ -196,6 +197,14 @@ def test_window_starts_an_instrument_of_its_own(
         qtbot.waitUntil(lambda: "the instrument was shut down" in told(window))
         return 0
 
+    started = list[subprocess.Popen[bytes]]()
+
+    class Noted(subprocess.Popen[bytes]):
+        def __init__(self, *arguments: Any, **named: Any) -> None:
+            super().__init__(*arguments, **named)
+            started.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Noted)
     monkeypatch.setattr("app.commands.live.use_display", lambda: True)
     monkeypatch.setattr("app.gui.application.run_window", run_window)
     arguments = ("live", "--own-process", "--bench", small_toml)
@@ -212,6 +221,7 @@ def test_window_starts_an_instrument_of_its_own(
     with taken_place():
         assert run(monkeypatch, *arguments) == 1
     assert "the instrument's process has ended: svwfs: an instrument runs as" in capsys.readouterr().err
+    assert [each.wait(HANG_S) for each in started] == [0, 1]  # shut down, and refused
 
 
 def test_end_of_the_instrument_is_told_and_reconnecting_says_that_none_runs(
