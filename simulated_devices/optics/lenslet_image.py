@@ -7,9 +7,13 @@ to first order only wavefronts with odd m + n change the image. A hexagonal aper
 
 A wavefront that changes over the field gathers light on the lenslets, too: (f1 / k) sum_j d2 phi / dx_j du_j of that of
 an object point, which adds Re of the same products with the derivative of P_m or P_n (docs/brightness.md).
+
+A lenslet's own small wavefront b P_k(xi) P_l(eta) adds i b times the field with P_k P_l to each field. With odd k + l
+it changes the image to first order, and so it changes what other odd wavefronts do.
 """
 
 import math
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.polynomial import legendre as series
@@ -76,7 +80,7 @@ class LensletImage:
         along_x, along_y = (self._products(0, axis)[0] for axis in (0, 1))
         return np.asarray((along_y * np.repeat(self._light * brightness, self._terms)) @ along_x.T)
 
-    def derivatives(self, degree: int, values: Floats, gradients: Floats) -> Floats:
+    def derivatives(self, degree: int, values: Floats, gradients: Floats, own: tuple[int, int] | None = None) -> Floats:
         """Derivatives of the image by wavefronts P_m(xi) P_n(eta) T_q over the lenslet, m + n <= degree.
 
         Parameters
@@ -87,43 +91,71 @@ class LensletImage:
             T_q at `position`.
         gradients : (field_mode, point, xy)
             Gradients of T_q there, normalised.
+        own : (n, m), optional
+            What the derivatives change per rad of the lenslet's own wavefront P_m(xi) P_n(eta), m + n odd.
 
         Returns
         -------
         (n, m, field_mode, row, column)
             Change of the image per rad, as a share of the light; zero beyond the degree.
         """
-        along_x, along_y = (self._products(degree, axis) for axis in (0, 1))
+        if own is None:
+            fields = (self._products(degree, axis) for axis in (0, 1))
+            return self._combined(degree, values, gradients, fields, lambda sign: (-1, sign, -sign))
+        others = (self._products(degree, axis, before=own[1 - axis]) for axis in (0, 1))
+        both = (self._products(degree, axis, within=own[1 - axis]) for axis in (0, 1))
+        turned = (-1) ** own[0]
+        changed = self._combined(degree, values, gradients, others, lambda sign: (1, -sign, sign))
+        return changed + self._combined(degree, values, gradients, both, lambda sign: (-turned * sign, -1, -1))
+
+    def _combined(
+        self,
+        degree: int,
+        values: Floats,
+        gradients: Floats,
+        products: Iterable[Floats],
+        signs: Callable[[int], tuple[int, int, int]],
+    ) -> Floats:
+        """Add up the products of all points; `signs` of phase, light along x, along y, from -1 for odd n, else 1."""
+        along_x, along_y = products
         derive = series.legder(np.eye(degree + 1)) if degree else np.zeros((0, 1))
         slope_x, slope_y = (np.tensordot(derive, along[:-1], axes=(0, 0)) for along in (along_x, along_y))
         of_phase, light_x, light_y = (
             np.repeat(weight * self._light, self._terms, axis=1)
-            for weight in (-2 * values, self._gathered * gradients[..., 0], self._gathered * gradients[..., 1])
+            for weight in (2 * values, self._gathered * gradients[..., 0], self._gathered * gradients[..., 1])
         )
         count, width = len(values), len(self._pixel_m)
         derivatives = np.zeros((degree + 1, degree + 1, count, width, width))
         for n in range(degree + 1):
             for m in range((n + 1) % 2, degree + 1 - n, 2):
                 # The product of two odd functions has the sign of i squared.
-                sign = 1 - 2 * (n % 2)
-                parts = [(of_phase, along_y[n], along_x[m])]
+                of_n = signs(1 - 2 * (n % 2))
+                parts = [(of_n[0] * of_phase, along_y[n], along_x[m])]
                 if self._gathered:
-                    parts += [(sign * light_x, along_y[n], slope_x[m]), (-sign * light_y, slope_y[n], along_x[m])]
+                    parts += [(of_n[1] * light_x, along_y[n], slope_x[m]), (of_n[2] * light_y, slope_y[n], along_x[m])]
                 for weight, of_y, of_x in parts:
                     rows = (weight[:, None] * of_y).reshape(-1, weight.shape[1])
                     derivatives[n, m] += (rows @ of_x.T).reshape(count, width, width)
         return derivatives
 
-    def _products(self, degree: int, axis: int) -> Floats:
-        """F F_m averaged over each pixel, without the i of odd m: (m, pixel, point * term)."""
+    def _products(self, degree: int, axis: int, *, before: int = 0, within: int = 0) -> Floats:
+        """F F_m averaged over each pixel, without the i of odd functions: (m, pixel, point * term).
+
+        F of the field times P_`before`, F_m of the field times P_m and P_`within`.
+        """
         y_m = self._pixel_m[:, None, None] + self._node_m[:, None]  # (pixel, node, 1)
         wave = self._tilt_per_m * self._position_m[:, axis] - self._wave_per_m * y_m  # rad/m, (pixel, node, point)
-        even, odd = (part(wave[..., None] * self._sample_m) for part in (np.cos, np.sin))
-        polynomials = np.polynomial.legendre.legvander(self._along, degree)  # (sample, m)
+        of_parity = [part(wave[..., None] * self._sample_m) for part in (np.cos, np.sin)]
+        polynomials = np.polynomial.legendre.legvander(self._along, max(degree, before, within))  # (sample, m)
         factors = self._factors[axis].T  # (sample, term)
-        field = (even @ factors) * (self._weights[:, None, None] / 2 * self._scale)
-        parts = ((odd if m % 2 else even) @ (factors * polynomials[:, m : m + 1]) for m in range(degree + 1))
-        products = [np.einsum("inpr,inps->iprs", field, part) for part in parts]
+
+        def transform(m: int, times: int = 0) -> Floats:
+            return np.asarray(
+                of_parity[(m + times) % 2] @ (factors * polynomials[:, m, None] * polynomials[:, times, None])
+            )
+
+        field = transform(before) * (self._weights[:, None, None] / 2 * self._scale)
+        products = [np.einsum("inpr,inps->iprs", field, transform(m, within)) for m in range(degree + 1)]
         return np.stack(products).reshape(degree + 1, len(y_m), -1)
 
 

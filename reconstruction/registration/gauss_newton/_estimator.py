@@ -15,6 +15,7 @@ preserves: the covariance is that of pixels without interpolation. The residual 
 interpolation.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -36,6 +37,7 @@ from reconstruction.registration.gauss_newton._lenslet_fits import (
 )
 from reconstruction.registration.gauss_newton.template import (
     LINEAR,
+    OwnWave,
     Propagated,
     Template,
     coefficient_covariance,
@@ -319,13 +321,14 @@ class GaussNewton:
         """Displacement (x modes, y modes) of each parameter of the warp, orthonormal rows, (K, 2Q)."""
         return self._warp.grid.basis.astype(np.float64)
 
-    def response(self, image: Floats, changes: Floats) -> Floats:
+    def response(self, image: Floats, changes: Floats, own: Sequence[OwnWave] = ()) -> Floats:
         """Parameters found for small changes of a subimage, to first order.
 
         From a noise-free subimage (row, column) and its changes (..., row, column), in any unit, to (lenslet, ..., K),
-        px. A warp of that subimage is found as it is.
+        px. A warp of that subimage is found as it is. Of `own`, each lenslet's subimage has its share.
         """
-        return respond(self._reference, self.modes, self._warp, image, changes, brightness=self._brightness)
+        brightness = self._brightness
+        return respond(self._reference, self.modes, self._warp, image, changes, own=own, brightness=brightness)
 
     def _fit(self, coefficients: Image, bad: Booleans, start: Displacement | None) -> Fits:
         """Fit all lenslets, shared among threads, to a frame given by its spline coefficients."""

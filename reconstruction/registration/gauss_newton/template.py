@@ -9,6 +9,7 @@ subimage. Inside a uniform source nothing moves visibly, so that some displaceme
 nothing.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -191,6 +192,14 @@ def source_brightness(
     return min(cubic, cubic[: TRANSMISSION_MODES.count], key=expected_error)
 
 
+class OwnWave(NamedTuple):
+    """A small wavefront that lenslets have of their own, and what each of them has of it."""
+
+    rad: Floats  # of each lenslet, (L,)
+    image: Floats  # change of a subimage per rad, (row, column)
+    changes: Floats  # what its changes change per rad, (..., row, column)
+
+
 def respond(
     reference: ReferenceSubimages,
     modes: PolynomialModes,
@@ -198,6 +207,7 @@ def respond(
     image: Floats,
     changes: Floats,
     *,
+    own: Sequence[OwnWave],
     brightness: Floats | None,
 ) -> Floats:
     """Parameters of a template found for changes (..., row, column) of a noise-free subimage; see `GaussNewton`.
@@ -208,29 +218,36 @@ def respond(
     images = SteepestDescent(
         reference, modes, template.pixels, basis, conserve_flux=conserves_flux, brightness=brightness
     )
+    row, column = np.nonzero(template.pixels)
+    whole, unit = np.stack([image, *(wave.image for wave in own)]), np.max(image)
+    at_pixels = np.stack([column, row], -1).astype(float)
+    at_rest = [sample(spline_coefficients(np.asarray(part / unit, np.float32)), at_pixels) for part in whole]
+    still_light, still_gradient = (unit * np.stack(part) for part in zip(*at_rest, strict=True))
+    blur, slope = mean_interpolation(reference.width)
+    moved_light = (blur @ whole @ blur.T)[:, row, column]
+    moved_gradient = np.stack([blur @ whole @ slope.T, slope @ whole @ blur.T], axis=-1)[:, row, column]
+    parts = np.stack([changes, *(wave.changes for wave in own)]).reshape(len(whole), -1, *image.shape)
+    pixel_changes = np.swapaxes((blur @ parts @ blur.T)[..., row, column], 1, 2)  # (part, pixel, change)
+    lenslets = len(template.grid.weight)
+    shares = np.stack([np.ones(lenslets), *(wave.rad for wave in own)], axis=1)  # (lenslet, part)
 
-    def descent(light: Floats, gradient: Floats) -> Floats:
-        found = images(light.reshape(1, -1), gradient.reshape(1, -1, 2))
+    def descent(light: Floats, gradient: Floats, share: Floats) -> Floats:
+        found = images(np.tensordot(share, light, 1), np.tensordot(share, gradient, 1))
         found[:, -1] *= np.mean(image)  # of the size of the others
         return found
-
-    row, column = np.nonzero(template.pixels)
-    coefficients = spline_coefficients(np.asarray(image / np.max(image), np.float32))
-    still = descent(*(np.max(image) * part for part in sample(coefficients, np.stack([column, row], -1).astype(float))))
-    blur, slope = mean_interpolation(reference.width)
-    slopes = np.stack([blur @ image @ slope.T, slope @ image @ blur.T], axis=-1)
-    moved = descent((blur @ image @ blur.T)[row, column], slopes[row, column])[0]
-    pixel_changes = (blur @ changes @ blur.T)[..., row, column].reshape(-1, len(row)).T
 
     def found(some: slice) -> Floats:
         # Not the lenslet's own light: it may lie beside the middle of its window, where the image is.
         weight = np.asarray(template.grid.weight[some], np.float64)
+        share = shares[some] if own else shares[:1]  # without, all are alike
+        still = descent(still_light, still_gradient, share)
         projected = images.without_brightness(still, weight) * weight[:, None]  # (lenslet, P, pixel)
+        squares = projected @ np.swapaxes(descent(moved_light, moved_gradient, share), 1, 2)
         # (lenslet, P, change); of squares
-        parameters = -np.linalg.pinv(projected @ moved.T, rcond=_UNSEEN**2) @ (projected @ pixel_changes)
+        found = projected @ np.tensordot(share, pixel_changes, 1)
+        parameters = -np.linalg.pinv(squares, rcond=_UNSEEN**2) @ found
         return np.swapaxes(parameters[:, : len(basis)], 1, 2)
 
-    lenslets = len(template.grid.weight)
     warp = np.concatenate([found(slice(first, first + _AT_ONCE)) for first in range(0, lenslets, _AT_ONCE)])
     return warp.reshape(lenslets, *changes.shape[:-2], -1)
 

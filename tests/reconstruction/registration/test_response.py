@@ -13,7 +13,7 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import LegendreModes, ZernikeModes
 from reconstruction.registration.gauss_newton import GaussNewton
-from reconstruction.registration.response import fitting_model, linear_response
+from reconstruction.registration.response import OWN_WAVES, fitting_model, linear_response, own_wave_images, own_waves
 from reconstruction.registration.subimages import ReferenceSubimages
 from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import SourcePoints
@@ -49,7 +49,7 @@ def registered(request: pytest.FixtureRequest) -> Registered:
     reference = bench.subimages()
     model = model_of(bench, bench.source, reference.width)
     method = GaussNewton(reference, MODES, conserve_flux=bench.field.neglect_propagation, rotation=False)
-    return Registered(bench, reference, model, method, linear_response(method, model))
+    return Registered(bench, reference, model, method, linear_response(method, reference, model))
 
 
 @pytest.mark.parametrize("modes", [MODES, ZernikeModes(6)])
@@ -107,19 +107,43 @@ def test_even_wavefronts_cause_no_displacement(registered: Registered) -> None:
 )
 def test_response_matches_complete_registrations(registered: Registered, n: int, m: int, q: int) -> None:
     bench = registered.bench
-    pitch_m, rad = bench.sensor.lenslet_pitch_m, 0.3
-    u, v = bench.samples()
-    centre = [(count - 1) / 2 % 1 for count in (bench.sensor.lenslet_columns, bench.sensor.lenslet_rows)]
-    xi, eta = (2 * (at / pitch_m - np.rint(at / pitch_m - c) - c) for at, c in zip((u, v), centre, strict=True))
-    along_u, along_v = Legendre.basis(m), Legendre.basis(n)
-    local = along_u(xi) * along_v(eta)
-    slope_u, slope_v = along_u.deriv()(xi) * along_v(eta), along_u(xi) * along_v.deriv()(eta)
-    gathered = FIELD.collimator_focal_length_m / bench.sensor.wavenumber_rad_per_m / FIELD.half_width_m * 2 / pitch_m
+    tilts = np.array([[0.3, -0.1], [-0.2, 0.45]]) * bench.sensor.slope_per_px
+    found = [measured_response(bench, registered.method, (n, m, q), tilt=tilt) for tilt in tilts]
+    measured, expected = np.mean(found, axis=(0, 1)), registered.response[:, n, m, q].mean(axis=0)
+    assert np.linalg.norm(measured - expected) < 0.04 * np.linalg.norm(measured)
 
-    def registered_px(amplitude: float, tilt: Floats) -> Floats:
+
+def local_wave(bench: SmallBench, n: int, m: int) -> Floats:
+    """P_n(eta) P_m(xi) over the lenslet of each pupil sample, and its slopes per unit of xi and eta, (3, y, x)."""
+    pitch_m = bench.sensor.lenslet_pitch_m
+    centre = [(count - 1) / 2 % 1 for count in (bench.sensor.lenslet_columns, bench.sensor.lenslet_rows)]
+    along = zip(bench.samples(), centre, strict=True)
+    xi, eta = (2 * (at / pitch_m - np.rint(at / pitch_m - middle) - middle) for at, middle in along)
+    of_xi, of_eta = Legendre.basis(m), Legendre.basis(n)
+    return np.stack([of_xi(xi) * of_eta(eta), of_xi.deriv()(xi) * of_eta(eta), of_xi(xi) * of_eta.deriv()(eta)])
+
+
+def measured_response(
+    bench: SmallBench,
+    method: GaussNewton,
+    wave: tuple[int, int, int],
+    *,
+    tilt: Floats | tuple[float, float] = (0.0, 0.0),
+    own: Floats | float = 0.0,
+) -> Floats:
+    """Parameters per rad of P_n(eta) P_m(xi) T_q, (lenslet, K), of rendered frames with a tilt, rad/m.
+
+    The lenslets have the phase `own` (y, x).
+    """
+    n, m, q = wave
+    (u, v), rad, (local, slope_u, slope_v) = bench.samples(), 0.3, local_wave(bench, n, m)
+    per_slope = FIELD.collimator_focal_length_m / bench.sensor.wavenumber_rad_per_m / FIELD.half_width_m
+    gathered = per_slope * 2 / bench.sensor.lenslet_pitch_m
+
+    def registered_px(amplitude: float) -> Floats:
         def phase(x_m: float, y_m: float) -> Image:
             at_point = MODES.values(x_m / FIELD.half_width_m, y_m / FIELD.half_width_m)[q]
-            return np.asarray(tilt[0] * u + tilt[1] * v + amplitude * at_point * local, np.float32)
+            return np.asarray(own + tilt[0] * u + tilt[1] * v + amplitude * at_point * local, np.float32)
 
         def light(x_m: float, y_m: float) -> Image:
             along_x, along_y = MODES.gradients(x_m / FIELD.half_width_m, y_m / FIELD.half_width_m)[q]
@@ -127,16 +151,66 @@ def test_response_matches_complete_registrations(registered: Registered, n: int,
             return np.asarray(np.sqrt(stretch), np.float32)
 
         frame = bench.frame(phase, None if bench.field.neglect_propagation else light)
-        found = registered.method(frame, saturated=np.zeros(frame.shape, np.bool_))
+        found = method(frame, saturated=np.zeros(frame.shape, np.bool_))
         assert found.valid.all()
-        return np.swapaxes(found.coefficients, 2, 3).reshape(-1, 12) @ registered.method.parameters.T
+        return np.asarray(np.swapaxes(found.coefficients, 2, 3).reshape(-1, 12) @ method.parameters.T)
 
-    tilts = np.array([[0.3, -0.1], [-0.2, 0.45]]) * bench.sensor.slope_per_px
-    measured = np.mean([registered_px(rad, tilt) - registered_px(-rad, tilt) for tilt in tilts], axis=(0, 1)) / (
-        2 * rad
-    )
-    expected = registered.response[:, n, m, q].mean(axis=0)
-    assert np.linalg.norm(measured - expected) < 0.04 * np.linalg.norm(measured)
+    return (registered_px(rad) - registered_px(-rad)) / (2 * rad)
+
+
+class Lenslets:
+    """A bench whose lenslets have wavefronts of their own, and its reference."""
+
+    def __init__(self, bench: SmallBench, waves: list[tuple[int, int]], rms_rad: float, electrons: float = 0) -> None:
+        count = bench.sensor.lenslet_rows, bench.sensor.lenslet_columns
+        self.bench, random = bench, np.random.default_rng(7)
+        rad = random.normal(0, rms_rad, (len(waves), *count))
+        self.rad = rad - rad.mean(axis=(1, 2), keepdims=True)  # what all have counts as the source's shape
+        at = zip(bench.samples(), count[::-1], strict=True)
+        column, row = (np.rint(m / bench.sensor.lenslet_pitch_m + (along - 1) / 2).astype(int) for m, along in at)
+        of_sample = self.rad[:, row, column]
+        local = (local_wave(bench, *wave)[0] for wave in waves)
+        self.phase = sum(map(np.multiply, of_sample, local), start=np.zeros(of_sample.shape[1:]))
+        light = bench.frame(lambda _x, _y: np.asarray(self.phase, np.float32))
+        if electrons:
+            light = random.poisson(light * (electrons / light.max())).astype(np.float32)
+        self.reference = ReferenceSubimages(light, sensor=bench.sensor, lattice=bench.lattice, field=bench.field)
+        self.model = model_of(bench, bench.source, self.reference.width)
+
+    def found(self) -> Floats:
+        """Own waves that the reference shows, rad, (wave, lenslet_row, lenslet_column)."""
+        return own_waves(self.reference, own_wave_images(self.model)).reshape(-1, *self.rad.shape[1:])
+
+
+def test_reference_shows_coma_and_trefoil_of_each_lenslet(checker_bench: SmallBench) -> None:
+    lenslets = Lenslets(checker_bench, OWN_WAVES, 0.1)
+    np.testing.assert_allclose(lenslets.found(), lenslets.rad, atol=0.02)
+
+
+def test_symmetric_blur_is_no_wavefront(checker_bench: SmallBench) -> None:
+    defocused = Lenslets(checker_bench, [(0, 2), (2, 0), (1, 1)], 0.1)
+    assert np.sqrt(np.mean(defocused.found() ** 2)) < 0.01
+
+
+@pytest.mark.parametrize(("rms_rad", "electrons", "error_rad"), [(0.1, 3e4, 0.02), (0.1, 100, 0.1), (0.0, 1e3, 0.01)])
+def test_noise_draws_own_wavefronts_towards_zero(
+    checker_bench: SmallBench, rms_rad: float, electrons: float, error_rad: float
+) -> None:
+    """They are never worse than none, and none are found where there are none."""
+    lenslets = Lenslets(checker_bench, OWN_WAVES, rms_rad, electrons)
+    assert np.sqrt(np.mean((lenslets.found() - lenslets.rad) ** 2)) < error_rad
+
+
+@pytest.mark.parametrize(("n", "m", "q"), [(1, 0, 5), (0, 3, 2)])
+def test_response_is_that_of_each_lenslet(checker_bench: SmallBench, n: int, m: int, q: int) -> None:
+    """What their own wavefronts change of it is what they change in complete registrations."""
+    measured, expected = [], []
+    for lenslets in (Lenslets(checker_bench, OWN_WAVES, 0.1), Lenslets(checker_bench, [], 0.0)):
+        method = GaussNewton(lenslets.reference, MODES, conserve_flux=False, rotation=False)
+        measured.append(measured_response(checker_bench, method, (n, m, q), own=lenslets.phase))
+        expected.append(linear_response(method, lenslets.reference, lenslets.model)[:, n, m, q])
+    changed = measured[0] - measured[1]
+    assert np.linalg.norm(changed - (expected[0] - expected[1])) < 0.3 * np.linalg.norm(changed)
 
 
 def test_model_of_another_source_is_refused(registered: Registered) -> None:
@@ -157,6 +231,6 @@ def test_response_of_a_displaced_lenslet_is_that_of_the_others(registered: Regis
     reference = ReferenceSubimages(bench.reference, sensor=bench.sensor, lattice=wrong, field=bench.field)
     method = GaussNewton(reference, MODES, conserve_flux=bench.field.neglect_propagation, rotation=False)
     model = model_of(bench, bench.source, reference.width)
-    response = linear_response(method, model)
+    response = linear_response(method, reference, model)
     largest = np.abs(registered.response).max()
     np.testing.assert_allclose(response, registered.response, atol=0.02 * largest)
