@@ -84,18 +84,16 @@ def own_waves(reference: ReferenceSubimages, images: Floats) -> Floats:
             (blur @ images @ blur.T).reshape(len(images), -1),
         ]
     )
-    weight, light, moved_px = reference.usable[lit].astype(np.float64), reference.light[lit], np.zeros(2)
-    inverse = np.linalg.pinv((known * weight[:, None]) @ known.T, hermitian=True)
-    fitted = np.matvec(inverse, (weight * light) @ known.T)
+    fit, light, moved_px = np.linalg.pinv(known), reference.light[lit], np.zeros(2)
+    fitted = light @ fit
     for _ in range(_ALIGNMENTS):  # else a displacement of a pixel would be taken for coma
         moved_px = moved_px - fitted[:, :2] / fitted[:, 2:3]
         position_px = reference.position_px[lit] + (moved_px @ reference.turn)[:, None]
         edge = np.array(reference.coefficients.shape[::-1]) - 1
         light, _ = sample(reference.coefficients, np.clip(position_px, 0, edge))
-        fitted = np.matvec(inverse, (weight * light) @ known.T)
-    spare = np.maximum(weight.sum(axis=1) - len(known), 1)
-    square = np.sum(weight * (light - fitted @ known) ** 2, axis=1) / spare
-    of_noise = square[:, None] * np.diagonal(inverse, axis1=1, axis2=2)
+        fitted = light @ fit
+    square = np.mean((light - fitted @ known) ** 2, axis=1, keepdims=True)
+    of_noise = square * np.sum(fit**2, axis=0)
     gain = fitted[:, 2:3]
     rad, variance = (fitted / gain)[:, -len(images) :].T, (of_noise / gain**2)[:, -len(images) :].T
     usual = np.maximum(_SQUARE_OVER_MEDIAN * np.median(rad**2 - variance, axis=1, keepdims=True), 0.0)
