@@ -14,6 +14,7 @@ it changes the image to first order, and so it changes what other odd wavefronts
 
 import math
 from collections.abc import Callable, Iterable
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import legendre as series
@@ -77,8 +78,13 @@ class LensletImage:
 
     def image(self, brightness: Floats | float = 1.0) -> Floats:
         """Image without a sample, (row, column); a pixel's share of the light of all points, times a `brightness`."""
-        along_x, along_y = (self._products(0, axis)[0] for axis in (0, 1))
+        along_x, along_y = self._squares
         return np.asarray((along_y * np.repeat(self._light * brightness, self._terms)) @ along_x.T)
+
+    @cached_property
+    def _squares(self) -> tuple[Floats, Floats]:
+        """F F along x and y, each (pixel, point * term)."""
+        return self._products(0, 0)[0], self._products(0, 1)[0]
 
     def derivatives(self, degree: int, values: Floats, gradients: Floats, own: tuple[int, int] | None = None) -> Floats:
         """Derivatives of the image by wavefronts P_m(xi) P_n(eta) T_q over the lenslet, m + n <= degree.
