@@ -29,6 +29,7 @@ from reconstruction.lattice._fit import (
 
 _SATURATED_FRACTION = 0.01  # of the pixels
 _DARK_AT_MOST = 8  # largest ratio of all lenslets to the lit ones
+_SAME = 0.5  # correlation of a dark with the reference
 _OCCUPIED = 0.5  # of the usual number of lit lenslets makes a row or column count fully
 _MANY = 2000  # cells, from which on a lattice's spectral peak, 0.5 sqrt(cells), is far above the noise, 3.5
 _OTHER: dict[Arrangement, Arrangement] = {"square": "hexagonal", "hexagonal": "square"}
@@ -102,6 +103,31 @@ def survey(
     ReconstructionError
         If the reference shows no such lattice; the text says why.
     """
+    try:
+        return _surveyed(reference, sensor, dark, full_scale, progress)
+    except ReconstructionError as refusal:
+        if dark is not None and refusal.image == "reference" and _are_alike(reference, dark, sensor.lenslet_pitch_px):
+            raise ReconstructionError(
+                "the dark shows the same light as the reference: was the light off when it was taken?", image="dark"
+            ) from refusal
+        raise
+
+
+def _are_alike(reference: Counts, dark: Counts, pitch_px: float) -> bool:
+    """True if both images have the same structure of the size of a cell; hot pixels and an uneven offset are none."""
+    smooth = [ndimage.median_filter(np.asarray(image, np.float32), 3) for image in (reference, dark)]
+    fine = [np.ravel(image - ndimage.uniform_filter(image, round(pitch_px))) for image in smooth]
+    return min(map(np.std, fine)) > 0 and float(np.corrcoef(fine)[0, 1]) > _SAME
+
+
+def _surveyed(
+    reference: Counts,
+    sensor: Sensor,
+    dark: Counts | None,
+    full_scale: float,
+    progress: Callable[[str, float], None],
+) -> Survey:
+    """Survey the lattice, whatever the dark shows; see `survey`."""
     light, pitch_px = _light(reference, sensor, dark, full_scale), sensor.lenslet_pitch_px
     progress("searching for a lattice", 0.0)
     if not _may_show(light, pitch_px, sensor.arrangement):

@@ -129,6 +129,23 @@ def test_non_lattice_is_refused_with_reason(name: str) -> None:
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize("scatter", [0.0, 1.0])
+def test_dark_with_light_is_blamed(scatter: float) -> None:
+    light = 1000 * drawn()
+    with pytest.raises(ReconstructionError, match="the dark shows the same light as the reference") as refusal:
+        survey(light + scatter * noise(1), SENSOR, dark=light)
+    assert refusal.value.image == "dark"
+
+
+def test_dark_without_light_is_not_blamed() -> None:
+    """An uneven offset and hot pixels are in both images."""
+    dark = 500 + gradient() / 50 + np.where(np.random.default_rng(6).random(FRAME) < 1e-3, 5e4, 0)
+    for light in (noise(0), waves(1 / 31.25, 0) + noise(3)):
+        with pytest.raises(ReconstructionError) as refusal:
+            survey(dark + light, SENSOR, dark=dark)
+        assert refusal.value.image == "reference"
+
+
 @settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 12))
 def test_noise_is_never_a_lattice(seed: int, count: int) -> None:
