@@ -121,11 +121,7 @@ def _are_alike(reference: Counts, dark: Counts, pitch_px: float) -> bool:
 
 
 def _surveyed(
-    reference: Counts,
-    sensor: Sensor,
-    dark: Counts | None,
-    full_scale: float,
-    progress: Callable[[str, float], None],
+    reference: Counts, sensor: Sensor, dark: Counts | None, full_scale: float, progress: Callable[[str, float], None]
 ) -> Survey:
     """Survey the lattice, whatever the dark shows; see `survey`."""
     light, pitch_px = _light(reference, sensor, dark, full_scale), sensor.lenslet_pitch_px
