@@ -116,8 +116,8 @@ def survey(
 def _are_alike(reference: Counts, dark: Counts, pitch_px: float) -> bool:
     """True if both images have the same structure of the size of a cell; hot pixels and an uneven offset are none."""
     smooth = [ndimage.median_filter(np.asarray(image, np.float32), 3) for image in (reference, dark)]
-    fine = [np.ravel(image - ndimage.uniform_filter(image, round(pitch_px))) for image in smooth]
-    return min(map(np.std, fine)) > 0 and float(np.corrcoef(fine)[0, 1]) > _SAME
+    first, second = (image - ndimage.uniform_filter(image, round(pitch_px)) for image in smooth)
+    return bool(np.vdot(first, second) > _SAME * np.linalg.norm(first) * np.linalg.norm(second))
 
 
 def _surveyed(
