@@ -395,7 +395,7 @@ class Reconstructor:
         if is_wanted and isinstance(method, GaussNewton):
             model, problem = self._model
             if model is not None:
-                return Response(self.sensor, linear_response(method, self.subimages, model))
+                return Response(self.sensor, linear_response(method, model))
             self.response_problem = problem and f"mean gradients replace the response of the registration: {problem}"
         return MeanGradients(
             self.sensor, method.alike if isinstance(method, GaussNewton) else self._prepared.parameters

@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, Self
 
@@ -22,7 +23,7 @@ from app.files import atomic_write, in_words
 
 FRAME = "frame"  # dimension of several frames
 LENSLET = ("lenslet_row", "lenslet_column")
-PIECE = 32  # frames in memory at once
+PIECE = 32  # frames
 _CHECKSUMS = "crc32"  # group with an attribute for each variable, which xarray does not copy to changed files
 _BENCH = "bench attribute"  # its checksum's name, which no variable has
 _LARGEST_PX = 1e6  # of a displacement
@@ -128,15 +129,12 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
     `InputError` if a piece has another shape than the first, because the settings changed between them.
     """
     count, sums = 0, dict[Hashable, int]()
-    left = iter(pieces)
     with atomic_write(path) as temporary:
-        following = next(left, None)
-        while following is not None:
-            piece, following = following, next(left, None)
+        for piece, following in pairwise(chain(pieces, [xr.Dataset()])):
             if count:
                 _append(temporary, piece)
             else:
-                temporary.write_bytes(_netcdf(piece, bench, inputs, grows=following is not None))
+                temporary.write_bytes(_netcdf(piece, bench, inputs, grows=bool(following)))
             count += piece.sizes.get(FRAME, 1)
             _verify(temporary, path, count)
             _add_sums(temporary, piece, sums)
@@ -162,7 +160,7 @@ def _add_sums(path: Path, piece: xr.Dataset, sums: dict[Hashable, int]) -> None:
 def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str], *, grows: bool) -> memoryview:
     """Return the contents of a file. HDF5 crashes on a full disk, so it writes into memory.
 
-    Only a file that `grows` has a dimension without limit: h5netcdf opens it six times slower.
+    Only a file that `grows` has an unlimited dimension: h5netcdf opens such a file six times slower.
     """
     origin = {"software": f"svwfs {version('svwfs')}", "bench": write_bench(bench), **inputs}
     if bench.linearity is not None:

@@ -41,8 +41,8 @@ class LensletModel(Protocol):
         """Change of `image` per rad of the wavefronts P_m(xi) P_n(eta) T_q over the lenslet, m + n <= degree.
 
         From T_q at the object points, (field_mode, point), and its normalised gradients, (field_mode, point, xy), to
-        (n, m, field_mode, row, column). With `own`, odd n + m, the change of it per rad of that wavefront, which the
-        lenslet has of its own.
+        (n, m, field_mode, row, column). With `own`, (n, m) of odd sum, the derivative of that by this wavefront of the
+        lenslet, per rad^2.
         """
         ...
 

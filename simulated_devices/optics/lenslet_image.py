@@ -8,12 +8,11 @@ to first order only wavefronts with odd m + n change the image. A hexagonal aper
 A wavefront that changes over the field gathers light on the lenslets, too: (f1 / k) sum_j d2 phi / dx_j du_j of that of
 an object point, which adds Re of the same products with the derivative of P_m or P_n (docs/brightness.md).
 
-A lenslet's own small wavefront b P_k(xi) P_l(eta) adds i b times the field with P_k P_l to each field. With odd k + l
-it changes the image to first order, and so it changes what other odd wavefronts do.
+With a small wavefront b P_k(xi) P_l(eta) of the lenslet's own, F becomes F + i b F_kl. With odd k + l it changes the
+image to first order, and so it changes what other odd wavefronts do.
 """
 
 import math
-from collections.abc import Callable, Iterable
 from functools import cached_property
 
 import numpy as np
@@ -98,70 +97,77 @@ class LensletImage:
         gradients : (field_mode, point, xy)
             Gradients of T_q there, normalised.
         own : (n, m), optional
-            What the derivatives change per rad of the lenslet's own wavefront P_m(xi) P_n(eta), m + n odd.
+            Of odd m + n: derive once more by the lenslet's own wavefront P_m(xi) P_n(eta).
 
         Returns
         -------
         (n, m, field_mode, row, column)
-            Change of the image per rad, as a share of the light; zero beyond the degree.
+            Change of the image per rad, with `own` per rad^2, as a share of the light; zero beyond the degree.
         """
+        # A wavefront changes the field F by i F_mn, and by the part of its slopes that is light, F_s.
         if own is None:
-            fields = (self._products(degree, axis) for axis in (0, 1))
-            return self._combined(degree, values, gradients, fields, lambda sign: (-1, sign, -sign))
-        others = (self._products(degree, axis, before=own[1 - axis]) for axis in (0, 1))
-        both = (self._products(degree, axis, within=own[1 - axis]) for axis in (0, 1))
-        turned = (-1) ** own[0]
-        changed = self._combined(degree, values, gradients, others, lambda sign: (1, -sign, sign))
-        return changed + self._combined(degree, values, gradients, both, lambda sign: (-turned * sign, -1, -1))
+            return self._combined(degree, values, gradients, phase=1j, light=1)  # conj(F) i F_mn, conj(F) F_s
+        # The own one changes each field by i times that with its factor; the first of a product is conjugated.
+        of_first = self._combined(degree, values, gradients, phase=1, light=-1j, first=own)
+        return of_first + self._combined(degree, values, gradients, phase=-1, light=1j, second=own)
 
     def _combined(
         self,
         degree: int,
         values: Floats,
         gradients: Floats,
-        products: Iterable[Floats],
-        signs: Callable[[int], tuple[int, int, int]],
+        *,
+        phase: complex,
+        light: complex,
+        first: tuple[int, int] = (0, 0),
+        second: tuple[int, int] = (0, 0),
     ) -> Floats:
-        """Add up the products of all points; `signs` of phase, light along x, along y, from -1 for odd n, else 1."""
-        along_x, along_y = products
+        """Add up Re of factors times products of two fields, for the phase and the light of wavefronts.
+
+        The `first` and `second` fields have the factor P_m(xi) P_n(eta), (n, m). An odd function's transform has an i.
+        """
+        along_y, along_x = (self._products(degree, 1 - axis, first[axis], second[axis]) for axis in (0, 1))
         derive = series.legder(np.eye(degree + 1)) if degree else np.zeros((0, 1))
-        slope_x, slope_y = (np.tensordot(derive, along[:-1], axes=(0, 0)) for along in (along_x, along_y))
+        slope_y, slope_x = (np.tensordot(derive, along[:-1], axes=(0, 0)) for along in (along_y, along_x))
         of_phase, light_x, light_y = (
             np.repeat(weight * self._light, self._terms, axis=1)
             for weight in (2 * values, self._gathered * gradients[..., 0], self._gathered * gradients[..., 1])
         )
         count, width = len(values), len(self._pixel_m)
         derivatives = np.zeros((degree + 1, degree + 1, count, width, width))
+
+        def turned(factor: complex, n: int, m: int) -> float:
+            of_second = (n + second[0]) % 2 + (m + second[1]) % 2
+            return float((factor * 1j ** (of_second - first[0] % 2 - first[1] % 2)).real)
+
         for n in range(degree + 1):
             for m in range((n + 1) % 2, degree + 1 - n, 2):
-                # The product of two odd functions has the sign of i squared.
-                of_n = signs(1 - 2 * (n % 2))
-                parts = [(of_n[0] * of_phase, along_y[n], along_x[m])]
+                parts = [(turned(phase, n, m) * of_phase, along_y[n], along_x[m])]
                 if self._gathered:
-                    parts += [(of_n[1] * light_x, along_y[n], slope_x[m]), (of_n[2] * light_y, slope_y[n], along_x[m])]
+                    parts.append((turned(light, n, m + 1) * light_x, along_y[n], slope_x[m]))
+                    parts.append((turned(light, n + 1, m) * light_y, slope_y[n], along_x[m]))
                 for weight, of_y, of_x in parts:
                     rows = (weight[:, None] * of_y).reshape(-1, weight.shape[1])
                     derivatives[n, m] += (rows @ of_x.T).reshape(count, width, width)
         return derivatives
 
-    def _products(self, degree: int, axis: int, *, before: int = 0, within: int = 0) -> Floats:
+    def _products(self, degree: int, axis: int, first: int = 0, second: int = 0) -> Floats:
         """F F_m averaged over each pixel, without the i of odd functions: (m, pixel, point * term).
 
-        F of the field times P_`before`, F_m of the field times P_m and P_`within`.
+        F is of the field times P_first, F_m of the field times P_m and P_second.
         """
         y_m = self._pixel_m[:, None, None] + self._node_m[:, None]  # (pixel, node, 1)
         wave = self._tilt_per_m * self._position_m[:, axis] - self._wave_per_m * y_m  # rad/m, (pixel, node, point)
         of_parity = [part(wave[..., None] * self._sample_m) for part in (np.cos, np.sin)]
-        polynomials = np.polynomial.legendre.legvander(self._along, max(degree, before, within))  # (sample, m)
+        polynomials = np.polynomial.legendre.legvander(self._along, max(degree, first, second)).T  # (m, sample)
         factors = self._factors[axis].T  # (sample, term)
 
         def transform(m: int, times: int = 0) -> Floats:
-            return np.asarray(
-                of_parity[(m + times) % 2] @ (factors * polynomials[:, m, None] * polynomials[:, times, None])
-            )
+            of_sample = factors * (polynomials[m] * polynomials[times])[:, None]
+            return np.asarray(of_parity[(m + times) % 2] @ of_sample)
 
-        field = transform(before) * (self._weights[:, None, None] / 2 * self._scale)
-        products = [np.einsum("inpr,inps->iprs", field, transform(m, within)) for m in range(degree + 1)]
+        field = transform(first) * (self._weights[:, None, None] / 2 * self._scale)
+        products = [np.einsum("inpr,inps->iprs", field, transform(m, second)) for m in range(degree + 1)]
         return np.stack(products).reshape(degree + 1, len(y_m), -1)
 
 

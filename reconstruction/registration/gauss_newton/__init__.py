@@ -1,6 +1,6 @@
 """Registration by Gauss-Newton steps: the method of this instrument."""
 
 from reconstruction.registration.gauss_newton._estimator import GaussNewton, prepare
-from reconstruction.registration.gauss_newton.template import OwnWave
+from reconstruction.registration.gauss_newton.template import OwnWavefront
 
-__all__ = ["GaussNewton", "OwnWave", "prepare"]
+__all__ = ["GaussNewton", "OwnWavefront", "prepare"]

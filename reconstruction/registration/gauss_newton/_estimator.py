@@ -37,7 +37,7 @@ from reconstruction.registration.gauss_newton._lenslet_fits import (
 )
 from reconstruction.registration.gauss_newton.template import (
     LINEAR,
-    OwnWave,
+    OwnWavefront,
     Propagated,
     Template,
     coefficient_covariance,
@@ -220,7 +220,7 @@ class GaussNewton:
 
         With a `model` of the lenslets, more of the brightness over the field is no displacement: `source_brightness`.
         """
-        self._reference, self.modes, self._threads, self._rotates = reference, modes, threads, rotation
+        self.reference, self.modes, self._threads, self._rotates = reference, modes, threads, rotation
         near = np.abs(reference.steps_px) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
         coarse = near & (np.arange(reference.width) % 2 == 0)
         self._start = prepare_template(
@@ -263,7 +263,7 @@ class GaussNewton:
 
     def __call__(self, light: Image, *, saturated: Booleans, start: Displacement | None = None) -> Displacement:
         """Register a frame; see `displacement.RegistrationMethod`."""
-        reference, warp = self._reference, self._warp
+        reference, warp = self.reference, self._warp
         coefficients = reference.spline(light, saturated=saturated, threads=self._threads)
         bad = reference.bad | saturated
         fits = self._fit(coefficients, bad, start)
@@ -321,18 +321,18 @@ class GaussNewton:
         """Displacement (x modes, y modes) of each parameter of the warp, orthonormal rows, (K, 2Q)."""
         return self._warp.grid.basis.astype(np.float64)
 
-    def response(self, image: Floats, changes: Floats, own: Sequence[OwnWave] = ()) -> Floats:
+    def response(self, image: Floats, changes: Floats, own: Sequence[OwnWavefront] = ()) -> Floats:
         """Parameters found for small changes of a subimage, to first order.
 
         From a noise-free subimage (row, column) and its changes (..., row, column), in any unit, to (lenslet, ..., K),
-        px. A warp of that subimage is found as it is. Of `own`, each lenslet's subimage has its share.
+        px. A warp of that subimage is found as it is. `own` are wavefronts that the lenslets have without a sample.
         """
         brightness = self._brightness
-        return respond(self._reference, self.modes, self._warp, image, changes, own=own, brightness=brightness)
+        return respond(self.reference, self.modes, self._warp, image, changes, own=own, brightness=brightness)
 
     def _fit(self, coefficients: Image, bad: Booleans, start: Displacement | None) -> Fits:
         """Fit all lenslets, shared among threads, to a frame given by its spline coefficients."""
-        reference, grid = self._reference, self._warp.grid
+        reference, grid = self.reference, self._warp.grid
         lenslets, pixels = grid.light.shape
         fits = Fits(
             displacement=self._begin(start),
@@ -376,7 +376,7 @@ class GaussNewton:
 
     def _begin(self, start: Displacement | None) -> Image:
         """Start of the fits, parameters (L, P - 2), px; NaN for lenslets without a start."""
-        lenslets, modes = len(self._reference.light), self.modes.count
+        lenslets, modes = len(self.reference.light), self.modes.count
         if start is None or start.coefficients.size != lenslets * modes * 2:
             return np.full((lenslets, len(self._basis)), np.nan, np.float32)
         coefficients = np.swapaxes(start.coefficients.reshape(lenslets, modes, 2), 1, 2).reshape(lenslets, -1)

@@ -192,12 +192,12 @@ def source_brightness(
     return min(cubic, cubic[: TRANSMISSION_MODES.count], key=expected_error)
 
 
-class OwnWave(NamedTuple):
-    """A small wavefront that lenslets have of their own, and what each of them has of it."""
+class OwnWavefront(NamedTuple):
+    """A small wavefront that the lenslets have of their own, and what a rad of it does to subimages."""
 
     rad: Floats  # of each lenslet, (L,)
     image: Floats  # change of a subimage per rad, (row, column)
-    changes: Floats  # what its changes change per rad, (..., row, column)
+    changes: Floats  # change of what a sample changes, per rad of the lenslet and of the sample, (..., row, column)
 
 
 def respond(
@@ -207,7 +207,7 @@ def respond(
     image: Floats,
     changes: Floats,
     *,
-    own: Sequence[OwnWave],
+    own: Sequence[OwnWavefront],
     brightness: Floats | None,
 ) -> Floats:
     """Parameters of a template found for changes (..., row, column) of a noise-free subimage; see `GaussNewton`.
@@ -219,33 +219,34 @@ def respond(
         reference, modes, template.pixels, basis, conserve_flux=conserves_flux, brightness=brightness
     )
     row, column = np.nonzero(template.pixels)
-    whole, unit = np.stack([image, *(wave.image for wave in own)]), np.max(image)
+    parts, unit = np.stack([image, *(wavefront.image for wavefront in own)]), np.max(image)
     at_pixels = np.stack([column, row], -1).astype(float)
-    at_rest = [sample(spline_coefficients(np.asarray(part / unit, np.float32)), at_pixels) for part in whole]
-    still_light, still_gradient = (unit * np.stack(part) for part in zip(*at_rest, strict=True))
+    slopes = [sample(spline_coefficients(np.asarray(part / unit, np.float32)), at_pixels)[1] for part in parts]
+    still_light, still_gradient = parts[:, row, column], unit * np.stack(slopes)
     blur, slope = mean_interpolation(reference.width)
-    moved_light = (blur @ whole @ blur.T)[:, row, column]
-    moved_gradient = np.stack([blur @ whole @ slope.T, slope @ whole @ blur.T], axis=-1)[:, row, column]
-    parts = np.stack([changes, *(wave.changes for wave in own)]).reshape(len(whole), -1, *image.shape)
-    pixel_changes = np.swapaxes((blur @ parts @ blur.T)[..., row, column], 1, 2)  # (part, pixel, change)
+    moved_light = (blur @ parts @ blur.T)[:, row, column]
+    moved_gradient = np.stack([blur @ parts @ slope.T, slope @ parts @ blur.T], axis=-1)[:, row, column]
+    of_parts = np.stack([changes, *(wavefront.changes for wavefront in own)]).reshape(len(parts), -1, *image.shape)
+    pixel_changes = np.swapaxes((blur @ of_parts @ blur.T)[..., row, column], 1, 2)  # (part, pixel, change)
     lenslets = len(template.grid.weight)
-    shares = np.stack([np.ones(lenslets), *(wave.rad for wave in own)], axis=1)  # (lenslet, part)
+    amplitudes = np.stack([np.ones(lenslets), *(wavefront.rad for wavefront in own)], axis=1)  # (lenslet, part)
 
-    def descent(light: Floats, gradient: Floats, share: Floats) -> Floats:
-        found = images(np.tensordot(share, light, 1), np.tensordot(share, gradient, 1))
-        found[:, -1] *= np.mean(image)  # of the size of the others
-        return found
+    def descent(light: Floats, gradient: Floats, amplitude: Floats) -> Floats:
+        of_lenslets = images(np.tensordot(amplitude, light, 1), np.tensordot(amplitude, gradient, 1))
+        of_lenslets[:, -1] *= np.mean(image)  # of the size of the others
+        return of_lenslets
 
     def found(some: slice) -> Floats:
         # Not the lenslet's own light: it may lie beside the middle of its window, where the image is.
         weight = np.asarray(template.grid.weight[some], np.float64)
-        share = shares[some] if own else shares[:1]  # without, all are alike
-        still = descent(still_light, still_gradient, share)
+        amplitude = amplitudes[some] if own else amplitudes[:1]  # without, all are alike
+        still = descent(still_light, still_gradient, amplitude)
         projected = images.without_brightness(still, weight) * weight[:, None]  # (lenslet, P, pixel)
-        squares = projected @ np.swapaxes(descent(moved_light, moved_gradient, share), 1, 2)
+        squares = projected @ np.swapaxes(descent(moved_light, moved_gradient, amplitude), 1, 2)
         # (lenslet, P, change); of squares
-        found = projected @ np.tensordot(share, pixel_changes, 1)
-        parameters = -np.linalg.pinv(squares, rcond=_UNSEEN**2) @ found
+        parameters = -np.linalg.pinv(squares, rcond=_UNSEEN**2) @ (
+            projected @ np.tensordot(amplitude, pixel_changes, 1)
+        )
         return np.swapaxes(parameters[:, : len(basis)], 1, 2)
 
     warp = np.concatenate([found(slice(first, first + _AT_ONCE)) for first in range(0, lenslets, _AT_ONCE)])

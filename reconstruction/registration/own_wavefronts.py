@@ -1,0 +1,64 @@
+"""Coma and trefoil that each lenslet has of its own, from its subimage of the reference.
+
+Their blur is not symmetric, so it shows how large they are, and with which sign. A symmetric blur, as that of defocus,
+shows only the size of its cause. What all lenslets have alike counts as the shape of the source.
+"""
+
+import numpy as np
+
+from reconstruction.arrays import Floats
+from reconstruction.displacement import TRANSMISSION_MODES
+from reconstruction.frame.spline import mean_interpolation, sample
+from reconstruction.registration.subimages import ReferenceSubimages
+
+OWN_WAVEFRONTS = [(n, 3 - n) for n in range(4)]  # (n, m) of P_m(xi) P_n(eta)
+_LEAST_LENSLETS = 16  # that tell how large own wavefronts usually are; with 4 of them, noise made errors larger
+_ALIGNMENTS = 2
+_SQUARE_OVER_MEDIAN = 2.2  # mean square over the median of the squares, if normally distributed
+
+
+def own_wavefronts(reference: ReferenceSubimages, images: Floats) -> Floats:
+    """Own wavefronts `OWN_WAVEFRONTS` of each lenslet, less their mean over the lenslets, rad, (wavefront, L).
+
+    `images` (wavefront, row, column) are changes of the model's image per rad. If few lenslets are lit, all are 0.
+    """
+    found, lit = np.zeros((len(images), reference.lit.size)), reference.lit
+    if np.count_nonzero(lit) >= _LEAST_LENSLETS:
+        found[:, lit] = [shrunk(*each) for each in zip(*_fitted(reference, images), strict=True)]
+    return found
+
+
+def _fitted(reference: ReferenceSubimages, images: Floats) -> tuple[Floats, Floats]:
+    """Own wavefronts of the lit lenslets and their variance by noise, (wavefront, lit lenslet).
+
+    A subimage differs from the mean one by them and by what is no wavefront: displacement, offset, and brightness that
+    varies over the field. The subimages are aligned first: a displacement of a pixel would look like coma, and blur
+    the mean.
+    """
+    blur, _ = mean_interpolation(reference.width)
+    own_images = (blur @ images @ blur.T).reshape(len(images), -1)
+    brightness = TRANSMISSION_MODES.values(*reference.offset_px.T / reference.half_width_px)
+    edge = np.array(reference.coefficients.shape[::-1]) - 1
+    light, moved_px = reference.light[reference.lit], np.zeros(2)
+    for alignment in range(_ALIGNMENTS + 1):
+        mean = np.sum(light, axis=0) / np.sum(light)
+        along_y, along_x = (part.ravel() for part in np.gradient(mean.reshape(reference.width, -1)))
+        known = np.stack([*mean * brightness, along_x, along_y, np.full_like(mean, mean.mean()), *own_images])
+        fit = np.linalg.pinv(known)  # (pixel, number)
+        fitted = light @ fit
+        gain, shift = fitted[:, :1], fitted[:, len(brightness) :][:, :2]
+        if alignment < _ALIGNMENTS:
+            moved_px = moved_px - shift / gain
+            position_px = reference.position_px[reference.lit] + (moved_px @ reference.turn)[:, None]
+            light, _ = sample(reference.coefficients, np.clip(position_px, 0, edge))
+    variance = (light - fitted @ known) ** 2 @ fit**2
+    return (fitted / gain)[:, -len(images) :].T, (variance / gain**2)[:, -len(images) :].T
+
+
+def shrunk(values: Floats, variance: Floats) -> Floats:
+    """Most probable true values, if they scatter about 0: the less of a measured one, the larger its variance.
+
+    How much the true values scatter follows from the median of the measured squares, which bears outliers.
+    """
+    scatter = max(_SQUARE_OVER_MEDIAN * float(np.median(values**2)) - float(np.median(variance)), 0.0)
+    return values * (scatter / np.maximum(scatter + variance, np.finfo(np.float64).tiny))
