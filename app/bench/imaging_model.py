@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from reconstruction.geometry import Lattice, lenslet_centers
+from reconstruction.registration.own_wavefronts import OWN_WAVEFRONTS, own_wavefronts
 from reconstruction.registration.response import mean_subimage, point_brightness
 from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import SourcePoints
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from app.bench.config import Bench
     from reconstruction.arrays import Floats, Image
     from reconstruction.pipeline import Reconstructor
@@ -32,10 +35,14 @@ def lenslet_model(bench: Bench, reference: ReferenceSubimages) -> LensletImage:
 
     Raises `ReconstructionError` if the reference does not allow a model.
     """
+    return _lenslet(bench, reference, measured_source(bench, reference))
+
+
+def _lenslet(bench: Bench, reference: ReferenceSubimages, source: SourcePoints) -> LensletImage:
     return LensletImage(
         bench.sensor,
         bench.field,
-        measured_source(bench, reference),
+        source,
         width=reference.width,
         pupil_samples=_pupil_samples(reference),
         pixel_fill_factor=bench.camera_model.pixel_fill_factor,
@@ -68,7 +75,7 @@ def measured_source(bench: Bench, reference: ReferenceSubimages) -> SourcePoints
 class BenchModel:
     """Coarse model of one bench with one reference; see `refinement.ImagingModel`.
 
-    The brightness of the source and the light of each lenslet are estimated from the reference.
+    The brightness of the source, and light and own wavefront of each lenslet are estimated from the reference.
     """
 
     def __init__(self, bench: Bench, reconstructor: Reconstructor, *, threads: int = 2) -> None:
@@ -88,10 +95,20 @@ class BenchModel:
         _, light = mean_subimage(reference)
         self._light = by_pixel(light, lattice, rows, columns)  # counts, (row, column)
         self.sample_x_m, self.sample_y_m = self._model.sample_x_m, self._model.sample_y_m
+        own = own_wavefronts(reference, _lenslet(bench, reference, self.source))
+        of_lenslets = np.zeros((*reference.lenslets, 4, 4))
+        for (n, m), rad in zip(OWN_WAVEFRONTS, own.rad, strict=True):
+            of_lenslets[..., n, m] = rad.reshape(reference.lenslets)
+        self._own = np.exp(1j * self._model.phase_of_lenslets(of_lenslets)).astype(np.complex64)
 
     def image(self, field: PointField | None) -> Image:
         """Image of the bench, counts above the dark, (row, column); see `refinement.ImagingModel`."""
-        return np.asarray(self._model.irradiance(self.source, field) * self._light, np.float32)
+        own = self._own
+
+        def of_lenslets(x_m: float, y_m: float) -> NDArray[np.complex64]:
+            return np.asarray(own if field is None else field(x_m, y_m) * own, np.complex64)
+
+        return np.asarray(self._model.irradiance(self.source, of_lenslets) * self._light, np.float32)
 
 
 def by_pixel(values: Floats, lattice: Lattice, rows: int, columns: int) -> Image:

@@ -4,12 +4,14 @@ Their blur is not symmetric, so it shows how large they are, and with which sign
 shows only the size of its cause. What all lenslets have alike counts as the shape of the source.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from reconstruction.arrays import Floats
 from reconstruction.displacement import TRANSMISSION_MODES
 from reconstruction.frame.spline import mean_interpolation, sample
-from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
 
 OWN_WAVEFRONTS = [(n, 3 - n) for n in range(4)]  # (n, m) of P_m(xi) P_n(eta)
 _LEAST_LENSLETS = 16  # that tell how large own wavefronts usually are; with 4 of them, noise made errors larger
@@ -17,15 +19,22 @@ _ALIGNMENTS = 2
 _SQUARE_OVER_MEDIAN = 2.2  # mean square over the median of the squares, if normally distributed
 
 
-def own_wavefronts(reference: ReferenceSubimages, images: Floats) -> Floats:
-    """Own wavefronts `OWN_WAVEFRONTS` of each lenslet, less their mean over the lenslets, rad, (wavefront, L).
+class OwnWavefronts(NamedTuple):
+    """Own wavefronts `OWN_WAVEFRONTS` of the lenslets, less their mean."""
 
-    `images` (wavefront, row, column) are changes of the model's image per rad. If few lenslets are lit, all are 0.
-    """
-    found, lit = np.zeros((len(images), reference.lit.size)), reference.lit
+    rad: Floats  # (wavefront, L); 0 where the lenslet is dark, or few are lit
+    images: Floats  # changes of the model's image per rad, (wavefront, row, column)
+
+
+def own_wavefronts(reference: ReferenceSubimages, model: LensletModel) -> OwnWavefronts:
+    """Find the own wavefronts that a reference shows, with a model of its lenslets."""
+    points = len(model.position)
+    changes = model.derivatives(3, np.ones((1, points)), np.zeros((1, points, 2)))
+    images = np.stack([changes[n, m, 0] for n, m in OWN_WAVEFRONTS])
+    rad, lit = np.zeros((len(images), reference.lit.size)), reference.lit
     if np.count_nonzero(lit) >= _LEAST_LENSLETS:
-        found[:, lit] = [shrunk(*each) for each in zip(*_fitted(reference, images), strict=True)]
-    return found
+        rad[:, lit] = [shrunk(*each) for each in zip(*_fitted(reference, images), strict=True)]
+    return OwnWavefronts(rad, images)
 
 
 def _fitted(reference: ReferenceSubimages, images: Floats) -> tuple[Floats, Floats]:

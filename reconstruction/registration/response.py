@@ -43,8 +43,7 @@ def linear_response(registration: GaussNewton, model: LensletModel) -> Floats:
     modes = registration.modes
     values, gradients = modes.values(x, y), modes.gradients(x, y)
     derivatives = model.derivatives(_DEGREE, values, gradients)
-    images = np.stack([derivatives[n, m, 0] for n, m in OWN_WAVEFRONTS])  # T_0 is 1
-    rad = own_wavefronts(registration.reference, images)
+    rad, images = own_wavefronts(registration.reference, model)
     own = [
         OwnWavefront(of_lenslets, image, model.derivatives(_DEGREE, values, gradients, order)[_SHOWS])
         for order, of_lenslets, image in zip(OWN_WAVEFRONTS, rad, images, strict=True)

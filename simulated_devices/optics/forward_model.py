@@ -189,6 +189,26 @@ class ForwardModel:
         self.sample_x_m: Floats = (halves_m[:, None, :] + center_x_m[None, :, None]).ravel()
         self.sample_y_m: Floats = (halves_m[:, :, None] + center_y_m[None, None, :]).ravel()
 
+    def phase_of_lenslets(self, coefficients: Floats) -> Floats:
+        """Phase that the sensor's lenslets add, rad, at `sample_y_m` x `sample_x_m`.
+
+        `coefficients` (lenslet_row, lenslet_column, n, m) of P_m(xi) P_n(eta), xi and eta +-1 at the aperture's edges.
+        """
+        sensor, samples = self._sensor, self._samples
+        part = 1 if sensor.arrangement == "square" else 2
+        row, column = np.indices(coefficients.shape[:2])
+        row += (self._lenslet_rows - sensor.lenslet_rows) // 2
+        column = part * column + row % part + (self._lenslet_columns - part * sensor.lenslet_columns) // 2
+        of_places = np.zeros((self._lenslet_rows, self._lenslet_columns, *coefficients.shape[2:]))
+        of_places[row, column] = coefficients
+        of_x = np.tile(np.repeat(np.arange(self._lenslet_columns), samples // 2), 2)
+        of_y = np.tile(np.arange(self._lenslet_rows), samples)
+        half_m, (n, m) = sensor.aperture_width_m / 2, coefficients.shape[2:]
+        along_x = np.polynomial.legendre.legvander(self._local_x_m / half_m, m - 1)
+        along_y = np.polynomial.legendre.legvander(self._local_y_m / half_m, n - 1)
+        phase = np.einsum("yxnm,yn,xm->yx", of_places[of_y[:, None], of_x], along_y, along_x, optimize=True)
+        return np.asarray(phase)
+
     def irradiance(
         self, source: SourcePoints, field: PointField | None = None, *, progress: OnFraction | None = None
     ) -> Image:

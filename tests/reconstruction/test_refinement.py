@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 from support.optics import FIELD, SmallBench, checkerboard
+from support.own_wavefronts import Lenslets
 
 from app.bench.config import Bench
 from app.bench.imaging_model import BenchModel
@@ -130,6 +131,14 @@ def test_model_source_matches_bench_source(checker_bench: SmallBench, bowl: Bowl
     subimages, modelled = reconstructor.subimages, Reconstructor.registration_for(reconstructor, model.image(None))
     assert modelled(image(None), saturated=np.zeros(checker_bench.frame_shape, np.bool_)).residual_rms.max() < 0.03
     assert subimages.light.max() == pytest.approx(float(model.image(None).max()), rel=0.1)
+
+
+def test_model_has_the_own_wavefronts_of_its_lenslets(checker_bench: SmallBench) -> None:
+    lenslets = Lenslets(checker_bench, 0.2)
+    reconstructor = checker_bench.reconstructor("quadratic", pupil_modes=None, reference=lenslets.image)
+    modelled = BenchModel(settings_of(checker_bench), reconstructor).image(None)
+    without = checker_bench.reference
+    assert np.std(modelled - lenslets.image) < 0.5 * np.std(without - lenslets.image)
 
 
 def test_flat_wavefront_ends_refinement_at_once(checker_bench: SmallBench) -> None:

@@ -71,6 +71,7 @@ class Lenslets:
         light += np.float32(uneven / 20 * light.max())
         if electrons:
             light = random.poisson(light * (electrons / light.max())).astype(np.float32)
+        self.image = light
         self.reference = ReferenceSubimages(
             light, sensor=bench.sensor, lattice=bench.lattice, field=bench.field, excluded=excluded
         )

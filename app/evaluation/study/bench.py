@@ -153,11 +153,7 @@ class ImperfectBench:
         """Amplitude and phase that lenslets and beam add at the pupil samples, (y, x), by the ratio of wavelengths."""
         imperfections, sensor = self._imperfections, self._bench.sensor
         x_m, y_m, pitch_m = model.sample_x_m, model.sample_y_m, sensor.lenslet_pitch_m
-        half = np.array([sensor.lenslet_columns - 1, sensor.lenslet_rows - 1]) / 2
-        place = x_m / pitch_m + half[0], y_m / pitch_m + half[1]
-        column, row = (np.rint(along).astype(np.intp) for along in place)
-        xi, eta = 2 * (place[0] - column), 2 * (place[1] - row)
-        shape = int(2 * half[1] + 1), int(2 * half[0] + 1), _DEGREE + 1, _DEGREE + 1
+        shape = sensor.lenslet_rows, sensor.lenslet_columns, _DEGREE + 1, _DEGREE + 1
         n, m = np.indices(shape[2:])
         of_lenslet = self._random.standard_normal(shape)  # coefficients of P_n(eta) P_m(xi) of unit RMS
         of_lenslet[..., (n + m < 2) | (n + m > _DEGREE)] = 0
@@ -171,9 +167,10 @@ class ImperfectBench:
         bent = 1 / (1 + imperfections.defocus) - 1
         quadratic = wavenumber / (2 * focal_length_m) * bent * (pitch_m / 2) ** 2
         norm = np.sqrt(2 * np.arange(_DEGREE + 1) + 1)
-        along_x, along_y = (np.polynomial.legendre.legvander(along, _DEGREE) * norm for along in (xi, eta))
-        phase = np.einsum("yxnm,yn,xm->yx", of_lenslet[row[:, None], column], along_y, along_x, optimize=True)
-        phase += quadratic * (xi**2 + eta[:, None] ** 2)
+        of_lenslet *= np.multiply.outer(norm, norm)
+        for order in ((0, 2), (2, 0)):
+            of_lenslet[..., *order] += quadratic * 2 / 3  # of P_2, apart from a piston
+        phase = model.phase_of_lenslets(of_lenslet)
         beam_x, beam_y = (
             imperfections.uneven_beam * along_m / half_m - 0.2 * bool(imperfections.uneven_beam)
             for along_m, half_m in zip((x_m, y_m), sensor.pupil_half_width_m, strict=True)

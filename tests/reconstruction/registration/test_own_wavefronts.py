@@ -10,7 +10,7 @@ from support.optics import SmallBench, checkerboard
 from support.own_wavefronts import Lenslets
 
 from reconstruction.arrays import Floats
-from reconstruction.registration.own_wavefronts import OWN_WAVEFRONTS, own_wavefronts, shrunk
+from reconstruction.registration.own_wavefronts import own_wavefronts, shrunk
 from simulated_devices.optics.source import SourcePoints
 
 RMS_RAD = 0.1
@@ -18,10 +18,7 @@ RMS_RAD = 0.1
 
 def found(lenslets: Lenslets) -> Floats:
     """Own wavefronts that the reference shows, rad, (wavefront, lenslet_row, lenslet_column)."""
-    points = len(lenslets.model.position)
-    images = lenslets.model.derivatives(3, np.ones((1, points)), np.zeros((1, points, 2)))
-    of_lenslets = own_wavefronts(lenslets.reference, np.stack([images[n, m, 0] for n, m in OWN_WAVEFRONTS]))
-    return of_lenslets.reshape(len(images), *lenslets.rad.shape[1:])
+    return own_wavefronts(lenslets.reference, lenslets.model).rad.reshape(-1, *lenslets.rad.shape[1:])
 
 
 @pytest.fixture(scope="module")

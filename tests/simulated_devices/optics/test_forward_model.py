@@ -17,7 +17,7 @@ from support.optics import FIELD, sensor_of
 from support.patience import HANG_S
 
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Lattice
+from reconstruction.geometry import Arrangement, Lattice
 from simulated_devices.optics import source
 from simulated_devices.optics.forward_model import ForwardModel, PointField
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
@@ -146,6 +146,32 @@ def test_tilt_moves_light_to_positive_x_by_f_over_k_times_slope() -> None:
     assert expected[0] > 1.5
     np.testing.assert_allclose(moved.mean(axis=(0, 1)), expected, atol=0.02)
     np.testing.assert_allclose(moved, np.broadcast_to(expected, moved.shape), atol=0.2)  # coarse pixels
+
+
+@pytest.mark.parametrize("border_lenslets", [0, 1])
+@pytest.mark.parametrize("arrangement", ["square", "hexagonal"])
+def test_tilt_of_one_lenslet_moves_its_light_alone(arrangement: Arrangement, border_lenslets: int) -> None:
+    """A phase of 1 rad at the edge of the aperture."""
+    sensor, lattice = replace(SENSOR, arrangement=arrangement), replace(LATTICE, arrangement=arrangement)
+    optics = ForwardModel(
+        sensor, lattice, FIELD, rows=ROWS, columns=COLUMNS, pupil_samples=SAMPLES, border_lenslets=border_lenslets
+    )
+    axis = SourcePoints(position_m=np.zeros((1, 2)), area_m2=np.ones(1))
+    still = optics.irradiance(axis)
+    position_px = np.stack(np.meshgrid(np.arange(COLUMNS), np.arange(ROWS)), axis=-1).astype(float)
+    for row, column in ((2, 3), (3, 3)):
+        tilt = np.zeros((7, 9, 2, 2))
+        tilt[row, column, 0, 1] = 1.0
+        phase = optics.phase_of_lenslets(tilt)
+        field = np.exp(1j * phase).astype(np.complex64)
+        moved = optics.irradiance(axis, lambda _x, _y, field=field: field)  # type: ignore[misc] # mypy and defaults
+        away_px = (position_px - lattice.lenslet_centers_px(7, 9)[row, column]) @ lattice.turn.T
+        inside = np.abs(away_px).max(axis=-1) < lattice.pitch_px / 2
+        change = moved - still
+        assert np.sum(change[inside] ** 2) > 0.95 * np.sum(change**2)
+        shift_px = np.sum(change[inside, None] * away_px[inside], axis=0) / np.sum(still[inside])
+        expected_px = 1 / (sensor.aperture_width_m / 2) / sensor.slope_per_px
+        np.testing.assert_allclose(shift_px, [expected_px, 0], atol=0.1 * expected_px)
 
 
 def test_screen_moves_with_its_shift() -> None:
