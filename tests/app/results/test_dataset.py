@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import h5netcdf
 import numpy as np
 import pytest
 import xarray as xr
@@ -168,6 +169,17 @@ def test_flat_wavefront_is_diffraction_limited(small_bench: SmallBench) -> None:
     assert float(flat["psf"][1, 1].max()) == pytest.approx(1, abs=1e-3)
 
 
+@pytest.mark.parametrize("pieces", [1, 2])
+def test_only_a_file_of_several_pieces_has_an_unlimited_dimension(
+    dataset: xr.Dataset, tmp_path: Path, pieces: int
+) -> None:
+    piece = stack_frames([dataset] * 2, [0, 1], [0.0, 0.1], [0.0, 0.0])
+    write_pieces(tmp_path / "r.nc", [piece] * pieces, bench=BENCH, inputs={})
+    with h5netcdf.File(tmp_path / "r.nc", "r") as file:
+        assert file.dimensions["frame"].isunlimited() == (pieces > 1)
+        assert file.dimensions["frame"].size == 2 * pieces
+
+
 def test_file_is_read_again_before_it_gets_its_name(
     dataset: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -175,7 +187,7 @@ def test_file_is_read_again_before_it_gets_its_name(
     monkeypatch.setattr("app.results.result_file._append", lambda *_: None)
     with pytest.raises(RunError, match="only 2 of 4 frames were written"):
         write_pieces(tmp_path / "r.nc", [piece, piece], bench=BENCH, inputs={})
-    monkeypatch.setattr("app.results.result_file._netcdf", lambda *_: b"")
+    monkeypatch.setattr("app.results.result_file._netcdf", lambda *_, **__: b"")
     with pytest.raises(RunError, match="cannot be read again"):
         write_pieces(tmp_path / "r.nc", [piece], bench=BENCH, inputs={})
     assert not list(tmp_path.iterdir())
