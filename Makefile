@@ -11,7 +11,7 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.venv/cache/numba
 export MPLCONFIGDIR ?= $(CURDIR)/.venv/cache/matplotlib
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run check test test-slow mutants storms screenshots docs lint lock clean qt-libraries c-compiler
+.PHONY: help setup run check test test-slow test-long mutants storms screenshots docs lint lock clean qt-libraries c-compiler
 
 help:
 	@sed -n 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile
@@ -39,11 +39,14 @@ SOON = $(if $(ROOM)$(ONLY),SVWFS_HANG_S=20)
 check: lint setup c-compiler ## lint and the quick tests of numerics, devices and settings, one to two minutes
 	$(PYTEST) -q -m 'not slow' $(QUICK)
 
-test: setup c-compiler $(NUMBA_CACHE_DIR) ## the quick tests, five minutes; ROOM=app/gui, ONLY=WORDS for some
+test: setup c-compiler $(NUMBA_CACHE_DIR) ## the quick tests, eight minutes; ROOM=app/gui, ONLY=WORDS for some
 	$(SOON) $(PYTEST) -m 'not slow' $(CHOSEN)
 
-test-slow: setup c-compiler $(NUMBA_CACHE_DIR) ## the tests that take a second or more, fifteen minutes; ROOM, ONLY as above
-	$(PYTEST) -m slow $(CHOSEN)
+test-slow: setup c-compiler $(NUMBA_CACHE_DIR) ## the tests that take one to four seconds, ten minutes; ROOM, ONLY as above
+	$(PYTEST) -m 'slow and not long' $(CHOSEN)
+
+test-long: setup c-compiler $(NUMBA_CACHE_DIR) ## those that take four seconds or more, twenty minutes; ROOM, ONLY as above
+	$(PYTEST) -m long $(CHOSEN)
 
 # Else every process of the tests would compile the same code at the same time.
 $(NUMBA_CACHE_DIR): | setup

@@ -92,11 +92,13 @@ def test_wheel_has_what_it_needs_and_no_tests(wheel: Path) -> None:
     assert not [name for name in names if name.startswith("tests/")]
 
 
+@pytest.mark.long
 def test_source_passes_tests(source: Path) -> None:
     tests = ("tests/app/bench", "tests/drivers/test_device_states.py", "tests/reconstruction/modes")
     assert " passed" in run(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests, cwd=source)
 
 
+@pytest.mark.long
 def test_installed_programs_work(programs: Path, tmp_path: Path) -> None:
     assert run(programs / "svwfs", "--version", cwd=tmp_path) == f"svwfs {VERSION}\n"
     assert (programs / "svwfs-window").exists()
@@ -104,6 +106,7 @@ def test_installed_programs_work(programs: Path, tmp_path: Path) -> None:
     run(programs / "python", EXAMPLES, cwd=tmp_path)
 
 
+@pytest.mark.long
 def test_type_checker_sees_types_from_outside(programs: Path, tmp_path: Path) -> None:
     (tmp_path / "user.py").write_text(USER_CODE)
     checker = ("-m", "mypy", "--strict", "--python-executable", programs / "python", "user.py")

@@ -79,6 +79,7 @@ def test_pages_need_no_network_and_can_be_searched(pages: Path) -> None:
     assert not [path.name for path in files if loading.search(path.read_text("utf-8"))]
 
 
+@pytest.mark.slow
 def test_narrow_windows_have_one_layout(pages: Path) -> None:
     """The project's style sheet changes the layout at the same width as the theme's."""
     widths = [

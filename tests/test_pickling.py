@@ -32,6 +32,7 @@ def require_same(one: Wavefront, other: Wavefront) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("setting", METHODS)
 def test_wavefront_and_reconstructor_survive_pickling(setting: str) -> None:
     reconstruct, images = prepared(setting)
@@ -54,6 +55,7 @@ def test_pickled_wavefront_is_small() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_other_processes_reconstruct_the_same() -> None:
     reconstruct, images = prepared("sample=automatic")
     expected = [reconstruct(frame) for frame in images.frames]

@@ -57,6 +57,7 @@ def error_rad(views: Floats, truth: Floats) -> float:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     result = run_examples()
@@ -82,6 +83,7 @@ def test_unknown_name_is_an_attribute_error() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_refinement_reduces_the_error(bench: Bench) -> None:
     """Without noise: in it, one pass over the layer found is as good."""
     images = svwfs.simulate(bench, noise_free=True)
@@ -111,6 +113,7 @@ def test_frames_of_a_static_sample_differ_by_noise_alone(bench: Bench, images: S
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_moving_sample_has_a_truth_for_every_frame(bench: Bench) -> None:
     moving = svwfs.load_bench("small_demo", "simulation.screen.drift_x_m_per_s=1e-3", "simulation.drifting_states=3")
     images = svwfs.simulate(moving, frames=3)
@@ -172,6 +175,7 @@ def test_notebook_shows_wavefront(bench: Bench, images: SimulatedFrames) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Path) -> None:
     with svwfs.live(bench, average=3) as live:
         measurement = next(iter(live))
@@ -353,6 +357,7 @@ def test_refine_counts_its_rounds(bench: Bench, images: SimulatedFrames) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("rounds", [0, 2])
 def test_command_gives_the_same_wavefront(
     images: SimulatedFrames, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, rounds: int
@@ -383,6 +388,7 @@ def test_saved_bench_has_the_lattice_in_force(bench: Bench, images: SimulatedFra
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_results_of_another_bench_are_not_taken_for_the_recordings_own(bench: Bench, tmp_path: Path) -> None:
     with svwfs.live(bench, average=2) as live:
         folder = live.record(tmp_path / "run", frames=2)
@@ -444,6 +450,7 @@ def test_ctrl_c_ends_the_recording(bench: Bench, tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_forked_process_can_reconstruct(tmp_path: Path) -> None:
     program = """

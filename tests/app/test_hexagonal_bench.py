@@ -37,6 +37,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_calibrated_bench_reconstructs_frames_to_results(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     bench = load_bench("small_demo", HEXAGONAL)
     made = simulate(bench)
@@ -81,6 +82,7 @@ def relative_error(bench: Bench, method: str) -> float:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("method", "mask"), [("zonal", "checkerboard"), ("modal", "square")])
 def test_residual_is_at_most_that_of_as_many_square_lenslets(method: str, mask: str) -> None:
     """The issue allows 1.2 times; the paper's bench reaches 0.85 and 0.93 (docs/hexagonal.md)."""
@@ -96,6 +98,7 @@ def test_residual_is_at_most_that_of_as_many_square_lenslets(method: str, mask: 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_layer_is_found_where_the_screen_is() -> None:
     bench = load_bench("small_demo", HEXAGONAL)
     made = simulate(bench)

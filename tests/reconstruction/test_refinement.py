@@ -87,6 +87,7 @@ def test_refinement_removes_bias(request: pytest.FixtureRequest, world: str, met
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_model_without_gathered_light_is_worse(checker_bench: SmallBench, bowl: Bowl) -> None:
     reconstructor = checker_bench.reconstructor("cubic", pupil_modes=None)
     frame = bowl.frame(checker_bench)
@@ -109,6 +110,7 @@ def test_model_without_gathered_light_is_worse(checker_bench: SmallBench, bowl: 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_model_source_matches_bench_source(checker_bench: SmallBench, bowl: Bowl) -> None:
     """An uneven, blurred checkerboard and unevenly lit lenslets."""
     points = checkerboard()

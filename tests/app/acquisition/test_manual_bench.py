@@ -57,6 +57,7 @@ def test_manual_stage_never_moves() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_measure_asks_for_manual_steps(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, camera: FakeCamera
 ) -> None:
@@ -72,6 +73,7 @@ def test_measure_asks_for_manual_steps(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_measure_asks_for_a_manual_light(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, camera: FakeCamera
 ) -> None:
@@ -109,6 +111,7 @@ class Mender(Person):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_measure_by_hand_retakes_unusable_reference(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, camera: FakeCamera
 ) -> None:

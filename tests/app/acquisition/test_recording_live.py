@@ -83,6 +83,7 @@ def assert_made_again(recording: Recording) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_recorded_frames_are_reproduced_bit_by_bit(make_live: Callable[..., Live], tmp_path: Path) -> None:
     live = make_live("reconstruction.refine=true")
     live.until_refined()
@@ -131,6 +132,7 @@ def measure_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_gaps_and_skipped_frames_are_recorded(
     make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -153,6 +155,7 @@ def test_gaps_and_skipped_frames_are_recorded(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_skipped_frames_keep_previous_refinement(
     make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -191,6 +194,7 @@ def test_lost_camera_leaves_readable_recording(make_live: Callable[..., Live], t
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_recent_frames_are_kept_during_recording(make_live: Callable[..., Live], tmp_path: Path) -> None:
     live = make_live()
     wait_until(lambda: len(live.measurements) > 20)
@@ -212,6 +216,7 @@ def test_recent_frames_are_kept_during_recording(make_live: Callable[..., Live],
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_kill_at_random_moment_keeps_all_but_last_frames(small_toml: Path, tmp_path: Path) -> None:
     """`recording_crash.py` counts the missing frames on a quiet computer; a busy one may lose more."""
     random = np.random.default_rng()

@@ -136,6 +136,7 @@ def test_refused_setting_keeps_loop_running(running: Running) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_routines_restore_devices(running: Running) -> None:
     running.begin()
     running.acquisition.submit(Instrument.take_dark, 3).result(HANG_S)

@@ -51,6 +51,7 @@ def mine(recordings: list[Recording], tmp_path: Path) -> Recording:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("setting", [(), ("registration.warp=translation",)])
 def test_results_are_those_of_a_replay(recordings: list[Recording], tmp_path: Path, setting: tuple[str, ...]) -> None:
     """Also with another registration, where each frame starts from the one before in its block."""
@@ -61,6 +62,7 @@ def test_results_are_those_of_a_replay(recordings: list[Recording], tmp_path: Pa
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_another_bench_is_that_of_a_replay(recordings: list[Recording], small_toml: Path, tmp_path: Path) -> None:
     other = load_bench(small_toml, (*QUICK, "reconstruction.method=zonal"))
     batch(tmp_path / "r.zarr", recordings[1], job=Job(bench=write_bench(other)))
@@ -70,6 +72,7 @@ def test_another_bench_is_that_of_a_replay(recordings: list[Recording], small_to
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_frames_are_refined_by_the_model(recordings: list[Recording], tmp_path: Path) -> None:
     batch(tmp_path / "r.zarr", recordings[1], job=Job(rounds=2))
     recording = recordings[1]
@@ -115,6 +118,7 @@ def test_folder_without_results_cannot_be_opened(recordings: list[Recording], tm
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_second_run_does_only_what_is_missing(recordings: list[Recording], tmp_path: Path) -> None:
     out = tmp_path / "r.zarr"
     batch(out, *recordings)
@@ -133,6 +137,7 @@ def test_second_run_does_only_what_is_missing(recordings: list[Recording], tmp_p
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_more_and_longer_recordings_are_added(recordings: list[Recording], tmp_path: Path) -> None:
     out, whole = tmp_path / "r.zarr", tmp_path / "whole.zarr"
     batch(out, recordings[1])
@@ -144,6 +149,7 @@ def test_more_and_longer_recordings_are_added(recordings: list[Recording], tmp_p
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_interrupted_run_is_continued(recordings: list[Recording], tmp_path: Path) -> None:
     out = tmp_path / "r.zarr"
 
@@ -243,6 +249,7 @@ def test_exit_status_tells_of_damaged_frames(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_some_frames_of_each_recording(recordings: list[Recording], tmp_path: Path) -> None:
     """From the middle of a block to the middle of another; the values are those of all frames."""
     out, whole = tmp_path / "r.zarr", tmp_path / "whole.zarr"
@@ -277,6 +284,7 @@ def test_damaged_recording_is_named_while_the_others_complete(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_repaired_recording_is_completed(recordings: list[Recording], mine: Recording, tmp_path: Path) -> None:
     out, kept = tmp_path / "r.zarr", mine.pixels(6)
     _cut_pixels(mine)
@@ -291,6 +299,7 @@ def test_repaired_recording_is_completed(recordings: list[Recording], mine: Reco
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_frames_without_a_wavefront_are_told_and_done(mine: Recording, tmp_path: Path) -> None:
     for index in (0, 4, 5, 6, 7):  # the first, and a whole block
         replace_pixels(mine, index, np.full_like(mine.pixels(index), 500))
@@ -306,6 +315,7 @@ def test_frames_without_a_wavefront_are_told_and_done(mine: Recording, tmp_path:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_other_sizes_do_not_fit(recordings: list[Recording], small_toml: Path, tmp_path: Path) -> None:
     """Other views, and as many at other places."""
     fewer = record(small_toml, tmp_path / "fewer", *QUICK, "field.view_rows=2", frames=2)
@@ -385,6 +395,7 @@ def test_batch_without_any_result_leaves_nothing(mine: Recording, tmp_path: Path
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("last", "left"), [("state/c/0/1", 4), ("wavefront/c/0/1", 8)])
 def test_full_disk_ends_the_run_and_keeps_what_is_there(
     recordings: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: str, left: int
@@ -406,6 +417,7 @@ def test_full_disk_ends_the_run_and_keeps_what_is_there(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_first_frame_of_a_block_is_judged_beside_the_one_before(mine: Recording, tmp_path: Path) -> None:
     """A frozen camera repeats frames also across the border of two blocks."""
     replace_pixels(mine, BLOCK, mine.pixels(BLOCK - 1))

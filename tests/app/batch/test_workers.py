@@ -94,6 +94,7 @@ class Killing:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_what_killed_processes_were_writing_is_removed(
     recording: Recording, alone: dict[str, bytes], tmp_path: Path
 ) -> None:
@@ -115,6 +116,7 @@ def test_what_killed_processes_were_writing_is_removed(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_three_killed_workers_change_nothing(
     recording: Recording, two_workers: Workers, alone: dict[str, bytes], tmp_path: Path
 ) -> None:
@@ -126,6 +128,7 @@ def test_three_killed_workers_change_nothing(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_dashboard_answers_only_if_asked(two_workers: Workers) -> None:
     """Nothing else answers either, for example with what the workers do."""
     assert not two_workers.dashboard
@@ -164,6 +167,7 @@ async def _ask(address: str, security: Security | None) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_workers_import_nothing_from_the_working_folder(tmp_path: Path) -> None:
     """Neither do the processes that Python starts beside them, as the one that frees what they shared."""
     for name in sys.stdlib_module_names:
@@ -198,6 +202,7 @@ def _inverse(number: float) -> float:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_deadly_task_is_told(two_workers: Workers) -> None:
     """After some workers, the task is at fault; Dask's usual four would take long to start."""
     _allow_failures(two_workers, 1)
@@ -240,6 +245,7 @@ def scheduler_and_worker() -> Iterator[tuple[str, subprocess.Popen[str]]]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_second_run_completes_what_a_killed_scheduler_left(
     recording: Recording, alone: dict[str, bytes], tmp_path: Path
 ) -> None:
@@ -279,6 +285,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_ctrl_c_stops_cleanly(recording: Recording, alone: dict[str, bytes], tmp_path: Path) -> None:
     out = tmp_path / "r.zarr"
     (tmp_path / "program.py").write_text(UNHURRIED)
@@ -304,6 +311,7 @@ def test_ctrl_c_stops_cleanly(recording: Recording, alone: dict[str, bytes], tmp
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_command_reports_failures_at_the_end(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -317,6 +325,7 @@ def test_command_reports_failures_at_the_end(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_wrong_store_is_refused_before_workers_start(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -367,6 +376,7 @@ def test_wrong_address_is_refused_before_a_client_is_made(monkeypatch: pytest.Mo
             pass
 
 
+@pytest.mark.slow
 def test_without_dask_a_sentence_tells_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"workers need Dask: install the extra svwfs\[batch\]"), workers(1, None):
@@ -374,6 +384,7 @@ def test_without_dask_a_sentence_tells_how_to_install_it(monkeypatch: pytest.Mon
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_studies_are_shared_among_workers(two_workers: Workers, small_toml: Path, tmp_path: Path) -> None:
     """Also settings that are functions in functions reach the workers."""
     bench, study = load_bench(small_toml), calibration_trials()

@@ -61,6 +61,7 @@ def reconstruct_foreign(out: Path, *more: str | Path) -> tuple[str | Path, ...]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("changes", "figure_rad"),
     [
@@ -110,6 +111,7 @@ def test_noise_free_images_are_float_photons(monkeypatch: pytest.MonkeyPatch, tm
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("no_hurry")
 def test_measure_writes_results(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
@@ -155,6 +157,7 @@ def test_late_start_of_the_recording_costs_no_frame(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("no_hurry")
 def test_measure_that_recorded_nothing_can_be_repeated(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
@@ -231,6 +234,7 @@ def test_measure_whose_list_of_frames_is_deleted_says_so(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_measure_refines_every_frame(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path) -> None:
     command = ("measure", "--bench", small_toml, "--frames", "5", "--out", tmp_path / "m")
     assert run(monkeypatch, *command, "--set", "reconstruction.refine=true") == 0
@@ -239,6 +243,7 @@ def test_measure_refines_every_frame(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_reconstruct_refine_limits_rounds(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -262,6 +267,7 @@ def test_reconstruct_refine_limits_rounds(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_ctrl_c_saves_measured_frames(tmp_path: Path, small_toml: Path) -> None:
     command = [sys.executable, "-c", "from app.cli import main; main()", "measure", "--bench", str(small_toml)]
     process = subprocess.Popen(  # noqa: S603 - our own program
@@ -279,6 +285,7 @@ def test_ctrl_c_saves_measured_frames(tmp_path: Path, small_toml: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_unplugged_camera_keeps_measured_frames(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:
@@ -568,6 +575,7 @@ def test_frame_of_another_size_than_the_bench_is_told(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "full"), [(np.uint16, 65535), (np.float32, 65535), (np.uint8, 255)])
 def test_hot_pixel_in_the_reference_is_no_reason_to_refuse(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, kind: type, full: int
@@ -584,6 +592,7 @@ def test_hot_pixel_in_the_reference_is_no_reason_to_refuse(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_unjudged_misfit_and_a_repeated_reference_are_told(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

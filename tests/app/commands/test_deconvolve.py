@@ -58,6 +58,7 @@ def image(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_writes_image_and_mark(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], image: Path, result: Path, tmp_path: Path
 ) -> None:
@@ -79,6 +80,7 @@ def test_writes_image_and_mark(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_recording_and_its_results_have_the_same_wavefront(recording: Recording, result: Path) -> None:
     frames = [made.wavefront for made in reprocess(recording)]
     position = (0.31e-3, -0.47e-3)
@@ -92,6 +94,7 @@ def test_recording_and_its_results_have_the_same_wavefront(recording: Recording,
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_zonal_results_are_interpolated_between_views(zonal: Path) -> None:
     (made,) = reprocess(Recording(zonal))
     assert made.wavefront is not None

@@ -52,6 +52,7 @@ def quick(command: str) -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_every_documented_command_runs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

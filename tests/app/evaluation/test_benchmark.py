@@ -39,6 +39,7 @@ def result(bench: Bench) -> Json:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_benchmark_is_written_and_printed(result: Json, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_record(tmp_path / "benchmark.json", result)
     written = json.loads((tmp_path / "benchmark.json").read_text())
@@ -56,6 +57,8 @@ def test_benchmark_is_written_and_printed(result: Json, tmp_path: Path, capsys: 
     assert OURS in capsys.readouterr().out
 
 
+@pytest.mark.slow
+@pytest.mark.long
 def test_svwfs_measures_the_wavefront_better_than_peers(result: Json, bench: Bench) -> None:
     truth = noise_free(bench).truth
     assert truth is not None
@@ -67,6 +70,7 @@ def test_svwfs_measures_the_wavefront_better_than_peers(result: Json, bench: Ben
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_missing_peer_is_reported(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(*_: object) -> contestants.Register:
         raise ImportError("No module named 'skimage'")

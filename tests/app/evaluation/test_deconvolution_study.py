@@ -27,6 +27,7 @@ def data() -> pd.DataFrame:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["target", "cells", "stars"])
 def test_measured_psfs_are_far_better_than_one_and_as_good_as_the_true_ones(data: pd.DataFrame, name: str) -> None:
     psnr_db = data[data["object"] == name].set_index("way")["psnr_db"]
@@ -45,6 +46,7 @@ def test_study_writes_its_files(data: pd.DataFrame, tmp_path: Path, capsys: pyte
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_photograph_in_propagated_light_is_restored_only_the_right_way_round() -> None:
     """The screen lies near the mask: field positions see different parts of it, and light gathers on the way."""
     settings = ("screen.placement='source'", "screen.distance_m=0.06", "screen.correlation_length_m=0.6e-3")

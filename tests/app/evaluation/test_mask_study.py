@@ -71,6 +71,7 @@ def studied(out: Path, monkeypatch: pytest.MonkeyPatch, *words: str | Path) -> d
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_mask_study_predicts_the_simulation_without_propagation(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

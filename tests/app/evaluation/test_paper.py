@@ -34,6 +34,7 @@ def only(monkeypatch: pytest.MonkeyPatch, *methods: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_table_1_orders_the_methods_like_the_paper(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -65,6 +66,7 @@ def test_table_1_orders_the_methods_like_the_paper(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_seeds_are_averaged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     only(monkeypatch, "affine_modal")
     one = table(monkeypatch, tmp_path / "1", "table1")["ours"]["affine_modal"]
@@ -76,6 +78,7 @@ def test_seeds_are_averaged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_table_2_orders_the_methods_like_the_paper(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = table(monkeypatch, tmp_path, "table2", "--set", QUICK_SCREEN)["ours"]
     assert ours["stars_zonal_against_truth"]["mean_rad"] < 0.2
@@ -87,6 +90,7 @@ def test_table_2_orders_the_methods_like_the_paper(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_stars_follow_the_spacing_of_the_bench(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     only(monkeypatch, "stars_zonal")
     ours = table(monkeypatch, tmp_path, "table1", "--set", "simulation.source.star_spacing_m=0.45e-3")["ours"]
@@ -94,6 +98,7 @@ def test_stars_follow_the_spacing_of_the_bench(monkeypatch: pytest.MonkeyPatch, 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_circular_field_counts_only_views_inside(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     only(monkeypatch, "affine_modal", "quadratic_modal")
     written = table(monkeypatch, tmp_path, "table1", "--set", "field.shape=circle")
@@ -114,6 +119,7 @@ def test_bench_unable_to_run_the_experiment_is_rejected(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_sources_compares_all_shapes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = table(monkeypatch, tmp_path, "sources")["ours"]
     assert len(ours) == 5 * 6

@@ -65,6 +65,7 @@ def answer(monkeypatch: pytest.MonkeyPatch, label: str) -> list[str]:
     return asked
 
 
+@pytest.mark.long
 def test_window_shows_and_commands_the_instrument(window: MainWindow, server: Server, qtbot: QtBot) -> None:
     assert window.windowTitle().endswith(", attached")
     assert f"in process {server.place.process}" in window.status_line.devices.toolTip()
@@ -107,6 +108,7 @@ def test_closing_asks_whether_the_instrument_goes_on(
         assert window.controller.left == "the instrument goes on"
 
 
+@pytest.mark.long
 def test_silence_of_the_instrument_is_shown_until_it_answers(
     window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -123,6 +125,7 @@ def test_silence_of_the_instrument_is_shown_until_it_answers(
     assert controls.light.text() == "Light on"
 
 
+@pytest.mark.long
 def test_commands_of_a_window_that_watches_are_refused_with_a_sentence(
     make_window: MakeWindow, server: Server, camera: FakeCamera, qtbot: QtBot, tmp_path: Path
 ) -> None:
@@ -155,6 +158,7 @@ def test_commands_of_a_window_that_watches_are_refused_with_a_sentence(
     assert server.acquisition.is_alive
 
 
+@pytest.mark.long
 def test_window_goes_on_with_an_instrument_that_was_started_again(
     make_window: MakeWindow, runtime_folder: Path, qtbot: QtBot
 ) -> None:
@@ -177,6 +181,7 @@ def test_window_goes_on_with_an_instrument_that_was_started_again(
         qtbot.waitUntil(lambda: "dark taken" in told(window))
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("runtime_folder")
 def test_window_starts_an_instrument_of_its_own(
     make_window: MakeWindow,

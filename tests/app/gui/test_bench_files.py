@@ -62,6 +62,7 @@ def is_live(benches: Opened, count: int) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_preset_is_opened_and_another_bench_takes_its_place(
     benches: Opened, qtbot: QtBot, small_toml: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -113,6 +114,7 @@ def test_faulty_file_shows_its_line_until_it_is_corrected(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_faulty_file_leaves_the_open_bench(benches: Opened, qtbot: QtBot, tmp_path: Path) -> None:
     benches.window.benches.open("small_demo")
     qtbot.waitUntil(lambda: is_live(benches, 1))
@@ -147,6 +149,7 @@ def test_library_is_loaded_only_when_it_is_trusted(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_last_bench_is_offered_at_the_next_start(
     benches: Opened, qtbot: QtBot, small_toml: Path, tmp_path: Path
 ) -> None:
@@ -173,6 +176,7 @@ def test_last_bench_is_offered_at_the_next_start(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_saved_bench_is_recent(benches: Opened, qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     benches.window.benches.open("small_demo")
     qtbot.waitUntil(lambda: is_live(benches, 1))

@@ -48,6 +48,7 @@ def state(guide: CalibrationGuide, step: CalibrationStep) -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_button_takes_all_steps(window: MainWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
     guide = window.guide
     window.controls.calibrate.click()
@@ -73,6 +74,7 @@ def test_button_takes_all_steps(window: MainWindow, qtbot: QtBot, camera: Expose
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("is_used", [True, False])
 def test_another_lattice_is_used_only_when_accepted(window: MainWindow, qtbot: QtBot, is_used: bool) -> None:
     guide = window.guide
@@ -86,6 +88,7 @@ def test_another_lattice_is_used_only_when_accepted(window: MainWindow, qtbot: Q
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_lattice_is_sought_again_after_the_exposure(
     window: MainWindow, qtbot: QtBot, camera: ExposedCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -110,6 +113,7 @@ def test_lattice_is_sought_again_after_the_exposure(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_esc_cancels_and_restores_the_devices(window: MainWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
     guide = window.guide
     window.controls.frames.setValue(10_000)
@@ -126,6 +130,7 @@ def test_esc_cancels_and_restores_the_devices(window: MainWindow, qtbot: QtBot, 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_failed_step_can_be_repeated(window: MainWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
     guide = window.guide
     camera.fill = 0.0
@@ -139,6 +144,7 @@ def test_failed_step_can_be_repeated(window: MainWindow, qtbot: QtBot, camera: E
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_person_is_asked_to_take_the_sample_out(make_window: MakeWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
     window = make_window()
     window.open(lambda: Acquisition(MANUAL, opener(camera)))

@@ -25,6 +25,7 @@ from reconstruction.settings import Method, PupilBasis
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("no_rest")
 def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
@@ -68,6 +69,7 @@ class ThreeSpeeds(FakeCamera):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_every_choice_reaches_the_instrument(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window(ThreeSpeeds())
     window.connect_devices()
@@ -158,6 +160,7 @@ def test_notice_disappears_at_the_next_command(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_changed_settings_reach_the_reconstruction(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.controls.requested.emit("registration.warp", "affine")
@@ -251,6 +254,7 @@ def test_method_has_a_human_name_and_keeps_its_word(live: tuple[MainWindow, Fake
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("changes", "is_used"),
     [
@@ -271,6 +275,7 @@ def test_warp_is_enabled_only_where_it_has_an_effect(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_refused_value_is_shown_and_loop_continues(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     window.controls.exposure.setValue(55)

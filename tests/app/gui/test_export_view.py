@@ -23,6 +23,7 @@ def export(window: MainWindow, monkeypatch: pytest.MonkeyPatch, path: Path) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_picture_and_results_are_those_that_are_shown(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

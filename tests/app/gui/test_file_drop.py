@@ -122,6 +122,7 @@ def test_frame_is_reconstructed_until_the_camera_starts(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("pixels", "problem"),
     [

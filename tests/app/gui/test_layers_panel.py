@@ -57,6 +57,7 @@ def open_tab(qtbot: QtBot, window: MainWindow, title: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_layer_is_found_with_curve_and_map(window: MainWindow, qtbot: QtBot) -> None:
     open_tab(qtbot, window, "Layers")
     panel = window.panels.layers
@@ -122,6 +123,7 @@ def test_distances_from_the_mask(window: MainWindow, qtbot: QtBot) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_layer_behind_the_lenslets_is_measured_from_them(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     window.show_measurement(measured("simulation.screen.distance_m=-0.1"))

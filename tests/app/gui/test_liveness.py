@@ -103,6 +103,7 @@ def test_frame_of_a_file_says_so(live: tuple[MainWindow, FakeCamera], qtbot: QtB
 
 @pytest.mark.usefixtures("no_rest")
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("is_inspected", [True, False])
 def test_lenslet_without_wavefront_gives_the_reason(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, is_inspected: bool

@@ -115,6 +115,7 @@ def test_small_window_stays_readable(make_window: MakeWindow) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_window_measures_without_a_click(live: tuple[MainWindow, FakeCamera]) -> None:
     window, camera = live
     assert camera.light.is_on
@@ -126,6 +127,7 @@ def test_window_measures_without_a_click(live: tuple[MainWindow, FakeCamera]) ->
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_frame_without_wavefront_shows_reason_and_no_old_wavefront(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:
@@ -137,6 +139,7 @@ def test_frame_without_wavefront_shows_reason_and_no_old_wavefront(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_device_failure_is_shown_and_window_reconnects(make_window: MakeWindow, qtbot: QtBot) -> None:
     first, second = FakeCamera(), FakeCamera()
     window = make_window(first, second)
@@ -172,6 +175,7 @@ def test_light_that_does_not_answer_is_not_called_off(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_status_line_shows_nothing_old_while_a_bench_opens(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     line = window.status_line
@@ -193,6 +197,7 @@ def test_old_correction_is_not_green(make_window: MakeWindow, age_s: float, colo
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_failure_during_refresh_changes_message_and_light_together(
     live: tuple[MainWindow, FakeCamera], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -211,6 +216,7 @@ def test_failure_during_refresh_changes_message_and_light_together(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_routine_shows_its_progress_and_can_be_cancelled(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     window.controls.frames.setValue(10_000)
@@ -226,6 +232,7 @@ def test_routine_shows_its_progress_and_can_be_cancelled(live: tuple[MainWindow,
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_compilation_after_the_reference_is_explained(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -251,6 +258,7 @@ def test_compilation_after_the_reference_is_explained(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_end_of_a_dark_is_not_blamed_on_the_light(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -284,6 +292,7 @@ def test_end_of_a_dark_is_not_blamed_on_the_light(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_slow_redraw_shows_the_newest_frame(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -345,6 +354,7 @@ def test_keys_are_unique_and_help_opens(make_window: MakeWindow) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_drawing_is_timed_and_key_shows_every_stage(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     assert window.controller.acquisition is not None

@@ -50,6 +50,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_single_frame_is_counted_in_the_singular(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
@@ -104,6 +105,7 @@ def test_recording_ends_by_itself_with_name_and_note(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_name_given_afterwards_renames_the_folder(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
@@ -133,6 +135,7 @@ def test_name_given_afterwards_renames_the_folder(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_report_and_export_run_beside_the_window(
     live: tuple[MainWindow, FakeCamera],
     qtbot: QtBot,
@@ -167,6 +170,7 @@ def test_report_and_export_run_beside_the_window(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_missing_viewer_is_named_in_the_window(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,6 +183,7 @@ def test_missing_viewer_is_named_in_the_window(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_failed_command_is_shown_until_dismissed(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:

@@ -34,6 +34,7 @@ def stage(window: MainWindow) -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_another_bench_waits_for_an_answer(recording: MainWindow, qtbot: QtBot, tmp_path: Path) -> None:
     window, opened = recording, list[FakeCamera]()
 
@@ -66,6 +67,7 @@ def test_another_bench_waits_for_an_answer(recording: MainWindow, qtbot: QtBot, 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_note_is_kept_when_the_window_closes(recording: MainWindow, tmp_path: Path) -> None:
     recording.recording_bar.note.setText("the last words")
     recording.close()
@@ -74,6 +76,7 @@ def test_note_is_kept_when_the_window_closes(recording: MainWindow, tmp_path: Pa
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_second_request_ends_a_recording_that_has_not_begun(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:

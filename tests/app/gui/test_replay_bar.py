@@ -87,6 +87,7 @@ def pause(qtbot: QtBot, window: MainWindow) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_steps_show_the_frame_beside(window: MainWindow, qtbot: QtBot, recording: Recording) -> None:
     pause(qtbot, window)
     qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 3)
@@ -190,6 +191,7 @@ def own_recording(recording: Recording, tmp_path: Path) -> Recording:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_renamed_recording_is_played_on(window: MainWindow, qtbot: QtBot, own_recording: Recording) -> None:
     player = Player(own_recording.folder)
     window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
@@ -205,6 +207,7 @@ def test_renamed_recording_is_played_on(window: MainWindow, qtbot: QtBot, own_re
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_lost_recording_is_not_blamed_on_devices(window: MainWindow, qtbot: QtBot, own_recording: Recording) -> None:
     player = Player(own_recording.folder)
     window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
@@ -217,6 +220,7 @@ def test_lost_recording_is_not_blamed_on_devices(window: MainWindow, qtbot: QtBo
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_bar_is_hidden_at_live_devices(live: tuple[MainWindow, object], qtbot: QtBot) -> None:
     window, _ = live
     assert not window.replay.isVisible()
@@ -248,6 +252,7 @@ def is_at(window: MainWindow, player: Player, position: int) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_damaged_frames_are_skipped_with_a_notice_and_marked(
     window: MainWindow, qtbot: QtBot, own_recording: Recording
 ) -> None:

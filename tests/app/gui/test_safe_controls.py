@@ -178,6 +178,7 @@ def test_number_that_stands_for_automatic_is_refused(qtbot: QtBot) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_refused_number_is_explained_in_red_and_reaches_no_device(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:
@@ -202,6 +203,7 @@ def test_refused_number_is_explained_in_red_and_reaches_no_device(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_refused_number_is_explained_while_a_proposal_is_open(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -234,6 +236,7 @@ def test_refused_number_is_explained_while_a_proposal_is_open(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_problem_of_earlier_settings_is_not_shown_as_the_present_one(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -398,6 +401,7 @@ def test_indicators_show_the_state_during_a_routine(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_light_off_ends_a_reference_and_stays_off(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     controls = window.controls
@@ -417,6 +421,7 @@ def test_light_off_ends_a_reference_and_stays_off(live: tuple[MainWindow, FakeCa
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_message_names_the_actual_cause(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     """A frame that does not match is not blamed on the light if the light is on, nor the reverse."""
     window, _ = live
@@ -464,6 +469,7 @@ def test_amplifier_change_says_what_else_it_changed(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_stale_calibration_greys_the_wavefronts_and_says_why(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     panel, controls = window.panels.wavefronts, window.controls

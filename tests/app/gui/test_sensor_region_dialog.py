@@ -67,6 +67,7 @@ def text(window: MainWindow) -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_region_is_applied_and_calibrated_again(
     window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -99,6 +100,7 @@ def test_region_is_applied_and_calibrated_again(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_region_without_most_lenslets_is_to_be_enlarged(window: MainWindow, qtbot: QtBot) -> None:
     press(qtbot, window, Qt.Key.Key_P)
     dialog = window.region_dialog
@@ -117,6 +119,7 @@ def test_region_without_most_lenslets_is_to_be_enlarged(window: MainWindow, qtbo
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_buttons_fill_in_lattice_and_whole_sensor(window: MainWindow, qtbot: QtBot) -> None:
     window.controls.sensor_region.click()
     dialog = window.region_dialog
@@ -132,6 +135,7 @@ def test_buttons_fill_in_lattice_and_whole_sensor(window: MainWindow, qtbot: QtB
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_region_is_refused_while_recording(window: MainWindow, qtbot: QtBot, tmp_path: Path) -> None:
     window.recording_bar.recordings_folder = tmp_path
     window.recording_panel.record.click()

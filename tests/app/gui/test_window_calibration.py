@@ -46,6 +46,7 @@ def is_about(window: MainWindow, center_x_px: float) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_lattice_is_used_only_when_accepted(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     move_lattice(window, qtbot, 211.0)
@@ -64,6 +65,7 @@ def test_lattice_is_used_only_when_accepted(live: tuple[MainWindow, FakeCamera],
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("is_used", [True, False])
 def test_nonlinearity_is_used_only_when_accepted(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch, is_used: bool
@@ -150,6 +152,7 @@ def test_alarm_stays_until_it_is_dismissed(live: tuple[MainWindow, FakeCamera], 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_dark_and_reference_are_confirmed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.controls.frames.setValue(3)

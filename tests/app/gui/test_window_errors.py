@@ -15,6 +15,7 @@ from app.results.history import RMS
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_inspected_lenslet_is_forgotten_with_its_bench(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     panel, lenslet = window.panels.camera, window.panels.lenslet
@@ -30,6 +31,7 @@ def test_inspected_lenslet_is_forgotten_with_its_bench(live: tuple[MainWindow, F
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_error_in_a_refresh_is_shown_once(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -75,6 +77,7 @@ def test_error_in_a_slot_is_shown_and_ends_nothing(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_history_and_pinned_coefficient_are_forgotten_with_their_bench(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:

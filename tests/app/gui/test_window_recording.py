@@ -28,6 +28,7 @@ def only_recording(folder: Path, suffix: str = "") -> Recording:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_every_frame_between_start_and_stop_is_recorded(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
@@ -48,6 +49,7 @@ def test_every_frame_between_start_and_stop_is_recorded(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_last_seconds_are_saved(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, _ = live
     window.recording_bar.recordings_folder = tmp_path
@@ -60,6 +62,7 @@ def test_last_seconds_are_saved(live: tuple[MainWindow, FakeCamera], qtbot: QtBo
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["file", "file/below", "a" * 300])  # the last exceeds any file system's limit
 def test_impossible_folder_is_reported(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, name: str
@@ -76,6 +79,7 @@ def test_impossible_folder_is_reported(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_unplugged_camera_leaves_a_complete_recording(make_window: MakeWindow, qtbot: QtBot, tmp_path: Path) -> None:
     first, second = FakeCamera(), FakeCamera()
     window = make_window(first, second)
@@ -99,6 +103,7 @@ def test_unplugged_camera_leaves_a_complete_recording(make_window: MakeWindow, q
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_early_end_is_shown_until_dismissed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, camera = live
     window.recording_bar.recordings_folder = tmp_path
@@ -120,6 +125,7 @@ def close_as_the_window_system_does(window: MainWindow) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("close", [MainWindow.close, MainWindow.quit, close_as_the_window_system_does])
 def test_closing_the_window_finishes_the_recording(
     make_window: MakeWindow,

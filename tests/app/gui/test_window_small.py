@@ -275,6 +275,7 @@ def test_sample_and_mask_are_told_in_the_window(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_window_with_recording_bar_fits_a_full_hd_screen_at_scale_2(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window(FakeCamera())
     window.connect_devices()

@@ -39,6 +39,7 @@ def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("refine", ["false", "true"])
 @pytest.mark.parametrize("lattice", ["lattice.center_x_px=121.3", "found"])
 def test_calibration_reproduces_frames_bit_by_bit(small_toml: Path, tmp_path: Path, refine: str, lattice: str) -> None:

@@ -86,6 +86,7 @@ def test_averaged_reference_of_little_light_is_not_clipped() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_images_without_noise_leave_misfit_unjudged() -> None:
     """Their noise cannot be estimated, and blur or gamma would not be seen."""
     bench = load_bench("small_demo", SQUARE)
@@ -101,6 +102,7 @@ def test_images_without_noise_leave_misfit_unjudged() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_doubled_integer_frame_is_flagged() -> None:
     ghost = 0.9 * light()[1] + 0.1 * np.roll(light()[1], (9, 7), (0, 1))
     quality, _ = measured(exposed(ghost, 2))
@@ -108,6 +110,7 @@ def test_doubled_integer_frame_is_flagged() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("process", ["filtered", "gamma"])
 def test_fault_that_hides_the_noise_is_flagged(process: str) -> None:
     above = exposed(light()[1], 2) - OFFSET
@@ -127,6 +130,7 @@ def test_exchanged_frame_and_reference_are_flagged() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("images", ["frame", "reference", "both"])
 def test_compressed_counts_are_flagged(images: str) -> None:
     """As of a saturating register."""
@@ -151,6 +155,7 @@ def gamma(counts: NDArray[np.uint16], power: float) -> NDArray[np.uint16]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("power", [0.7, 1.4, 1.8])
 @pytest.mark.parametrize("image", ["frame", "reference"])
 def test_gamma_in_one_image_is_flagged(image: str, power: float) -> None:
@@ -196,6 +201,7 @@ def test_even_stray_light_and_uneven_light_do_not_rise(change: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_strong_cubic_wavefront_is_no_stray_light(tmp_path: Path) -> None:
     """Subimages that grow across the pupil fill their gaps; 21 rad."""
     _, x = np.mgrid[-1:1:385j, -1:1:385j]

@@ -60,6 +60,7 @@ def until(solver: LiveSolver, reconstructor: Reconstructor, frame: NDArray[np.fl
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_bias_applies_only_near_its_wavefront(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
     solver = solver_of(paper_bench, reconstructor)
     try:
@@ -237,6 +238,7 @@ def layered(paper_bench: SmallBench) -> Reconstructor:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("refine", [False, True])
 def test_layers_found_in_the_background_serve_later_frames(
     paper_bench: SmallBench, layered: Reconstructor, *, refine: bool

@@ -19,6 +19,7 @@ def judged(world: str, assumed: str, *settings: str) -> Quality:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("mask", ["square", "checkerboard"])
 @pytest.mark.parametrize("world", ["true", "false"])
 def test_wrong_world_is_flagged_and_the_right_one_is_not(world: str, mask: str) -> None:
@@ -31,6 +32,7 @@ def test_wrong_world_is_flagged_and_the_right_one_is_not(world: str, mask: str) 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("setting", ["simulation.screen.transmission_rms=0.15", "simulation.screen.rms_rad=0.05"])
 def test_absorbing_and_weak_samples_decide_nothing(setting: str) -> None:
     for world in ("true", "false"):

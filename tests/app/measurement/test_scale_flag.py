@@ -31,6 +31,7 @@ def out_of_focus(bench: Bench, share: float) -> Bench:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("mask", ["square", "circle", "checkerboard", "optimised"])
 def test_wrong_scale_is_flagged_and_a_small_one_is_not(mask: str) -> None:
     bench = load_bench("small_demo", (f"simulation.source.mask='{mask}'",))
@@ -42,6 +43,7 @@ def test_wrong_scale_is_flagged_and_a_small_one_is_not(mask: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_mirrored_mask_is_flagged(tmp_path: Path) -> None:
     """A letter L beside the middle."""
     picture = np.zeros((12, 12), np.uint8)
@@ -57,6 +59,7 @@ def test_mirrored_mask_is_flagged(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_bench_that_does_not_describe_its_mask_is_not_judged() -> None:
     """Field and mask are 5 % larger than the square that stands in for a `[simulation.source]` that is left out."""
     larger = ("field.half_width_m=0.63e-3", "simulation.source.half_width_m=0.63e-3")

@@ -79,6 +79,7 @@ def test_absorption_is_hardly_a_wavefront(mask: str, most_rad: float) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_error_is_the_scatter_by_noise() -> None:
     draws = np.array([measured("checkerboard", 1000, seed) for seed in range(6)])
     scatter = np.sqrt(np.nanmean(np.nanvar(draws[:, 0], axis=0, ddof=1)))

@@ -442,6 +442,7 @@ def test_unusable_recording_is_refused_on_opening(small_toml: Path, steady: Reco
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_measuring_a_recording_reproduces_its_frames(small_toml: Path, tmp_path: Path) -> None:
     """Dark and reference agree exactly, the displacements within the noise of the averages."""
     measure_bench(load_bench(small_toml), 12, tmp_path / "run", ignore)

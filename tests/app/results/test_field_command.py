@@ -41,6 +41,7 @@ def read(path: Path) -> list[dict[str, float]]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_maps_are_the_wavefront_of_the_results(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -63,6 +64,7 @@ def test_maps_are_the_wavefront_of_the_results(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_python_interface_gives_the_same(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = svwfs.load_bench("small_demo")
     opened = svwfs.open_recording(recording)
@@ -111,6 +113,7 @@ def test_table_has_a_row_for_each_position(recording: Path, tmp_path: Path, monk
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_positions_outside_a_circular_field_are_left_out(
     small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -177,6 +180,7 @@ def test_bad_input_is_one_line(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_sources_without_the_coefficients_are_refused(
     small_toml: Path,
     recording: Path,

@@ -56,6 +56,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("share", [0.01, 0.3, 0.5, 0.7, 0.9, 0.999])
 def test_full_disk_is_one_line_and_no_file(whole: int, share: float, tmp_path: Path) -> None:
     out = tmp_path / "results.nc"
@@ -158,6 +159,7 @@ _PROGRAM_OF_COMMANDS = "from app.cli import main; main()"
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("option", ["--out", "--plot"])
 def test_reconstruct_on_a_full_disk_is_one_line_and_no_file(tmp_path: Path, option: str) -> None:
     disk = tmp_path / "disk"

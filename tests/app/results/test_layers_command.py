@@ -54,6 +54,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_command_loads_only_what_it_needs(recording: Path, tmp_path: Path) -> None:
     rooms = ("app", "drivers", "reconstruction", "simulated_devices")
     count = f"len([name for name in sys.modules if name.split('.')[0] in {rooms}])"
@@ -65,6 +66,7 @@ def test_command_loads_only_what_it_needs(recording: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["recording", "result"])
 def test_layer_is_found(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     source = recording if kind == "recording" else recording / "results.nc"
@@ -93,6 +95,7 @@ def test_layer_is_found(recording: Path, tmp_path: Path, monkeypatch: pytest.Mon
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_distances_from_the_mask_and_given_ones(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -73,6 +73,7 @@ def replayed(folder: Path, *settings: str, **options: Any) -> Replay:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("frames", [":", "4:"])
 def test_replay_is_bit_identical(recording: Recording, tmp_path: Path, frames: str) -> None:
     """Also from the middle, where the starting point comes from the recording."""
@@ -193,6 +194,7 @@ def test_kind_of_difference_is_named(mine: Recording, name: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_other_method_is_compared(recording: Recording, tmp_path: Path) -> None:
     """Against separate reconstructors; with the same registration, starting points and biases stay."""
     other = "reconstruction.method=zonal", "reconstruction.sample=automatic"  # "layers" rules it out
@@ -251,6 +253,7 @@ def test_other_registration_drops_the_refinement_with_notice(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("setting", "rows"), [("field.view_rows=2", (2, 5)), ("sensor.lenslet_rows=3", (3, 3))])
 def test_other_views_or_lenslets_are_not_compared(
     plain: Recording,
@@ -271,6 +274,7 @@ DARK, PASSED, UNCALIBRATED, CHANGED = 3, 2, 0, 6  # special frames of the record
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_bias_of_another_chosen_warp_is_not_subtracted(small_toml: Path, tmp_path: Path) -> None:
     settings = ("registration.warp=automatic", "reconstruction.refine=true")
     recording = record(small_toml, tmp_path / "run", *settings, frames=2)
@@ -315,6 +319,7 @@ def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Reco
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_calibration_changes_are_replayed(eventful: Recording) -> None:
     assert "is the light on?" in eventful.line(DARK).problem
     made = replayed(eventful.folder, verify=True)
@@ -347,6 +352,7 @@ def test_skipped_frame_is_reconstructed(eventful: Recording, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("at_once", [32, 4])  # in one piece, or after the first is written
 def test_changed_settings_do_not_fit_one_file(
     eventful: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int
@@ -363,6 +369,7 @@ def test_changed_settings_do_not_fit_one_file(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_pieces_equal_the_whole(plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     replayed(plain.folder, out=tmp_path / "one.nc", frames=":5")
     monkeypatch.setattr(dataset, "PIECE", 2)

@@ -129,6 +129,7 @@ def beyond_limits(figure: Figure) -> list[Text]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_statistics_equal_those_of_the_results(recording: Recording, summary: Summary, tmp_path: Path) -> None:
     export(recording.folder, "netcdf", tmp_path / "r.nc", frames=None, overwrite=False, progress=lambda *_: None)
     found = summary.statistics
@@ -219,6 +220,7 @@ def test_second_page_shows_error_bars_and_lost_lenslets(summary: Summary, mine: 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "settings",
     [
@@ -250,6 +252,7 @@ def test_many_frames_are_sampled(recording: Recording, monkeypatch: pytest.Monke
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_report_without_wavefronts_shows_images(mine: Recording, tmp_path: Path) -> None:
     for index in range(FRAMES):
         replace_pixels(mine, index, np.full_like(mine.pixels(0), 500))
@@ -266,6 +269,7 @@ def test_report_without_wavefronts_shows_images(mine: Recording, tmp_path: Path)
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_unfinished_and_single_frame_recordings_are_reported(mine: Recording, tmp_path: Path) -> None:
     path = mine.folder / "run.json"
     whole = json.loads(path.read_text())
@@ -282,6 +286,7 @@ def test_unfinished_and_single_frame_recordings_are_reported(mine: Recording, tm
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_texts_of_any_length_leave_the_page_whole(mine: Recording, tmp_path: Path) -> None:
     """A damaged recording may have them; they made an error of the drawing library."""
     edit_line(mine, 2, problem="W" * 70_000)
@@ -311,6 +316,7 @@ def test_folder_that_is_no_recording_is_refused(mine: Recording, tmp_path: Path)
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_report_is_written_atomically_and_replaces_only_on_request(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -333,6 +339,7 @@ def test_report_is_written_atomically_and_replaces_only_on_request(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names of files are text")
 @pytest.mark.parametrize("suffix", ["pdf", "png"])
 def test_folder_may_have_a_name_that_is_no_text(
@@ -371,6 +378,7 @@ def test_residual_is_the_difference(summary: Summary, mine: Recording) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_command_compares_with_another_method(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], recording: Recording, tmp_path: Path
 ) -> None:

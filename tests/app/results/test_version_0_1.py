@@ -160,6 +160,7 @@ def test_verification_names_the_other_version(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "words",
     [
@@ -222,6 +223,7 @@ def test_recording_of_0_1_is_exported(monkeypatch: pytest.MonkeyPatch, tmp_path:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_recording_of_0_1_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -54,6 +54,7 @@ def test_wavefront_of_a_layer_at_any_field_position() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_error_bars_of_the_distance_cover_the_truth() -> None:
     clean, ratio, draws = displacements_px(PHASE / 4, -0.975), -0.975, 40
     found = [find_layers(equations(noisy(clean, seed))).fit.layers[0] for seed in range(draws)]
@@ -64,6 +65,7 @@ def test_error_bars_of_the_distance_cover_the_truth() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_error_bars_of_the_distance_cover_systematic_errors() -> None:
     """The parameters of every warp are mixed by 0.165 % in the same way for all lenslets, and the noise is small."""
     clean, ratio, draws, prepared = displacements_px(20 * PHASE, -0.975), -0.975, 20, solver(hidden=3)
@@ -110,6 +112,7 @@ def test_lost_lenslets_are_left_out() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_two_layers_are_told_from_one() -> None:
     both = displacements_px(3 * PHASE, 0.4) + displacements_px(3 * OTHER, 1.6)
     found = find_layers(equations(noisy(both, 0)), 2)
@@ -132,6 +135,7 @@ def slopes_without_tilt(phase: Floats) -> float:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_many_layers_are_neither_one_nor_two() -> None:
     random = np.random.default_rng(3)
     degree = np.add.outer(np.arange(7), np.arange(7))
@@ -192,6 +196,7 @@ def test_layer_beyond_the_search_is_told() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_second_layer_is_not_invented() -> None:
     found = find_layers(equations(noisy(displacements_px(PHASE, -0.975), 1)), 2)
     assert found.two is not None

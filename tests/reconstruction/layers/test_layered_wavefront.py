@@ -132,6 +132,7 @@ def searched(name: str) -> LayerSearch:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "layers"), [("one", 1), ("two", 2), ("more", 0)])
 def test_most_probable_sample_is_assumed(name: str, layers: int) -> None:
     search = searched(name)
