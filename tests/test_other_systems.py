@@ -47,6 +47,7 @@ for name in sys.argv[1:]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("system", ["win32", "darwin"])
 def test_every_function_of_python_exists_there(system: str, tmp_path: Path) -> None:
     """Mypy knows the standard library of each system; what `sys.platform` guards is not checked."""
@@ -60,6 +61,7 @@ def test_every_function_of_python_exists_there(system: str, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_modules_import_without_posix() -> None:
     command = [sys.executable, "-c", WITHOUT_POSIX, *MODULES]
     told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=HANG_S, check=False)  # noqa: S603 - our own

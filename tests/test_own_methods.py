@@ -63,6 +63,7 @@ def test_own_basis_of_the_same_polynomials_gives_the_same_wavefront(images: Simu
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_own_registration_is_used_for_frame_and_refinement(images: SimulatedFrames) -> None:
     bench = svwfs.load_bench("small_demo", "registration.method=correlation", "reconstruction.pupil_modes=10")
     usual = svwfs.reconstructor(bench, images.reference, dark=images.dark)

@@ -34,6 +34,7 @@ print(made.hexdigest())
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_compiled_and_cached_code_give_the_same_bits(tmp_path: Path) -> None:
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
 

@@ -101,6 +101,7 @@ def test_mean_gradient_over_a_hexagon_in_closed_form() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("basis", ["legendre", "zernike"])
 def test_mean_gradient_is_that_between_the_edges_of_fine_hexagons(basis: PupilBasis) -> None:
     """Of the polynomial itself at many points that are nearest to the lenslet."""

@@ -23,6 +23,7 @@ FRAMES = 32  # at least
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("no_hurry")
 def test_live_wavefronts_match_truth_without_loss() -> None:
     coarse = "simulation.object_samples=13", "simulation.pupil_samples=10"

@@ -243,6 +243,7 @@ def test_reference_noise_enters_covariance(small_bench: SmallBench) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
     started(live)
     first = live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S)

@@ -372,6 +372,7 @@ def test_streams_section_survives_write_and_read(small_toml: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("lingers")
 def test_measure_publishes_what_it_records(
     port: int, small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -35,6 +35,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory, small_toml: Path) -> Path
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.timeout(0 if MANY else 600)
 def test_bad_input_is_one_line(
     prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]

@@ -49,6 +49,7 @@ def command(reference: Path, *more: str | Path) -> tuple[str | Path, ...]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_written_bench_has_lattice_and_comments(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, reference: Path
 ) -> None:

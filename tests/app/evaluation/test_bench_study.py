@@ -113,6 +113,7 @@ def test_calibrated_camera_knows_its_light(bench: Bench) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_study_shows_residual_error_bar_and_flags(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     chosen = [each for each in study._CASES if each.name in {"none", "absorption 16 %", "defocus 4 %, not told"}]
     monkeypatch.setattr(study, "_CASES", tuple(chosen))

@@ -24,6 +24,7 @@ BENCH = load_bench("small_demo", ("simulation.source.mask='checkerboard'",))
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_predicted_residuals_agree_with_simulated_ones() -> None:
     cases = [(Corrector("zernike", 10), share * LAYER_M) for share in (0.0, 0.5, 1.0)]
     found = list(predicted_and_simulated(BENCH, cases, lambda *_: None))
@@ -57,6 +58,7 @@ def left_rad(made: Correction, change: Callable[[Floats], Floats], distance_m: f
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_command_cancels_the_wavefront_at_all_field_positions(correction: Correction) -> None:
     uncorrected_rad = left_rad(correction, np.zeros_like)
     assert left_rad(correction, lambda phase: phase) < 0.05 * uncorrected_rad

@@ -145,6 +145,7 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_counted_frames_match_the_camera(seen: Seen) -> None:
     for span in (seen.figures.window, seen.figures.bare):
         began_s, ended_s = span.began_s, span.began_s + span.seconds
@@ -414,6 +415,7 @@ def when_recorded(folder: Path, act: Callable[[], None]) -> QTimer:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_interrupt_turns_light_off_and_removes_recording(camera: FakeCamera, tmp_path: Path) -> None:
     acted = when_recorded(tmp_path, lambda: os.kill(os.getpid(), signal.SIGINT))
     with pytest.raises(Interrupted):

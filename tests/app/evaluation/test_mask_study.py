@@ -97,6 +97,7 @@ def test_mask_study_predicts_the_simulation_without_propagation(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_mask_study_tells_what_the_square_hides_in_real_light(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path
 ) -> None:
@@ -190,6 +191,7 @@ def test_views_inside_the_outline_of_the_source_count(tmp_path: Path, small_toml
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_many_masks_are_compared_as_the_study_of_each_predicts(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -57,6 +57,7 @@ def test_scatter_of_estimator_is_near_the_bound(small_toml: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_photons_study_compares_scatter_with_bound(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(noise, "_PEAKS_E", (1e3,))
     monkeypatch.setattr(noise, "_NOISE_DRAWS", 20)

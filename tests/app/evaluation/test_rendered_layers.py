@@ -51,12 +51,14 @@ def slopes(phase_rad: Floats) -> Floats:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_ten_layers_are_not_a_single_layer() -> None:
     displacements, _ = rendered("small_demo", tuple(np.linspace(0.03, 0.3, 10)), rms_rad=0.7, correlation_length_m=1e-3)
     assert find_layers(displacements).verdict == "not a single layer"
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_two_layers_at_known_distances_are_told_apart() -> None:
     distances_m = (0.1, 0.2)
     displacements, screens = rendered("paper_simulation", distances_m, rms_rad=3.0)

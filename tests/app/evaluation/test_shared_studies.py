@@ -39,7 +39,7 @@ def without_times(data: pd.DataFrame) -> pd.DataFrame:
 
 @pytest.mark.parametrize(
     "study",
-    [made_up("made"), pytest.param(PHOTONS, marks=pytest.mark.slow), calibration_trials()],
+    [made_up("made"), pytest.param(PHOTONS, marks=[pytest.mark.slow, pytest.mark.long]), calibration_trials()],
     ids=lambda study: study.name,
 )
 def test_shared_seeds_give_the_same_results(

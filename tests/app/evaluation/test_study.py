@@ -33,6 +33,7 @@ def at(curve: list[dict[str, Any]], position: float | str) -> dict[str, Any]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_sweeps_are_written_and_printed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -45,6 +45,7 @@ def show(window: MainWindow, wavefront: Wavefront | None) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_keys_choose_the_quantity(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.activateWindow()
@@ -186,6 +187,7 @@ def test_failing_analysis_is_shown_and_window_continues(make_window: MakeWindow,
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_redraw_continues_while_analysis_hangs_and_thread_ends_with_window(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -48,6 +48,7 @@ def opening(camera: FakeCamera) -> Callable[[MainWindow], object]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_unattended_run_saves_screenshot_and_result(qapp: QApplication, tmp_path: Path) -> None:
     camera = FakeCamera()
     finished: list[Measurement] = []
@@ -62,6 +63,7 @@ def test_unattended_run_saves_screenshot_and_result(qapp: QApplication, tmp_path
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_full_disk_leaves_no_screenshot(qapp: QApplication, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Qt would report success."""
 

@@ -236,6 +236,7 @@ def test_right_click_on_a_view_selects_nothing(window: MainWindow) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_lenslet_is_excluded_by_hand_and_used_again(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     camera, lenslet = window.panels.camera, window.panels.lenslet

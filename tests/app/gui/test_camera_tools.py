@@ -174,6 +174,7 @@ def test_lenslets_are_those_whose_centres_lie_in_the_rectangle(window: MainWindo
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_mask_drawn_by_hand_and_undone(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     wait_for_wavefront(qtbot, window)

@@ -221,6 +221,7 @@ def test_pinned_coefficient_has_limits_until_another_is_pinned(window: MainWindo
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_light_that_goes_out_fails(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     wait_for_wavefront(qtbot, window)

@@ -71,6 +71,7 @@ def presets_of(window: MainWindow) -> DevicePresets:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_preset_restores_exposure_and_mask_also_after_a_restart(
     make_window: MakeWindow, qtbot: QtBot, settings: QSettings
 ) -> None:

@@ -45,6 +45,7 @@ def alive(found: dict[str, weakref.ref[object]]) -> list[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_closed_bench_dies_although_every_panel_has_shown_it(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     lenslet, layers, corrector = window.panels.lenslet, window.panels.layers, window.panels.corrector
@@ -70,6 +71,7 @@ def reconstructed(window: MainWindow) -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_memory_does_not_grow_over_twenty_openings(make_window: MakeWindow, qtbot: QtBot, small_toml: Path) -> None:
     window, sizes = make_window(), list[float]()

@@ -120,6 +120,7 @@ def test_new_bench_has_the_connected_camera(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_reconstruction_changes_without_opening_devices(
     live: tuple[MainWindow, FakeCamera], opened: list[Bench], qtbot: QtBot
 ) -> None:

@@ -67,6 +67,7 @@ def share(window: QWidget, colour: str) -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("restored_theme")
 def test_open_window_follows_the_desktop(
     qapp: QApplication, desktop: Desktop, live: tuple[MainWindow, FakeCamera], qtbot: QtBot

@@ -48,6 +48,7 @@ def held_up(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_last_of_many_choices_wins_and_the_others_are_not_built(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, made: list[int | None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -82,6 +83,7 @@ def test_last_of_many_choices_wins_and_the_others_are_not_built(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_refused_choice_gives_way_to_the_value_in_force(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.controls.exposure.setValue(55)  # which the camera refuses
@@ -91,6 +93,7 @@ def test_refused_choice_gives_way_to_the_value_in_force(live: tuple[MainWindow, 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_gap_of_a_setting_is_noted_in_the_recording(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

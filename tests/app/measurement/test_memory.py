@@ -21,6 +21,7 @@ def _no_collector() -> Iterator[None]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("_no_collector")
 def test_reconstructor_is_freed_at_once() -> None:
     """Python seldom looks for objects that refer to themselves: `svwfs study photons` grew to 5 GB."""

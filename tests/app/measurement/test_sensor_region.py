@@ -247,6 +247,7 @@ def has_wavefront(measurement: Measurement) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_smaller_area_shows_same_lenslets_after_recalibration(
     live_small: tuple[Acquisition, list[Measurement]],
 ) -> None:

@@ -95,6 +95,7 @@ def test_zarr_library_and_ome_readers_read_the_same(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_calibration_is_read_back_bit_for_bit(tmp_path: Path, calibration: Calibration) -> None:
     write(tmp_path / "r", [make_record(0, calibration)])
     found = Recording(tmp_path / "r").calibration(0)

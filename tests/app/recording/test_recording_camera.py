@@ -469,6 +469,7 @@ def test_measuring_a_recording_reproduces_its_frames(small_toml: Path, tmp_path:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_measuring_beyond_the_end_keeps_all_frames(small_toml: Path, steady: Recording, tmp_path: Path) -> None:
     bench = parse_bench(bench_text(small_toml, steady.folder), "bench")
     with pytest.raises(RunError, match=f"recording run has ended: all {FRAMES} frames were played"):
@@ -481,6 +482,7 @@ def test_measuring_beyond_the_end_keeps_all_frames(small_toml: Path, steady: Rec
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_window_opens_on_a_recording(
     small_toml: Path, steady: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

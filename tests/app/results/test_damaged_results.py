@@ -148,6 +148,7 @@ def test_changed_bench_is_found(mine: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_checksums_of_many_pieces_hold(dataset: xr.Dataset, tmp_path: Path) -> None:
     pieces = [stack_frames([dataset] * count, range(count), [0.0] * count, [0.0] * count) for count in (32, 32, 9)]
     write_pieces(tmp_path / "r.nc", pieces, bench=BENCH, inputs={})

@@ -133,6 +133,7 @@ def test_frames_with_other_settings_do_not_stack(dataset: xr.Dataset, change: st
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_pieces_write_the_same_file_as_the_whole(dataset: xr.Dataset, tmp_path: Path) -> None:
     frames = [
         dataset.assign(rms=dataset["rms"] * factor, valid=dataset["valid"] ^ bool(factor % 2)) for factor in range(5)

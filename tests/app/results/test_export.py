@@ -135,6 +135,7 @@ def test_csv_of_zonal_method_has_no_coefficients(zonal: Recording, tmp_path: Pat
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_frame_without_wavefront_is_a_row_of_nan(tmp_path: Path, small_toml: Path) -> None:
     folder = tmp_path / "run"
     dark = record(small_toml, folder, frames=4)
@@ -157,6 +158,7 @@ def test_frame_without_wavefront_is_a_row_of_nan(tmp_path: Path, small_toml: Pat
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_netcdf_equals_the_recorded_results(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -210,6 +212,7 @@ def test_unknown_view_is_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_exported_psf_grid_matches_recorded_wavefronts(recording: Recording, tmp_path: Path) -> None:
     bench = recording.bench
     with tifffile.TiffFile(exported(recording, "psf", tmp_path / "psf.tif")) as file:

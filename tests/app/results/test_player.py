@@ -56,6 +56,7 @@ def changing(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("behind_s", [0.0, 0.5])
 def test_each_frame_uses_its_own_calibration(
     changing: Recording, monkeypatch: pytest.MonkeyPatch, behind_s: float
@@ -117,6 +118,7 @@ def test_frames_without_calibration_are_refused(changing: Recording, tmp_path: P
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_window_shows_a_replay(changing: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Offscreen; the result is the wavefront of one of the frames."""
     out = tmp_path / "out"

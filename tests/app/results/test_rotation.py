@@ -91,6 +91,7 @@ def test_reconstruct_prints_the_rotation_and_its_warning(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_measure_prints_the_rotation(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:

@@ -32,6 +32,7 @@ FAILURE = st.tuples(ANY | REFUSAL | DAMAGE | NO_START, st.integers(0, 6)).map(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_storm_raises_only_device_errors() -> None:
     with dcam_stand_in() as stand_in:
 

@@ -118,6 +118,7 @@ def test_curve_is_found_whatever_scales_all_pixels_alike(conditions: Any, loss: 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_standard_error_is_the_scatter() -> None:
     found = [exposures(0.03, flicker=1e-3, per_electron=20.0, seed=seed).fit() for seed in range(24)]
     pulls = [off(each, 0.03) / each.sigma for each in found]

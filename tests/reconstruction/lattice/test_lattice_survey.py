@@ -71,6 +71,7 @@ def test_random_lattice_is_found_on_clean_frame(draws: st.DataObject) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), shape=st.sampled_from(["square", "disc", "stars"]))
 def test_lattice_is_found_on_faint_frames_with_dead_lenslets(seed: int, shape: Shape) -> None:

@@ -72,6 +72,7 @@ def test_lens_gathers_light_and_changes_its_curvature(curvature: float, sign: in
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_lens_near_the_mask_gathers_light_on_its_way_to_the_collimator() -> None:
     """A ray at the angle t meets the screen at d t and the collimator at f1 t + (f1 - d) c d t / k."""
     d, curvature = 0.05, 2e8
