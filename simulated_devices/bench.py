@@ -118,7 +118,6 @@ class SimulatedBench:
         self._scene = scene
         self._cache_folder = cache_folder
         self.renderer = Renderer(scene)
-        self.renderer.check_rays()
         self._cache = ImageCache(cache_folder, scene)
         self._references: dict[str, NDArray[np.float32]] = {}
         self._films: dict[str, list[NDArray[np.float32]]] = {}
@@ -191,9 +190,11 @@ class SimulatedBench:
 
     def _prepare(self, mask: str, progress: OnFraction | None) -> None:
         """Render the reference and the first state of `mask`, and start to render its other states."""
+        first = self._films[mask][0] if mask in self._films else self._cache.load(mask, 0)
+        if first is None:  # else they were checked before it was rendered
+            self.renderer.check_rays()
         self.render_reference(mask, _part(progress, 0.0, _REFERENCE_SHARE))
         if mask not in self._films:
-            first = self._cache.load(mask, 0)
             if first is None:
                 first = self.renderer.state(mask, 0, _part(progress, _REFERENCE_SHARE, 1.0))
                 self._cache.save(mask, 0, first)

@@ -13,6 +13,7 @@ from simulated_devices.optics.forward_model import PointField
 from simulated_devices.optics.layered_light import Layer
 from simulated_devices.optics.phase_screen import (
     PhaseScreen,
+    edge_is_final,
     middle_of,
     read_screen,
     shape_to_pv_and_rms,
@@ -254,11 +255,13 @@ def _generated_phases(
 ) -> tuple[PhaseScreen, PhaseScreen]:
     """Screen from the seed, and the same with its guard."""
     screen, spacing_m = simulation.screen, simulation.screen.sample_spacing_m
-    # Computed twice: the edge of the screen itself is that of the ensemble, to the last bit.
-    samples_rad, wide_rad = (
-        generated(simulation.seed, screen.samples, spacing_m, screen.correlation_length_m, size.enlarged_by, guard)
-        for guard in (0, size.guard)
+    smoothed = partial(
+        generated, simulation.seed, screen.samples, spacing_m, screen.correlation_length_m, size.enlarged_by
     )
+    wide_rad = smoothed(size.guard)
+    # The edge of the screen itself is that of the ensemble, to the last bit.
+    is_final = edge_is_final(screen.correlation_length_m, spacing_m)
+    samples_rad = middle_of(wide_rad, size.guard) if is_final else smoothed(0)
     if screen.pv_rad is not None:
         shape = partial(shape_to_pv_and_rms, pv_rad=screen.pv_rad, rms_rad=screen.rms_rad)
         phase = PhaseScreen(shape(samples_rad, enlarged_by=size.enlarged_by), spacing_m)

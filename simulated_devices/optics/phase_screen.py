@@ -97,12 +97,10 @@ def smooth_screen(
     generator `numpy.random.default_rng(seed)` this reproduces the project's ensemble to the last bit.
 
     `enlarged_by` adds that many samples on each side and keeps the middle: its noise is drawn first, and its mean is
-    subtracted. If 4 sigma is no whole number of samples, the middle's outermost ring can differ by the Gaussian's last
-    tap, at most 2.5e-4 of the RMS in trials. `guard` adds further samples around all that in the same way.
+    subtracted. If its `edge_is_final` is false, the middle's outermost ring can differ by the Gaussian's last tap, at
+    most 2.5e-4 of the RMS in trials. `guard` adds further samples around all that in the same way.
     """
-    sigma = correlation_length_m / sample_spacing_m
-    # The ensemble divides last; int(4 * sigma) can round differently.
-    margin = int(4 * correlation_length_m / sample_spacing_m)
+    sigma, margin = correlation_length_m / sample_spacing_m, _margin(correlation_length_m, sample_spacing_m)
     noise = generator.standard_normal((samples + 2 * margin, samples + 2 * margin))
     for ring in filter(None, (enlarged_by, guard)):
         middle, side = noise, len(noise) + 2 * ring
@@ -113,6 +111,15 @@ def smooth_screen(
     smooth = ndimage.gaussian_filter1d(noise, sigma, axis=0)[margin:end]
     smooth = ndimage.gaussian_filter1d(smooth, sigma, axis=1)[:, margin:end]
     return np.asarray(smooth - middle_of(smooth, enlarged_by + guard).mean(), np.float64)
+
+
+def edge_is_final(correlation_length_m: float, sample_spacing_m: float) -> bool:
+    """True if no sample of a smooth screen depends on whether it is enlarged: the margin is as wide as the Gaussian."""
+    return _margin(correlation_length_m, sample_spacing_m) == int(4 * (correlation_length_m / sample_spacing_m) + 0.5)
+
+
+def _margin(correlation_length_m: float, sample_spacing_m: float) -> int:
+    return int(4 * correlation_length_m / sample_spacing_m)  # the ensemble divides last, which can round differently
 
 
 def middle_of(samples: NDArray[_T], rim: int) -> NDArray[_T]:
