@@ -10,6 +10,8 @@ QT_LIBRARIES := libglib2.0-0 libgl1 libegl1 libxkbcommon0 libdbus-1-3 libfontcon
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.venv/cache/numba
 export MPLCONFIGDIR ?= $(CURDIR)/.venv/cache/matplotlib
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Else every program that a test starts compiles Python anew, half a second.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup run check test test-slow test-long mutants storms screenshots docs lint lock clean qt-libraries c-compiler
 

@@ -14,7 +14,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage, optimize
+import scipy  # which loads its parts when they are used
+from scipy import ndimage
 
 from app.cache import kept_while_alive
 from reconstruction.errors import ReconstructionError
@@ -174,7 +175,7 @@ def _fitted(model: Callable[[float], Floats], subimage: Floats) -> tuple[float, 
         basis, _ = np.linalg.qr(nuisance / np.linalg.norm(nuisance, axis=0))
         return np.asarray(data - basis @ (basis.T @ data))
 
-    found = optimize.minimize_scalar(
+    found = scipy.optimize.minimize_scalar(
         lambda scale: float(np.sum(residual(scale) ** 2)),
         bounds=_RANGE,
         method="bounded",

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
-import zarr
 from numpy.typing import NDArray
 
 from app.errors import InputError, RunError
@@ -69,6 +68,8 @@ class FrameArray:
         With the separator "/", which OME-NGFF demands for images, each frame has its own folder; with "." all chunks
         lie in one.
         """
+        import zarr  # noqa: PLC0415 - takes a tenth of a second, and only a new recording needs it
+
         zarr.open_group(store, mode="a").create_array(
             name,
             shape=(_STEP, *values.shape),

@@ -75,7 +75,7 @@ class Analysis(Protocol):
 
     def write(self, found: xr.Dataset, bench: Bench, source: Path, out: Path) -> None:
         """Write the results."""
-        from app.results.result_file import write_results  # noqa: PLC0415 - this file loads nothing else
+        from app.results.result_file import write_results
 
         of_frame = {"frame": str(self.frame)} if hasattr(self, "frame") else {}
         write_results(out, found, bench=bench, inputs={"source": source.name, **of_frame})

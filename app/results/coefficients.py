@@ -1,16 +1,15 @@
 """Coefficients of modes with error bars: of one wavefront, and over the field (docs/field.md)."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 import typer
-import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure, FigureBase
 
 from app.bench.config import Bench
 from app.errors import InputError
@@ -28,6 +27,11 @@ from reconstruction.quality.verdict import Quality
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, FigureBase
 
 _MOST_MODES = 36  # all up to degree 7
 _MAP_ACROSS = 21  # positions across the field
@@ -153,6 +157,8 @@ class FieldMaps(Analysis):
 
     def draw(self, found: xr.Dataset) -> Figure:
         """Draw the chosen modes, or the strongest."""
+        from matplotlib.figure import Figure
+
         modes = self.mode or strongest(found)
         figure = Figure(figsize=(4.4 * min(_PAIRS, len(modes)), 2.9 * -(-len(modes) // _PAIRS)), layout="constrained")
         draw_field(figure, found, modes)
@@ -194,6 +200,8 @@ def field_dataset(
 
 def coefficient_maps(found: FieldCoefficients, field: Field, x: Floats, y: Floats) -> xr.Dataset:
     """Return the coefficients, without the piston, on a grid x (x,), y (y,) over half the width of the field."""
+    import xarray as xr
+
     y = y[:, None]
     outside = ~field.contains(x, y)
     values, sigma = found.at(x, y)[1:], found.sigma(x, y)[1:]
@@ -292,6 +300,8 @@ def _draw_map(axes: Axes, values: xr.DataArray, title: str, colours: str, ticks:
 
 def double_zernikes(wavefront: Wavefront, _quality: Quality | None = None) -> xr.Dataset:
     """Return the double Zernikes of a wavefront with their standard deviations."""
+    import xarray as xr
+
     attributes = {"title": "Double Zernike coefficients", **circles(wavefront.sensor, wavefront.field)}
     return xr.Dataset(double_zernike_variables(_zernikes(wavefront)), attrs=attributes)
 

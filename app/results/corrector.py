@@ -1,16 +1,16 @@
 """Residual that one corrector leaves at every distance (docs/layers.md), and its best command."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import cv2
 import numpy as np
 import typer
-import xarray as xr
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
@@ -27,6 +27,10 @@ from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
 from reconstruction.wavefront import rms
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
 
 PHASE_FORMATS = (".npy", ".fits", ".png")
 _SHARES = np.linspace(-0.95, 0.95, 77)  # ratio / (1 + |ratio|) of the correctors compared
@@ -94,6 +98,8 @@ class BestCorrector(Analysis):
 
     def draw(self, found: xr.Dataset) -> Figure:
         """Draw the residual over the distance, and over the field."""
+        from matplotlib.figure import Figure
+
         figure = Figure(figsize=(10.5, 4.2), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=[1.5, 1])
         left.plot(found["distance"] * 1e3, found["residual"], color="#35739f", marker=".")
@@ -180,6 +186,8 @@ def correction_dataset(found: CorrectorComparison, bench: Bench, origin: layers.
 
     Distances are from the lenslets if the corrector lies behind them, see `possible_origin`.
     """
+    import xarray as xr
+
     curve, made = found.curve, found.chosen
     origin = layers.possible_origin(origin, [made.ratio])
     distances_m = layers.distance_m(np.array([each.ratio for each in curve]), origin, bench)

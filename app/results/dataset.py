@@ -1,12 +1,14 @@
 """Results as a dataset: wavefronts with coordinates and units, image quality, what was assumed."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from app.bench.config import Bench
 from app.errors import SETTINGS_CHANGED, InputError
@@ -22,6 +24,9 @@ from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.circulation import Circulation, measure_circulation
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _VIEW = ("view_row", "view_column")
 _PSF_REACH = 16  # half width of the map in diffraction widths (wavelength / pupil width), equal for all frames
@@ -84,6 +89,8 @@ def point_spread(wavefront: Wavefront) -> dict[str, Variable]:
 
 def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with_psf: bool = False) -> xr.Dataset:
     """Return all results of a wavefront, named as in docs/results.md; point-spread functions make them much larger."""
+    import xarray as xr
+
     displacement, solution = wavefront.displacement, wavefront.solution
     vectors, modes = (*LENSLET, "field_mode", "xy"), ("pupil_mode", "field_mode")
     misfit = "RMS misfit of the registered subimage over the contrast of the brightest one"
@@ -136,6 +143,8 @@ def truth_dataset(views: Floats, light: Floats, bench: Bench) -> xr.Dataset:
     `views` has the wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column), `light` the intensity relative
     to that without the sample.
     """
+    import xarray as xr
+
     variables = {
         **_wavefront_variables(views, bench.sensor),
         "light": ((*_VIEW, *LENSLET), light, about("1", "intensity at the lenslet centres over that without sample")),
@@ -171,6 +180,8 @@ def stack_frames(
     datasets: Sequence[xr.Dataset], frame_index: Sequence[int], time_s: Sequence[float], bias_age_s: Sequence[float]
 ) -> xr.Dataset:
     """Stack results of several frames along a new first dimension `frame`; `InputError` if their settings differ."""
+    import xarray as xr
+
     first = datasets[0]
     for dataset in datasets:
         require_alike(first.sizes, dataset.sizes)

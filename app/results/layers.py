@@ -11,9 +11,6 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 import typer
-import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from app.bench.config import Bench
 from app.cache import kept_while_alive
@@ -28,6 +25,10 @@ from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch, find
 from reconstruction.layers.layer_solver import Layer, LayerFit
 
 if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from app.measurement.calibration import Calibration
     from app.measurement.measurement import Measurement
     from reconstruction.pipeline import Reconstructor
@@ -78,6 +79,8 @@ class Layers(Analysis):
 
     def draw(self, found: xr.Dataset) -> Figure:
         """Draw the misfit over the distance, and phase and error of each layer."""
+        from matplotlib.figure import Figure
+
         layers = found.sizes["layer"]
         figure = Figure(figsize=(9.6, 3.2 + 3.6 * layers), layout="constrained")
         (top,), (bottom,) = figure.subfigures(2, 1, squeeze=False, height_ratios=[1, 1.3 * layers])
@@ -202,6 +205,8 @@ def distances_and_sigma_m(layers: tuple[Layer, ...], origin: Origin, bench: Benc
 
 def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin = "lenslets") -> xr.Dataset:
     """Return distances, phase maps and what explains the displacements of a frame; see `possible_origin`."""
+    import xarray as xr
+
     layers = found.fit.layers
     origin = possible_origin(origin, (layer.ratio for layer in layers))
     distances_m, sigma_m = distances_and_sigma_m(layers, origin, bench)

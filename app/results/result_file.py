@@ -1,5 +1,7 @@
 """Results as NetCDF-4 files with their origin, for xarray, MATLAB or Panoply: written atomically, checked when read."""
 
+from __future__ import annotations
+
 import io
 import os
 import warnings
@@ -9,17 +11,17 @@ from contextlib import contextmanager
 from importlib.metadata import version
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
-import h5netcdf
-import h5py
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from app.bench.config import Bench, write_bench
 from app.errors import SETTINGS_CHANGED, InputError, RunError
 from app.files import atomic_write, in_words
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 FRAME = "frame"  # dimension of several frames
 LENSLET = ("lenslet_row", "lenslet_column")
@@ -31,6 +33,8 @@ _LARGEST_PX = 1e6  # of a displacement
 
 def open_results(path: Path | str) -> xr.Dataset:
     """Open a file of results; arrays are read when they are used. `InputError` if it holds none, or is damaged."""
+    import xarray as xr
+
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file")
     try:
@@ -73,6 +77,8 @@ def _require_sound(path: Path, results: xr.Dataset) -> None:
 
 def _check_sums(path: Path | str) -> None:
     """Raise `InputError` if a variable differs from what was written; files before 0.3 have no checksums."""
+    import h5py
+
     with h5py.File(path, "r") as file:
         file.attrs.get("_nc3_strict")  # if that fails, h5netcdf fails with a traceback from its destructor, too
         if file.visititems(_has_odd_scales):
@@ -94,6 +100,8 @@ def _has_odd_scales(_: str, stored: object) -> bool | None:
 
     HDF5 takes the links for one list of references for each dimension, whatever they are, and aborts the process.
     """
+    import h5py
+
     if not isinstance(stored, h5py.Dataset):
         return None
     reference = h5py.h5t.STD_REF_OBJ
@@ -128,6 +136,8 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
 
     `InputError` if a piece has another shape than the first, because the settings changed between them.
     """
+    import xarray as xr
+
     count, sums = 0, dict[Hashable, int]()
     with atomic_write(path) as temporary:
         for piece, following in pairwise(chain(pieces, [xr.Dataset()])):
@@ -145,6 +155,8 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
 
 def _add_sums(path: Path, piece: xr.Dataset, sums: dict[Hashable, int]) -> None:
     """Update the checksums of the variables, as they are stored, by those of a piece."""
+    import h5netcdf
+
     with HdfFile(path) as writable, h5netcdf.File(writable, "r+") as file:
         group = file.groups[_CHECKSUMS] if sums else file.create_group(_CHECKSUMS)
         if not sums:
@@ -173,6 +185,8 @@ def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str], *, grows
 
 
 def _verify(written: Path, path: Path, frames: int) -> None:
+    import h5netcdf
+
     try:
         with h5netcdf.File(written, "r") as file:
             found = file.dimensions[FRAME].size if FRAME in file.dimensions else 1
@@ -183,6 +197,8 @@ def _verify(written: Path, path: Path, frames: int) -> None:
 
 
 def _append(path: Path, piece: xr.Dataset) -> None:
+    import h5netcdf
+
     with HdfFile(path) as writable, h5netcdf.File(writable, "r+") as file:
         first = file.dimensions[FRAME].size
         sizes = {name: dimension.size for name, dimension in file.dimensions.items() if name != FRAME}

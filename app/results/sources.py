@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
-from scipy.interpolate import make_interp_spline
+import scipy  # which loads its parts when they are used
 
 from app.bench.config import Bench, parse_bench
 from app.bench.earlier_versions import neglected_propagation
@@ -27,6 +26,8 @@ from reconstruction.solve.modal import ModalSolver
 from reconstruction.wavefront import without_piston
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from app.measurement.calibration import Calibration
     from reconstruction.deconvolution.corrected_image import PhaseAt
     from reconstruction.field_coefficients import ModalFit
@@ -203,7 +204,7 @@ def _between_views(source: Path, bench: Bench, views: Floats) -> PhaseAt:
     if not np.isfinite(views).all(axis=(0, 1)).any():
         raise InputError(f"{source}: no lenslet is known at every view: reconstruct with the modal method")
     along_y, along_x = (
-        make_interp_spline(at_m, np.eye(len(at_m)), k=min(3, len(at_m) - 1))
+        scipy.interpolate.make_interp_spline(at_m, np.eye(len(at_m)), k=min(3, len(at_m) - 1))
         for at_m in (field.view_y_m, field.view_x_m)
     )
 

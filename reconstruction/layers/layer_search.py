@@ -13,7 +13,7 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from scipy import optimize
+import scipy  # which loads its parts when they are used
 
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
@@ -201,7 +201,7 @@ def _minimum(cost: Callable[[Floats], float], start: Floats, step: float, tolera
     """Minimise a cost by the method of Nelder and Mead from a simplex of that size."""
     simplex = start + step * np.concatenate([np.zeros((1, len(start))), np.eye(len(start))])
     options = {"initial_simplex": simplex, "xatol": tolerance, "fatol": 0.02, "maxiter": 200}
-    found = optimize.minimize(cost, start.ravel(), method="Nelder-Mead", options=options)  # type: ignore[call-overload] # its own stubs want 1-D
+    found = scipy.optimize.minimize(cost, start.ravel(), method="Nelder-Mead", options=options)  # type: ignore[call-overload] # its own stubs want 1-D
     return np.asarray(found.x)
 
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from functools import lru_cache, reduce
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.interpolate import make_interp_spline
 from scipy.sparse.linalg import SuperLU, splu
 
 from reconstruction.arrays import Booleans, Floats
@@ -135,7 +135,7 @@ def _to_samples(lenslets: int) -> Floats:
     """Spline interpolation from lenslet centres, one more on either side, to the samples: (sample, lenslet + 2)."""
     centers = centered_steps(lenslets + 2)
     at = centered_steps(lenslets * _SAMPLES) / _SAMPLES
-    return np.asarray(make_interp_spline(centers, np.eye(lenslets + 2), k=3)(at))
+    return np.asarray(scipy.interpolate.make_interp_spline(centers, np.eye(lenslets + 2), k=3)(at))
 
 
 def _positions_m(lenslets: int, spacing_m: float) -> Floats:
@@ -234,6 +234,6 @@ def _alignment(known_bytes: bytes, rows: int, columns: int, arrangement: Arrange
     for row, is_known in enumerate(known):
         count = int(np.count_nonzero(is_known))
         if count:
-            spline = make_interp_spline(x[row, is_known], unit[is_known], k=min(count - 1, _CUBIC))
+            spline = scipy.interpolate.make_interp_spline(x[row, is_known], unit[is_known], k=min(count - 1, _CUBIC))
             matrices[row] = spline(x[:2].mean(axis=0))
     return matrices

@@ -9,7 +9,7 @@ the reference shows, and the coma and trefoil of each lenslet.
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy  # which loads its parts when they are used
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
@@ -76,7 +76,9 @@ def point_brightness(point_images: Image, subimage: Floats) -> Floats:
     matrix = point_images.reshape(len(point_images), -1).T.astype(np.float64)
     scale = np.max(matrix)  # the solver's tolerance is absolute
     try:
-        found, _ = nnls(matrix / scale, subimage.ravel(), maxiter=_ITERATIONS_PER_POINT * len(point_images))
+        found, _ = scipy.optimize.nnls(
+            matrix / scale, subimage.ravel(), maxiter=_ITERATIONS_PER_POINT * len(point_images)
+        )
     except RuntimeError as error:  # SciPy did not converge
         raise ReconstructionError("the source's shape cannot be found in the reference: is it in focus?") from error
     return np.asarray(found / scale)

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 import tifffile
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage, optimize, sparse
-from scipy.interpolate import BSpline, RectBivariateSpline
+from scipy import ndimage, sparse
 
 from reconstruction.arrays import Floats, reading_npy
 from reconstruction.geometry import centered_steps, require
@@ -42,7 +42,7 @@ class PhaseScreen:
         self.sample_spacing_m = sample_spacing_m
         y_m, x_m = (centered_steps(count) * sample_spacing_m for count in samples_rad.shape)
         self.half_width_m = float(x_m[-1]), float(y_m[-1])  # (x, y)
-        self._spline = RectBivariateSpline(y_m, x_m, samples_rad)
+        self._spline = scipy.interpolate.RectBivariateSpline(y_m, x_m, samples_rad)
         self._knots_y, self._knots_x = self._spline.get_knots()  # of the spline's first and second axis
         self.coefficients: Floats = np.reshape(
             self._spline.get_coeffs(), (len(self._knots_y) - _CUBIC - 1, len(self._knots_x) - _CUBIC - 1)
@@ -57,12 +57,12 @@ class PhaseScreen:
     def basis_x(self, x_m: Floats) -> sparse.csr_array[np.float32]:
         """Values of the spline's basis at x (m): sparse (position, coefficient column), four entries a row."""
         self._check(x_m, np.zeros(1))
-        return BSpline.design_matrix(x_m, self._knots_x, _CUBIC).astype(np.float32)
+        return scipy.interpolate.BSpline.design_matrix(x_m, self._knots_x, _CUBIC).astype(np.float32)
 
     def basis_y(self, y_m: Floats) -> sparse.csr_array[np.float32]:
         """Values of the spline's basis at y (m): sparse (position, coefficient row), four entries a row."""
         self._check(np.zeros(1), y_m)
-        return BSpline.design_matrix(y_m, self._knots_y, _CUBIC).astype(np.float32)
+        return scipy.interpolate.BSpline.design_matrix(y_m, self._knots_y, _CUBIC).astype(np.float32)
 
     def scaled(self, factor: float) -> PhaseScreen:
         """Return the screen with every phase multiplied by `factor`."""
@@ -147,7 +147,7 @@ def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float, e
         return float(np.ptp(shaped) / shaped.std()) - pv_rad / rms_rad
 
     try:
-        bend = float(optimize.brentq(excess, -1e3, 20.0, xtol=1e-13))
+        bend = float(scipy.optimize.brentq(excess, -1e3, 20.0, xtol=1e-13))
     except ValueError:
         raise ValueError(f"pv_rad = {pv_rad:g} with rms_rad = {rms_rad:g} cannot be reached by this screen") from None
     shaped = mapped(bend, z)

@@ -12,9 +12,9 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft, ndimage, sparse
-from scipy.interpolate import BSpline
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import require
@@ -56,7 +56,7 @@ class FieldSpline:
     def _basis(self, position_m: Floats, axis: int) -> sparse.csr_array[np.float32]:
         """Values of the spline's basis: sparse (position, coefficient), four entries a row."""
         knots = np.arange(self._shape[axis] + _CUBIC + 1) - 2.0
-        return BSpline.design_matrix(self._index(position_m, axis), knots, _CUBIC).astype(np.float32)
+        return scipy.interpolate.BSpline.design_matrix(self._index(position_m, axis), knots, _CUBIC).astype(np.float32)
 
 
 LARGEST_STEP_RAD = 0.5  # of the phase between samples; the spline then errs by about 1e-4

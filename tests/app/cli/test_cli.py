@@ -477,14 +477,24 @@ def test_programs_that_commands_start_import_nothing_from_the_working_folder(mon
     assert os.environ["PYTHONSAFEPATH"] == "1"
 
 
+MEASURE = "app.acquisition.start_up, app.acquisition.streams.publisher, app.results.frame_tallies"
+WINDOW = "app.acquisition.worker, app.gui.application"
+STATISTICS = ("scipy.optimize", "scipy.signal", "scipy.stats")
+
+
 @pytest.mark.slow
-def test_measuring_loads_no_qt_and_no_statistics() -> None:
-    """`scipy.signal` and `scipy.stats` take a third of a second."""
-    rooms = (
-        "app.cli.application, app.acquisition.start_up, app.acquisition.streams.publisher, app.results.frame_tallies"
+@pytest.mark.parametrize(
+    ("rooms", "unwanted"),
+    [
+        pytest.param(MEASURE, ("PyQt6", "matplotlib", *STATISTICS), id="measure"),
+        pytest.param(WINDOW, ("matplotlib", "xarray", "pandas", "h5py", "zarr", *STATISTICS), id="window"),
+    ],
+)
+def test_first_picture_waits_for_nothing_that_it_does_not_need(rooms: str, unwanted: tuple[str, ...]) -> None:
+    """In a process of its own, loading what is not wanted takes most of a second."""
+    program = (
+        f"import sys, app.cli.application, {rooms}; sys.exit(any(name.startswith({unwanted}) for name in sys.modules))"
     )
-    unwanted = "('PyQt6', 'scipy.signal', 'scipy.stats')"
-    program = f"import sys, {rooms}; sys.exit(any(name.startswith({unwanted}) for name in sys.modules))"
     finished = subprocess.run([sys.executable, "-c", program], check=False)  # noqa: S603 - our own program
     assert finished.returncode == 0
 
