@@ -24,7 +24,7 @@ from app.acquisition.streams.publisher import stream_sinks
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError
 from app.measurement.measurement import FrameTotals, LightState, Measurement
-from app.measurement.routines import WAIT_SLICE_S, Cancelled, Watch
+from app.measurement.routines import Cancelled, Watch
 from app.measurement.sensor_region import SensorArea
 from app.recording.recorder import Recorder, RecordingLimit, RecordingState
 from app.timing import Timings, short_turns
@@ -36,6 +36,7 @@ __all__ = ["Acquisition", "FrameTotals", "Measurement"]
 T = TypeVar("T")
 P = ParamSpec("P")
 
+_IDLE_S = 0.1  # longest wait for a command while no frames are taken
 _STATUS_INTERVAL_S = 1.0  # polling also detects an unplugged light or a turned knob
 _LIGHT_OFF_S = 3.0  # for a light that does not answer
 # Without a sign of life in these times, the guardian switches the light off.
@@ -302,7 +303,7 @@ class Acquisition:
 
     def _execute_commands(self, instrument: Instrument, *, wait: bool) -> None:
         self._keep_alive(_ALIVE_S)
-        execute = self._commands.next(WAIT_SLICE_S if wait else 0.0)
+        execute = self._commands.next(_IDLE_S if wait else 0.0)
         while execute is not None:
             self._keep_alive(_COMMAND_S)
             execute(instrument)

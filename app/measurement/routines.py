@@ -40,7 +40,7 @@ class Watch(TypedDict):
 
 UNWATCHED: Watch = {"progress": lambda *_: None, "should_stop": lambda: False}
 
-WAIT_SLICE_S = 0.1  # longest wait, so that a stop takes effect at once even in a long exposure
+_SLICE_S = 0.005  # longest wait for a frame: commands and a stop take effect at once even in a long exposure
 _MARGIN_S = 3.0  # timeout beyond the exposure
 _SAME_EXPOSURE = 1e-3  # relative
 
@@ -63,7 +63,7 @@ def next_frame(camera: Camera, should_stop: ShouldStop) -> Frame:
         if should_stop():
             raise Cancelled
         try:
-            return camera.read(WAIT_SLICE_S)
+            return camera.read(_SLICE_S)
         except DeviceTimeout:
             if time.monotonic() > deadline_s:
                 raise

@@ -279,6 +279,12 @@ def _gradients(sensor: Sensor, rows: int, columns: int, valid_bytes: bytes) -> F
     return np.asarray(basis)
 
 
+@lru_cache(maxsize=8)
+def _growth(modes: PolynomialModes) -> Floats:
+    """Relative growth of a subimage's area per displacement in each mode: (field_mode, xy), normalised positions."""
+    return modes.gradients(0.0, 0.0)
+
+
 _BETWEEN = 0.5  # of the slope of log light over log area: 1 in real light, 0 in the paper's world
 _LEAST_GROWTH = 0.002  # standard deviation of log area; less decides nothing
 _CERTAIN = 5.0  # standard errors of the slope
@@ -299,7 +305,7 @@ def propagation_faults(
     modes = displacement.modes
     if not isinstance(modes, PolynomialModes) or np.count_nonzero(known) < _LEAST_LENSLETS:
         return
-    weights = modes.gradients(0.0, 0.0) / half_width_px  # (field_mode, xy)
+    weights = _growth(modes) / half_width_px
     area = np.tensordot(displacement.coefficients[lit][known], weights, axes=2)
     area -= area.mean()
     size, count = float(area @ area), len(area)

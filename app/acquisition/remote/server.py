@@ -303,10 +303,8 @@ class Server:
             self._tell(identity, Answer(number, None, Failure.of(unsendable), count))
 
     def _present(self, *, is_over: bool = False) -> State:
-        acquisition, now_s = self.acquisition, time.monotonic()
+        acquisition = self.acquisition
         fault = acquisition.error or self._fault
-        if now_s > self._timings_s + _PULSE_S:
-            self._timings, self._timings_s = acquisition.timings.summary(), now_s
         controller = self._clients.get(self._controller)
         return State(
             bench=acquisition.bench,
@@ -323,7 +321,10 @@ class Server:
         )
 
     def _tell_state(self, *, is_over: bool = False) -> None:
-        state, now_s = self._present(is_over=is_over), time.monotonic()
+        now_s = time.monotonic()
+        if now_s > self._timings_s + _PULSE_S:  # not for an answer, which it would delay by milliseconds
+            self._timings, self._timings_s = self.acquisition.timings.summary(), now_s
+        state = self._present(is_over=is_over)
         if state != self._state or now_s > self._sent_s + _PULSE_S:
             self._state, self._sent_s = state, now_s
             self._tell_all(state)

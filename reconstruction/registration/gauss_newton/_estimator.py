@@ -17,6 +17,7 @@ interpolation.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -310,7 +311,7 @@ class GaussNewton:
         """Number of polynomials over the field that are taken out as a brightness; linear without a model."""
         return LINEAR if self._brightness is None else len(self._brightness)
 
-    @property
+    @cached_property
     def hidden(self) -> int:
         """Number of displacements of the warp that the reference hardly shows, and which are left out."""
         possible = 2 * self.modes.count if self._rotates else len(gradient_basis(self.modes))
