@@ -31,7 +31,7 @@ class FramePath:
         must_stop_waiting: Callable[[Instrument], bool],
         on_show: Callable[[Measurement], object] = lambda _: None,
     ) -> None:
-        """`must_stop_waiting` is polled every few milliseconds while waiting for a frame; `on_show` receives the frames of `show`."""
+        """`must_stop_waiting` is polled every 5 ms in a wait for a frame; `on_show` receives the frames of `show`."""
         self.sinks, self._timings, self._must_stop_waiting = sinks, timings, must_stop_waiting
         self._on_show = on_show
         self.newest: Measurement | None = None  # the mailbox: written by one thread, read by all

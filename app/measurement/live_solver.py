@@ -1,7 +1,8 @@
 """Reconstruction of live frames, with what a low-priority thread finds: the sample's layers and the estimator's bias.
 
-A search for layers takes a second or more; it is repeated for as long as frames come. Between two searches the thread
-refines: a round takes some tenths of a second. Sample and bias belong together and are replaced together.
+A search for layers takes a second or more; it is repeated for as long as frames come, less often once it finds the same
+again. Between two searches the thread refines: a round takes some tenths of a second. It rests in between, because it
+shares Python's lock with the frames. Sample and bias belong together and are replaced together.
 
 If the wavefront has changed much since the bias was found, the old bias would do harm: frames stay uncorrected until
 the next one is found. A correction that made the misfit of the modelled displacements worse is not used again nearby.
@@ -15,6 +16,8 @@ import time
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from app.measurement.estimator import Estimator
 from app.measurement.measurement import Assumptions, RefinementStage, RefinementState
 from reconstruction.displacement import Displacement
@@ -27,6 +30,8 @@ _MOVED_FRACTION = 0.5  # of the RMS of the bias's wavefront; after a larger chan
 _MOVED_RAD = 0.1  # limit for a nearly flat wavefront
 _HARM = 1.2  # rise of the misfit by a harmful correction; noise stays below
 _HARM_PX = 0.003  # added, for a misfit of nearly 0
+_REST, _LONG_REST = 1, 9  # after a search, over its time; the latter if it has found the same again
+_SAME_SIGMAS = 3.0
 _NICENESS = 10
 _WAIT_S = 0.2
 
@@ -126,10 +131,12 @@ class LiveSolver:
             while not self._closing.is_set():
                 if self._something_new.wait(_WAIT_S) and self._newest is not None:
                     self._something_new.clear()
+                    begin_s = time.monotonic()
                     try:
                         self._found = self._find(self._newest, self._found, refinement)
                     except ReconstructionError as error:  # the next wavefront may succeed
                         self._problem = str(error)
+                    self._closing.wait(time.monotonic() - begin_s)
         except _Closed:
             pass
         except Exception as error:
@@ -145,8 +152,8 @@ class LiveSolver:
         begin_s = time.monotonic()
         if begin_s >= self._search_due_s:
             sample = self._reconstructor.find_sample(newest.measured, self._check_open)
-            # As long as it took until the next one: half of the time is left to refinement.
-            self._search_due_s = 2 * time.monotonic() - begin_s
+            end_s, rest = time.monotonic(), _LONG_REST if _are_alike(sample, before.sample) else _REST
+            self._search_due_s = end_s + rest * (end_s - begin_s)
         elif correction.stage == "worse":  # until the wavefront changes
             return before
         applied = correction.bias
@@ -166,3 +173,11 @@ class LiveSolver:
     def _check_open(self) -> None:
         if self._closing.is_set():
             raise _Closed
+
+
+def _are_alike(found: AssumedSample, before: AssumedSample | None) -> bool:
+    """True if two searches have found as many layers, at places that differ by no more than their errors."""
+    if before is None or len(found.ratios) != len(before.ratios):
+        return False
+    moved = np.abs(np.subtract(found.ratios, before.ratios))
+    return bool(np.all(moved <= _SAME_SIGMAS * np.hypot(found.sigma, before.sigma)))

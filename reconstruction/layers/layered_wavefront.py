@@ -28,6 +28,7 @@ from reconstruction.solve.modal import KnownModes, ModalSolution, known_modes
 
 _STEP = 5e-3  # of a ratio r, times 1 + |r|, for the wavefront's derivative
 _DECISIVE = 5.0  # by which the log evidence must favour layers, at distances found among many
+_NEGLIGIBLE_RAD = 1e-20  # denormal numbers take fifty times as long as others or 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,6 +160,7 @@ class LayeredWavefronts:
         rows = np.concatenate([self.solver.rows(ratio, degree) * scale for ratio in ratios], axis=2)
         rows = rows.reshape(-1, rows.shape[2])
         wavefronts = np.concatenate([self._modes(ratio) * scale for ratio in ratios], axis=1)
+        wavefronts[np.abs(wavefronts) < _NEGLIGIBLE_RAD] = 0
         return _Design(rows, rows.T @ rows, wavefronts.astype(np.float32))
 
     def _down_dated(self, ratios: tuple[float, ...], share_bytes: bytes) -> _Equations:

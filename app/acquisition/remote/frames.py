@@ -20,6 +20,7 @@ from app.measurement.estimator import Estimator
 from app.measurement.measurement import Measurement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE
+from reconstruction.runtime.threads import one_blas_thread
 
 _WAIT_S = 0.1
 _ESTIMATORS = 2  # kept: two references may alternate
@@ -69,12 +70,13 @@ class NewestFrames:
 
     def _work(self) -> None:
         try:
-            while not self._closing.is_set():
-                self._has_news.wait(_WAIT_S)
-                self._has_news.clear()
-                self._closing.wait(self._due_s - time.monotonic())
-                if (notice := self._notice) is not None and notice.place:
-                    self._read_newest(notice.place)
+            with one_blas_thread():  # another one would take processor time from the instrument by waiting busily
+                while not self._closing.is_set():
+                    self._has_news.wait(_WAIT_S)
+                    self._has_news.clear()
+                    self._closing.wait(self._due_s - time.monotonic())
+                    if (notice := self._notice) is not None and notice.place:
+                        self._read_newest(notice.place)
         except Exception as error:  # noqa: BLE001 - the connection ends with it
             self.error = error
         finally:
