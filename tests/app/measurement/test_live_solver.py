@@ -17,6 +17,7 @@ from support.patience import HANG_S, wait_until
 from app.bench.config import Bench
 from app.bench.imaging_model import BenchModel
 from app.measurement.live_solver import LiveSolver
+from app.measurement.live_solver import _are_alike as are_alike
 from app.measurement.measurement import Assumptions, RefinementState
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
@@ -288,6 +289,50 @@ def test_bias_is_found_with_the_sample_of_the_frames(
             assert any(sample is of and refinement.bias is bias.displacement for of, bias in seen)
     finally:
         solver.close()
+
+
+def test_search_that_finds_the_same_again_rests_for_longer(
+    paper_bench: SmallBench, layered: Reconstructor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It takes Python's lock from the frames. The first two follow each other sooner."""
+    took_s, began_s = 0.05, list[float]()
+
+    def search(_: Reconstructor, __: Displacement, ___: Callable[[], None]) -> AssumedSample:
+        began_s.append(time.monotonic())
+        time.sleep(took_s)
+        return AssumedSample((-0.8 + 0.004 * (len(began_s) % 2),), np.array([[0.002**2]]))
+
+    monkeypatch.setattr(Reconstructor, "find_sample", search)
+    solver = solver_of(paper_bench, layered, refine=False)
+    displacement = layered.register(behind_layer(paper_bench, -0.8))
+    deadline_s = time.monotonic() + HANG_S
+    while len(began_s) < 3:
+        solver.solve(displacement, 0.0)
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+    solver.close()
+    assert began_s[2] - began_s[1] >= 10 * took_s
+
+
+@pytest.mark.parametrize(
+    ("found", "before", "alike"),
+    [
+        ((-0.8,), (-0.81,), True),
+        ((-0.8,), (-0.9,), False),
+        ((-0.8,), (), False),
+        ((), (), True),
+        ((-0.8, 0.5), (-0.81, 0.51), True),
+        ((-0.8, 0.5), (-0.81, 0.6), False),
+        ((-0.8,), None, False),
+    ],
+)
+def test_samples_within_their_errors_are_alike(
+    found: tuple[float, ...], before: tuple[float, ...] | None, *, alike: bool
+) -> None:
+    def sample(ratios: tuple[float, ...]) -> AssumedSample:
+        return AssumedSample(ratios, np.diag(np.full(len(ratios), 0.005**2)))
+
+    assert are_alike(sample(found), None if before is None else sample(before)) == alike
 
 
 def test_close_ends_a_search(paper_bench: SmallBench, layered: Reconstructor, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,7 +23,7 @@ from app.measurement.averages import (
     take_dark,
     take_reference,
 )
-from app.measurement.routines import Cancelled
+from app.measurement.routines import Cancelled, next_frame
 from drivers.interface import (
     BadValue,
     Camera,
@@ -213,6 +213,21 @@ def test_cancelling_at_any_call_restores_devices(devices: Devices, name: str, st
             cancelled += 1
             assert State.of(devices) == state
     assert cancelled > calls / 3  # the others came after the last frame
+
+
+def test_wait_for_a_frame_looks_for_commands_often(devices: Devices, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the exposure: a command waits for no frame."""
+    waits_s = list[float]()
+
+    def read(timeout_s: float) -> Frame:
+        waits_s.append(timeout_s)
+        raise DeviceTimeout("no frame")
+
+    monkeypatch.setattr(devices.camera, "read", read)
+    with pytest.raises(Cancelled):
+        next_frame(devices.camera, lambda: len(waits_s) == 3)
+    assert len(waits_s) == 3
+    assert max(waits_s) <= 0.01
 
 
 @pytest.mark.parametrize("state", [LIVE, AT_REST], ids=["live", "at rest"])

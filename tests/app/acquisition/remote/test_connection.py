@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -53,6 +55,33 @@ def newest(connection: Connection, holds: Callable[[Measurement], object] = lamb
     wait_until(lambda: connection.newest is not None and holds(connection.newest))
     assert connection.newest is not None
     return connection.newest
+
+
+ONE_THREAD = """
+import time
+import scipy.linalg
+from threadpoolctl import threadpool_info
+from app.acquisition.remote.frames import NewestFrames
+
+def threads():
+    return max(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas")
+
+before = threads()
+frames = NewestFrames(lambda _: None, (), 0.0)
+while threads() == before:
+    time.sleep(0.01)
+during = threads()
+frames.close()
+frames.join()
+print(before, during, threads())
+"""
+
+
+def test_client_keeps_to_one_thread_of_blas() -> None:
+    """Others would wait busily: the client would take seven times the processor time, of the instrument, too."""
+    environment, command = os.environ | {"OPENBLAS_NUM_THREADS": "2"}, [sys.executable, "-c", ONE_THREAD]
+    said = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, timeout=HANG_S, check=True)  # noqa: S603 - our own program
+    assert said.stdout == "2 1 2\n"
 
 
 def test_wavefronts_are_those_of_the_instrument(server: Server) -> None:
