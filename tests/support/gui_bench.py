@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -32,6 +33,7 @@ from reconstruction.wavefront import Wavefront
 from support.optics import sensor_of
 
 FULL_SCALE = 65535
+_LONG_S = 0.1
 SENSOR = sensor_of(9, 13)
 LATTICE = Lattice(center_x_px=215.0, center_y_px=150.5, pitch_px=31.25)
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
@@ -46,7 +48,7 @@ BENCH = Bench(
 
 
 class FakeCamera(Camera):
-    """Images its light and stage; a read raises `fault` if set."""
+    """Images its light and stage, every `period_s`, never in a long exposure; a read raises `fault` if set."""
 
     name = "fake camera"
 
@@ -67,7 +69,7 @@ class FakeCamera(Camera):
             readout_speeds=(3,),  # as in the bench
         )
         self._exposure, self._chosen, self._gain, self._running = 0.02, "em", 1.0, False
-        self._index = 0
+        self._index, self._last_s = 0, 0.0
         self._images = [_squares((rows, columns), lattice, strength) for strength in (0.0, 1.0)]
         self._noise = np.random.default_rng(1)
 
@@ -104,7 +106,7 @@ class FakeCamera(Camera):
         return self._running
 
     def _start(self) -> None:
-        self._running, self._index = True, 0
+        self._running, self._index, self._last_s = True, 0, time.monotonic()
 
     def _stop(self) -> None:
         self._running = False
@@ -112,10 +114,11 @@ class FakeCamera(Camera):
     def _read(self, timeout_s: float) -> Frame:
         if self.fault is not None:
             raise self.fault
-        if self._exposure > timeout_s:
-            time.sleep(timeout_s)
+        left_s = self._last_s + self.period_s - time.monotonic() if self._exposure <= _LONG_S else math.inf
+        time.sleep(max(0.0, min(left_s, timeout_s)))
+        if left_s > timeout_s:
             raise DeviceTimeout("no frame yet")
-        time.sleep(self.period_s)
+        self._last_s = time.monotonic()
         counts = 500 + 40000 * self._images[self.stage.is_sample_in] * self.light.is_on
         counts += self._noise.normal(0, 30, counts.shape)
         frame = make_frame(counts.astype(np.uint16), index=self._index)
