@@ -31,6 +31,7 @@ _MOVED_RAD = 0.1  # limit for a nearly flat wavefront
 _HARM = 1.2  # rise of the misfit by a harmful correction; noise stays below
 _HARM_PX = 0.003  # added, for a misfit of nearly 0
 _REST, _LONG_REST = 1, 9  # after a search, over its time; the latter if it has found the same again
+_LONGEST_REST_S = 5.0
 _SAME_SIGMAS = 3.0
 _NICENESS = 10
 _WAIT_S = 0.2
@@ -136,7 +137,7 @@ class LiveSolver:
                         self._found = self._find(self._newest, self._found, refinement)
                     except ReconstructionError as error:  # the next wavefront may succeed
                         self._problem = str(error)
-                    self._closing.wait(time.monotonic() - begin_s)
+                    self._rest(time.monotonic() - begin_s)
         except _Closed:
             pass
         except Exception as error:
@@ -146,14 +147,27 @@ class LiveSolver:
             if not (is_over or isinstance(error, ReconstructionError)):
                 raise
 
+    def _rest(self, seconds: float) -> None:
+        """Wait, unless frames lack a correction."""
+        end_s = time.monotonic() + seconds
+        while (left_s := end_s - time.monotonic()) > 0 and not self._closing.is_set():
+            if self._newest is not None and self._newest.assumed.refinement.stage not in {"off", "applied"}:
+                return
+            self._closing.wait(min(left_s, _WAIT_S))
+
     def _find(self, newest: _Solved, before: _Found, refinement: Refinement | None) -> _Found:
         """Search for layers in the newest frame if that is due, and find the bias."""
         sample, wavefront, correction = before.sample, newest.wavefront, newest.assumed.refinement
         begin_s = time.monotonic()
         if begin_s >= self._search_due_s:
-            sample = self._reconstructor.find_sample(newest.measured, self._check_open)
-            end_s, rest = time.monotonic(), _LONG_REST if _are_alike(sample, before.sample) else _REST
-            self._search_due_s = end_s + rest * (end_s - begin_s)
+            rest = _REST
+            try:
+                sample = self._reconstructor.find_sample(newest.measured, self._check_open)
+                if _are_alike(sample, before.sample):
+                    rest = _LONG_REST
+            finally:
+                end_s = time.monotonic()
+                self._search_due_s = end_s + min(rest * (end_s - begin_s), _LONGEST_REST_S)
         elif correction.stage == "worse":  # until the wavefront changes
             return before
         applied = correction.bias

@@ -68,7 +68,7 @@ class FrameArray:
         With the separator "/", which OME-NGFF demands for images, each frame has its own folder; with "." all chunks
         lie in one.
         """
-        import zarr  # noqa: PLC0415 - takes a tenth of a second, and only a new recording needs it
+        import zarr  # noqa: PLC0415 - takes a fifth of a second, and only a new recording needs it
 
         zarr.open_group(store, mode="a").create_array(
             name,

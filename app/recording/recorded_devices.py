@@ -135,13 +135,14 @@ class RecordedCamera(Camera):
     _close = _stop
 
     def _read(self, timeout_s: float) -> Frame:
-        average, absence = self._average(), self._absence()
         wait_s = self._due_s - self._now()
         if self._pace == "fastest":
             wait_s = 0.0 if timeout_s > 0 else math.inf
-        if absence or wait_s > timeout_s:
+        absence = "the recording has no frame at this time" if wait_s > timeout_s else self._absence()
+        if absence:
             self._sleep(timeout_s)
-            raise DeviceTimeout(absence or "the recording has no frame at this time")
+            raise DeviceTimeout(absence)
+        average = self._average()
         self._sleep(max(wait_s, 0.0))
         return self._play() if average is None else self._show(average)
 

@@ -248,7 +248,7 @@ def make_array(store: Path, name: str, values: NDArray[Any]) -> FrameArray:
 
 def make_store(path: Path) -> None:
     """Make the Zarr group, which is an OME-NGFF 0.5 image with one scale."""
-    import zarr  # noqa: PLC0415 - takes a tenth of a second, and only a new recording needs it
+    import zarr  # noqa: PLC0415 - takes a fifth of a second, and only a new recording needs it
 
     axes = [{"name": "t", "type": "time"}, {"name": "y", "type": "space"}, {"name": "x", "type": "space"}]
     scale = {"path": PIXELS, "coordinateTransformations": [{"type": "scale", "scale": [1.0, 1.0, 1.0]}]}

@@ -45,6 +45,7 @@ class Capture:
         self._clock = clock
         self._is_fired_here = trigger == "software"
         self._is_exposing = trigger == "internal"  # as far as known
+        self._fire_due_s = -math.inf
         self._in_force = SettingsInForce(*in_force)
         self._next = 0  # library's number of the next frame
         self._lost = 0  # before transfer
@@ -99,20 +100,21 @@ class Capture:
             frame = self._oldest()
             if frame is not None:
                 return frame
-            if self._is_fired_here and not self._is_exposing:
+            if self._is_fired_here and not self._is_exposing and self._clock() >= self._fire_due_s:
                 self._fire()
             remaining_s = deadline_s - self._clock()
             if remaining_s <= 0:
                 self._check_alive()
-                raise DeviceTimeout(f"no frame came within {timeout_s:g} s")
+                raise DeviceTimeout("no frame came in time")
             self._wait(min(remaining_s, _SLICE_S))
         raise WrongState("the camera is being closed")
 
     def _fire(self) -> None:
-        """Fire the software trigger; if the camera is not ready, the next call tries again."""
+        """Fire the software trigger; if the camera is not ready, it is tried again after its next event or soon."""
         try:
             self._library.call("dcamcap_firetrigger", self._handle, 0)
         except WrongState:
+            self._fire_due_s = self._clock() + _SLICE_S
             self._check_alive(at_once=True)
         else:
             self._is_exposing = True
@@ -129,6 +131,7 @@ class Capture:
             if self._is_fired_here:
                 self._restart()
         else:
+            self._fire_due_s = -math.inf
             if request.eventhappened & _STOPPED:
                 self._check_alive(at_once=True)
 

@@ -19,7 +19,7 @@ from drivers.genicam import GenicamSettings, features, frames
 from drivers.genicam.connection import GenicamConnection, chosen, update_list
 from drivers.genicam.library import STATUS_SUCCESS, load_aravis
 
-_SLICE_S: Final = 0.1  # longest wait for a frame between two checks of the connection
+_SLICE_S: Final = 0.1  # of silence, after which the connection is watched; the longest wait in the library
 # properties, if the camera has them
 _PROPERTIES_AS_TEXT: Final = (
     *("DeviceVersion", "DeviceFirmwareVersion", "DeviceUserID", "BinningHorizontalMode", "BinningVerticalMode"),
@@ -54,6 +54,7 @@ class GenicamCamera(Camera):
         self._count = frames.FrameCount()
         self._in_force = SettingsInForce(0.0, 1.0)  # of frames that end at some time
         self._incomplete = 0
+        self._heard_s = 0.0  # time of the last buffer, or of the start
         self._asked_region: Region | None = None  # may be no multiple of the binning
         try:
             details = ("vendor_name", "model_name", "device_serial_number")
@@ -170,6 +171,7 @@ class GenicamCamera(Camera):
         self._count = frames.FrameCount()
         self._in_force = SettingsInForce(self._read_exposure(), 1.0)
         self._line.start_stream(payload)
+        self._heard_s = time.perf_counter()
 
     def _stop(self) -> None:
         self._line.stop_stream(self._read_exposure())
@@ -179,13 +181,15 @@ class GenicamCamera(Camera):
         while True:
             left_s = max(0.0, deadline_s - time.perf_counter())
             if buffer := self._line.next_buffer(min(left_s, _SLICE_S)):
+                self._heard_s = time.perf_counter()
                 try:
                     return self._frame(buffer)
                 finally:
                     self._line.give_back(buffer)
-            self._line.watch()
+            if time.perf_counter() > self._heard_s + _SLICE_S:
+                self._line.watch()
             if left_s <= _SLICE_S:
-                raise DeviceTimeout(f"no frame came within {timeout_s:g} s")
+                raise DeviceTimeout("no frame came in time")
 
     def _frame(self, buffer: int) -> Frame:
         """Copy a frame out of its buffer; raise `FrameLost` if packets are missing."""

@@ -48,6 +48,7 @@ class MicroManagerCamera(Camera):
         self._settings = settings
         core = core or load_pymmcore().CMMCore()
         self._is_started = self._is_aborted = False
+        self._checked_s = 0.0
         self._heard_s = 0.0  # last sign of life; in the future while a long exposure ends
         self._last = -1  # index of the last frame
         self._in_force = SettingsInForce(0.0, 1.0)
@@ -232,16 +233,16 @@ class MicroManagerCamera(Camera):
             self._is_started = False
 
     def _read(self, timeout_s: float) -> Frame:
-        start_s = checked_s = time.monotonic()
+        start_s = time.monotonic()
         while (taken := self._line.pop()) is None:
             now_s = time.monotonic()
             if self._is_aborted:
                 raise WrongState("the camera is being closed")
-            if now_s - checked_s >= _CHECK_S or now_s - start_s >= timeout_s:
-                checked_s = now_s
+            if now_s >= self._checked_s + _CHECK_S:
+                self._checked_s = now_s
                 self._check_alive(now_s)
             if now_s - start_s >= timeout_s:
-                raise DeviceTimeout(f"no frame came within {timeout_s:g} s")
+                raise DeviceTimeout("no frame came in time")
             time.sleep(min(_POLL_S, timeout_s))
         return self._frame(*taken)
 
@@ -259,6 +260,7 @@ class MicroManagerCamera(Camera):
 
     def _frame(self, pixels: NDArray[np.unsignedinteger], number: int, camera_time_s: float) -> Frame:
         host_time_s, self._heard_s = time.perf_counter(), time.monotonic()
+        self._checked_s = self._heard_s
         self._last = number
         if pixels.shape != (self.capabilities.rows, self.capabilities.columns) or pixels.dtype.itemsize > 2:
             raise FrameLost(f"a frame of {pixels.shape} pixels came, unlike the region")

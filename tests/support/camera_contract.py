@@ -19,7 +19,7 @@ from drivers.interface import Camera, CameraState, DeviceError, DeviceTimeout, D
 from support.patience import HANG_S, own_time
 from support.timed_faults import AT_ONCE_S, after_pause, expect_within, repeat
 
-_SLICE_S = 0.1
+_SLICE_S = 0.005
 
 
 class CameraFaults(Protocol):

@@ -60,6 +60,7 @@ def main() -> None:
             live = f"live --attach --name {_NAME} --seconds {asked.seconds + 10} --out {folder / 'window'}".split()
             os.environ["QT_QPA_PLATFORM"] = "offscreen"
             window = subprocess.Popen([sys.executable, "-c", _PROGRAM, *live], stdout=subprocess.DEVNULL)  # noqa: S603 - this interpreter
+            stack.callback(window.terminate)
             watching.append(window)
             time.sleep(5.0)
         if asked.record:

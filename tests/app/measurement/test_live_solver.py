@@ -294,7 +294,7 @@ def test_bias_is_found_with_the_sample_of_the_frames(
 def test_search_that_finds_the_same_again_rests_for_longer(
     paper_bench: SmallBench, layered: Reconstructor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It takes Python's lock from the frames. The first two follow each other sooner."""
+    """It takes Python's lock from the frames."""
     took_s, began_s = 0.05, list[float]()
 
     def search(_: Reconstructor, __: Displacement, ___: Callable[[], None]) -> AssumedSample:
@@ -305,13 +305,42 @@ def test_search_that_finds_the_same_again_rests_for_longer(
     monkeypatch.setattr(Reconstructor, "find_sample", search)
     solver = solver_of(paper_bench, layered, refine=False)
     displacement = layered.register(behind_layer(paper_bench, -0.8))
+    try:
+        solve_until(solver, displacement, lambda: len(began_s) == 3)
+    finally:
+        solver.close()
+    assert began_s[2] - began_s[1] >= 10 * took_s
+
+
+@pytest.mark.parametrize(("strength", "rests"), [(1.0, True), (-1.0, False)], ids=["applied", "moved"])
+def test_refinement_rests_unless_frames_lack_a_correction(
+    paper_bench: SmallBench, reconstructor: Reconstructor, *, strength: float, rests: bool
+) -> None:
+    solver, waits_s = solver_of(paper_bench, reconstructor), list[float]()
+    wait = solver._closing.wait
+
+    def noted(timeout_s: float) -> bool:
+        waits_s.append(timeout_s)
+        return wait(timeout_s)
+
+    try:
+        first = reconstructor.register(bowl(paper_bench, 1.0))
+        solve_until(solver, first, lambda: solver.solve(first, 0.0)[1].refinement.stage == "applied")
+        solver.solve(reconstructor.register(bowl(paper_bench, strength)), 0.0)
+        solver._closing.wait = noted  # type: ignore[method-assign,assignment] # sees the rests
+        solver._rest(0.1)
+    finally:
+        solver.close()
+    assert bool(waits_s) == rests
+
+
+def solve_until(solver: LiveSolver, displacement: Displacement, is_done: Callable[[], bool]) -> None:
+    """Solve a frame every 10 ms until something is done."""
     deadline_s = time.monotonic() + HANG_S
-    while len(began_s) < 3:
+    while not is_done():
         solver.solve(displacement, 0.0)
         assert time.monotonic() < deadline_s
         time.sleep(0.01)
-    solver.close()
-    assert began_s[2] - began_s[1] >= 10 * took_s
 
 
 @pytest.mark.parametrize(

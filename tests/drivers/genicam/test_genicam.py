@@ -197,6 +197,20 @@ def test_all_frames_at_70_hz_are_accounted_for(camera: GenicamCamera) -> None:
     assert (np.diff([frame.host_time_s for frame in frames]) > 0).all()
 
 
+def test_camera_is_not_asked_for_signs_of_life_while_frames_come(
+    camera: GenicamCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However short the waits for a frame are."""
+    camera.start()
+    asked, frames, deadline_s = list[None](), [camera.read(HANG_S)], time.monotonic() + HANG_S
+    monkeypatch.setattr(camera._line, "watch", lambda: asked.append(None))
+    while len(frames) < 30 and time.monotonic() < deadline_s:
+        with suppress(DeviceTimeout):
+            frames.append(camera.read(0.005))
+    pauses = np.diff([frame.host_time_s for frame in frames]) > 0.09  # on a busy computer
+    assert len(asked) <= 20 * np.count_nonzero(pauses)
+
+
 def test_pixels_arrive_as_sent(camera: GenicamCamera) -> None:
     camera.start()
     frame = whole_frames(camera, 1)[0]

@@ -77,6 +77,7 @@ print(before, during, threads())
 """
 
 
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="BLAS has as many threads as processors at most")
 def test_client_keeps_to_one_thread_of_blas() -> None:
     """Others would wait busily: the client would take seven times the processor time, of the instrument, too."""
     environment, command = os.environ | {"OPENBLAS_NUM_THREADS": "2"}, [sys.executable, "-c", ONE_THREAD]
