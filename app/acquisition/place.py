@@ -120,8 +120,8 @@ def _locked(descriptor: int) -> bool:
 
 
 def _clear(name: str) -> None:
-    for ending in _LEFT:
-        _file(name, ending).unlink(missing_ok=True)
+    for left in [_file(name, ending) for ending in _LEFT]:  # finding one makes a folder that is being removed anew
+        left.unlink(missing_ok=True)
 
 
 def _file(name: str, ending: str) -> Path:
