@@ -44,7 +44,7 @@ check: lint setup c-compiler ## lint and the quick tests of numerics, devices an
 test: setup c-compiler $(NUMBA_CACHE_DIR) ## the quick tests, eight minutes; ROOM=app/gui, ONLY=WORDS for some
 	$(SOON) $(PYTEST) -m 'not slow' $(CHOSEN)
 
-test-slow: setup c-compiler $(NUMBA_CACHE_DIR) ## the tests that take one to four seconds, ten minutes; ROOM, ONLY as above
+test-slow: setup c-compiler $(NUMBA_CACHE_DIR) ## the tests that take one to four seconds, eight minutes; ROOM, ONLY as above
 	$(PYTEST) -m 'slow and not long' $(CHOSEN)
 
 test-long: setup c-compiler $(NUMBA_CACHE_DIR) ## those that take four seconds or more, twenty minutes; ROOM, ONLY as above
