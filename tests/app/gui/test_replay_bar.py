@@ -265,6 +265,7 @@ def test_damaged_frames_are_skipped_with_a_notice_and_marked(
     window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
     bar = window.replay
     qtbot.waitUntil(lambda: bar.play.text() == "Pause")
+    qtbot.waitUntil(lambda: player.position is not None)  # the slider moves nothing before the first frame
     bar.play.click()
     qtbot.waitUntil(lambda: bar.play.text() == "Play")
     for start, step, end in ((2, bar.forth, 4), (4, bar.forth, 6), (6, bar.back, 4), (4, bar.back, 2)):
