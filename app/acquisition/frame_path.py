@@ -51,9 +51,8 @@ class FramePath:
     def process_single(self, frame: Frame, instrument: Instrument, light: LightState | None, file: str) -> None:
         """Reconstruct a frame from a `file` or elsewhere, as if its exposure ended when it was read, and pass it on."""
         self._gap, self._lost = None, 0
-        lag_s = self._clock_lag_s if math.isfinite(self._clock_lag_s) else 0.0
         self.counts = replace(self.counts, acquired=self.counts.acquired + 1)
-        self.process(replace(frame, camera_time_s=frame.host_time_s - lag_s), instrument, light, file)
+        self.process(replace(frame, camera_time_s=frame.host_time_s - self._lag_s), instrument, light, file)
 
     def process(self, frame: Frame, instrument: Instrument, light: LightState | None, file: str = "") -> None:
         """Reconstruct a frame and pass it on."""
@@ -129,8 +128,13 @@ class FramePath:
         allowed_s = self._clock_lag_s + _CLOCK_DRIFT * elapsed_s
         self._clock_lag_s = min(allowed_s, frame.host_time_s - frame.camera_time_s)
 
+    @property
+    def _lag_s(self) -> float:
+        """The clock difference; 0 before the first frame of the camera."""
+        return self._clock_lag_s if math.isfinite(self._clock_lag_s) else 0.0
+
     def _exposure_end_s(self, frame: Frame) -> float:
-        return frame.camera_time_s + self._clock_lag_s
+        return frame.camera_time_s + self._lag_s
 
 
 def read_frame(path: Path, camera: Camera) -> Frame:

@@ -101,7 +101,9 @@ class Player:
                 raise InputError(str(error)) from error
 
         if self._acquisition is None:
-            raise WrongState("the recording is not open")
+            refused: Future[None] = Future()
+            refused.set_exception(WrongState("the recording is not open"))
+            return refused
         return self._acquisition.show_single(choose)
 
     @property

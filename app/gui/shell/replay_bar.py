@@ -89,7 +89,9 @@ class ReplayBar(QFrame):
             self._timer.stop()
             return
         self._controls.enable_devices(is_enabled=False)
-        self.slider.setRange(0, len(player.frames) - 1)
+        with QSignalBlocker(self.slider):  # it stands where the recording before was
+            self.slider.setRange(0, len(player.frames) - 1)
+            self.slider.setValue(0)
         last = player.frames[-1]
         self.text.setMinimumWidth(self.text.fontMetrics().horizontalAdvance(f"frame {last} of {last} ... {last}  "))
         self._timer.start()
@@ -143,8 +145,8 @@ class ReplayBar(QFrame):
             self.text.setToolTip("Frames are counted from 0, as in files, messages and --frames")
 
     def _move(self, position: int) -> None:
-        if self._player is not None and self._player.position is not None:
-            self._direction = 1 if position >= self._player.position else -1
+        if self._player is not None:
+            self._direction = 1 if position >= (self._player.position or 0) else -1  # none before the first frame
             self._wanted = self._sound(position)
             self._write(position)
 

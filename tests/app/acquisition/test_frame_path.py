@@ -76,3 +76,12 @@ def test_newest_frame_is_taken_if_the_next_is_old(
     path = FramePath((skipped.append,), Timings(), lambda _: False)
     assert path._newest_frame(instrument, None).index == taken
     assert [each.frame.index for each in skipped] == list(range(taken))
+
+
+def test_single_frame_before_the_first_of_the_camera_has_a_latency(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.acquisition.frame_path.time", SimpleNamespace(perf_counter=lambda: 200.0))
+    made, timings = list[Measurement](), Timings()
+    instrument: Any = SimpleNamespace(measure=lambda frame: Measurement(frame, None, ""))
+    path = FramePath((made.append,), timings, lambda _: False)
+    path.process_single(Frame(EXPOSED, 0, 7.0, 199.5, 0.1, 1.0), instrument, None, "dark.tif")
+    assert made[0].latency_s == timings.summary()["to_result"].max_s == pytest.approx(0.5)

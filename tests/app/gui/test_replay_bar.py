@@ -22,7 +22,9 @@ from app.gui.widgets import theme
 from app.measurement.measurement import Measurement
 from app.recording.folder import describe
 from app.recording.reader import Recording
+from app.recording.recorded_devices import RecordedCamera
 from app.results.player import Player
+from drivers.interface import DeviceTimeout, Frame, WrongState
 
 FRAMES = 8
 VERSION_0_1 = Path(__file__).parents[2] / "support" / "version_0_1" / "recording"
@@ -246,6 +248,32 @@ def test_recording_of_an_earlier_version_says_that_propagation_was_neglected(
     assert "neglected propagation of light" in told
 
 
+@pytest.mark.slow
+def test_slider_moves_a_recording_that_was_paused_before_its_first_frame(
+    window: MainWindow, qtbot: QtBot, recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read(_: RecordedCamera, __: float) -> Frame:
+        raise DeviceTimeout("no frame came in time")
+
+    bar = window.replay
+    qtbot.waitUntil(lambda: bar.slider.value() > 0)  # in another recording
+    monkeypatch.setattr(RecordedCamera, "_read", read)
+    player = Player(recording.folder)
+    window.open(player.acquisition, player.begin, player)
+    assert bar.slider.value() == 0
+    qtbot.waitUntil(lambda: bar.play.text() == "Pause")
+    bar.play.click()
+    qtbot.waitUntil(lambda: bar.play.text() == "Play")
+    assert player.position is None
+    bar.slider.setValue(2)
+    qtbot.waitUntil(partial(is_at, window, player, 2))
+    assert not window.messages.log
+
+
+def test_frame_of_a_recording_that_is_not_open_is_refused(recording: Recording) -> None:
+    assert isinstance(Player(recording.folder).show_frame(0).exception(), WrongState)
+
+
 def is_at(window: MainWindow, player: Player, position: int) -> bool:
     """True if this frame is shown and no move is under way."""
     return window.replay._wanted is None and window.replay._moving is None and player.position == position
@@ -265,9 +293,9 @@ def test_damaged_frames_are_skipped_with_a_notice_and_marked(
     window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
     bar = window.replay
     qtbot.waitUntil(lambda: bar.play.text() == "Pause")
-    qtbot.waitUntil(lambda: player.position is not None)  # the slider moves nothing before the first frame
     bar.play.click()
     qtbot.waitUntil(lambda: bar.play.text() == "Play")
+    bar.refresh()  # where it stopped: a slider that shows an earlier frame, maybe the first below, would not move there
     for start, step, end in ((2, bar.forth, 4), (4, bar.forth, 6), (6, bar.back, 4), (4, bar.back, 2)):
         bar.slider.setValue(start)
         qtbot.waitUntil(partial(is_at, window, player, start))
