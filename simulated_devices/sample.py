@@ -261,7 +261,7 @@ def _generated_phases(
     wide_rad = smoothed(size.guard)
     # The edge of the screen itself is that of the ensemble, to the last bit.
     is_final = edge_is_final(screen.correlation_length_m, spacing_m)
-    samples_rad = middle_of(wide_rad, size.guard) if is_final else smoothed(0)
+    samples_rad = middle_of(wide_rad, size.guard).copy() if is_final else smoothed(0)
     if screen.pv_rad is not None:
         shape = partial(shape_to_pv_and_rms, pv_rad=screen.pv_rad, rms_rad=screen.rms_rad)
         phase = PhaseScreen(shape(samples_rad, enlarged_by=size.enlarged_by), spacing_m)

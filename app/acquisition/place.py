@@ -120,7 +120,7 @@ def _locked(descriptor: int) -> bool:
 
 
 def _clear(name: str) -> None:
-    for left in [_file(name, ending) for ending in _LEFT]:  # finding one makes a folder that is being removed anew
+    for left in [_file(name, ending) for ending in _LEFT]:  # before any is removed: a path makes the folder
         left.unlink(missing_ok=True)
 
 

@@ -1,8 +1,8 @@
 """Reconstruction of live frames, with what a low-priority thread finds: the sample's layers and the estimator's bias.
 
-A search for layers takes a second or more; it is repeated for as long as frames come, less often once it finds the same
-again. Between two searches the thread refines: a round takes some tenths of a second. It rests in between, because it
-shares Python's lock with the frames. Sample and bias belong together and are replaced together.
+A search for layers takes a second or more. Searches follow each other for as long as frames come, at longer intervals
+if they find the same. Between them the thread refines: a round takes some tenths of a second. It rests in between,
+because it shares Python's lock with the frames. Sample and bias belong together and are replaced together.
 
 If the wavefront has changed much since the bias was found, the old bias would do harm: frames stay uncorrected until
 the next one is found. A correction that made the misfit of the modelled displacements worse is not used again nearby.

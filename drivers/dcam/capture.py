@@ -110,7 +110,7 @@ class Capture:
         raise WrongState("the camera is being closed")
 
     def _fire(self) -> None:
-        """Fire the software trigger; if the camera is not ready, it is tried again after its next event or soon."""
+        """Fire the software trigger; if the camera is not ready, again after its next event or 0.1 s."""
         try:
             self._library.call("dcamcap_firetrigger", self._handle, 0)
         except WrongState:
