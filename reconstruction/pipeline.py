@@ -230,16 +230,16 @@ class Reconstructor:
             )
         return displacement
 
-    def find_sample(self, displacement: Displacement, check: Callable[[], None] = lambda: None) -> AssumedSample:
+    def find_sample(self, displacement: Displacement) -> AssumedSample:
         """Find the layers of the sample, if they may be assumed and explain the displacements.
 
-        It takes some tenths of a second, or some seconds if one layer does not suffice. `check` is called often; its
-        exception ends the search. Raises `ReconstructionError` if the settings demand layers and none can be found.
+        It takes some tenths of a second, or some seconds if one layer does not suffice. Raises `ReconstructionError` if
+        the settings demand layers and none can be found.
         """
         if not self.may_be_layered:
             return FREE
         try:
-            search = find_layers(self.layers(displacement), None, check=check)
+            search = find_layers(self.layers(displacement), None)
         except ReconstructionError as error:  # too few lenslets, or nothing moves
             if self.reconstruction.sample == "layers":
                 raise ReconstructionError(f'{error} (reconstruction.sample = "layers")', image="frame") from error

@@ -77,18 +77,15 @@ class Refinement:
         self._unsaturated = np.zeros(reference.shape, np.bool_)
         self._grid = Remembered(self._prepared_grid, 2)
 
-    def bias(self, wavefront: Wavefront, check: Callable[[], None] = lambda: None) -> Bias:
-        """Find the bias at a wavefront: one rendered image and its registration.
-
-        `check` is called for each object point, in any thread; its exception ends the rendering.
-        """
+    def bias(self, wavefront: Wavefront) -> Bias:
+        """Find the bias at a wavefront: one rendered image and its registration."""
         reconstructor, displacement, solution = self._reconstructor, wavefront.displacement, wavefront.solution
         if not (wavefront.sample.ratios and isinstance(solution, ModalSolution)):
             solution = reconstructor.smooth(displacement, weights=reconstructor.weights_of(displacement))
         modes = displacement.modes
         if not isinstance(modes, PolynomialModes):
             raise ReconstructionError("refinement needs a registration in polynomials of the field position")
-        image = self._model.image(self._field(solution, modes, check))
+        image = self._model.image(self._field(solution, modes))
         found = self._register(image, saturated=self._unsaturated)
         # A lenslet lost in the model's image is left uncorrected.
         bias = np.where(found.valid[..., None, None], found.coefficients - solution.displacement, 0.0)
@@ -113,7 +110,7 @@ class Refinement:
     def _prepared_grid(self, modes: PupilModes) -> PupilGrid:
         return PupilGrid(modes, self._reconstructor.sensor, self._model.sample_x_m, self._model.sample_y_m)
 
-    def _field(self, solution: ModalSolution, modes: PolynomialModes, check: Callable[[], None]) -> PointField:
+    def _field(self, solution: ModalSolution, modes: PolynomialModes) -> PointField:
         """Light of each object point on the pupil samples, gathered as the wavefront's change over the field tells."""
         bench_field, coefficients = self._reconstructor.field, solution.coefficients
         grid = self._grid(solution.modes)
@@ -121,7 +118,6 @@ class Refinement:
         gathered = bench_field.collimator_focal_length_m / self._reconstructor.sensor.wavenumber_rad_per_m
 
         def field(x_m: float, y_m: float) -> NDArray[np.complex64]:
-            check()
             x, y = x_m / half_width_m, y_m / half_width_m
             wave = np.exp(1j * grid(coefficients @ modes.values(x, y)))
             if not bench_field.neglect_propagation:

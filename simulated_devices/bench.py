@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interface import LightSource, Range, Stage
+from reconstruction.runtime.background import BackgroundProcess
 from simulated_devices.clock import Clock
 from simulated_devices.optics.forward_model import OnFraction
-from simulated_devices.rendering import ImageCache, Renderer, RenderingAhead, Scene
+from simulated_devices.rendering import ImageCache, Renderer, Scene, rendering_ahead
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings
 
 
@@ -122,7 +123,7 @@ class SimulatedBench:
         self._references: dict[str, NDArray[np.float32]] = {}
         self._films: dict[str, list[NDArray[np.float32]]] = {}
         self._playbacks: dict[str, Playback] = {}
-        self._ahead: RenderingAhead | None = None
+        self._ahead: BackgroundProcess | None = None
         self._next_poll_s = self.clock.now()
         self._changing = threading.Lock()
         condition = Condition(current_a=light_settings.current_a, mask=scene.simulation.source.mask)
@@ -207,7 +208,7 @@ class SimulatedBench:
             progress(1.0)
         self.close()
         if len(self._films[mask]) < self._scene.states:
-            self._ahead = RenderingAhead(self._scene, mask, self._cache_folder)
+            self._ahead = rendering_ahead(self._scene, mask, self._cache_folder)
 
     def _load_rendered(self) -> None:
         mask = self.condition.mask

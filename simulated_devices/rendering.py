@@ -1,8 +1,8 @@
 """Rendered images of the bench, the reference and every state of the sample, and their cache on disk.
 
 The name of an image contains a hash of everything it depends on. Files are written atomically; a damaged one counts
-as missing. Images are rendered ahead in a child process at low priority, so that the live program never waits for it;
-the processes share only these files. The child ends when its standard input closes, however the parent ends.
+as missing. Images are rendered ahead in a child process, so that the live program never waits for it; the processes
+share only these files.
 """
 
 from __future__ import annotations
@@ -11,23 +11,21 @@ import dataclasses
 import hashlib
 import json
 import os
-import pickle
 import shutil
-import subprocess
-import sys
-import threading
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, reading_npy
 from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.runtime.background import BackgroundProcess
 from simulated_devices.optics.forward_model import ForwardModel, OnFraction, PointField
 from simulated_devices.optics.source import SourcePoints, source_points
 from simulated_devices.sample import Sample, make_sample, shift_m
@@ -229,34 +227,11 @@ def _age(folder: Path) -> float:
         return 0.0
 
 
-class RenderingAhead:
-    """A child process that renders the states of one mask that the cache lacks."""
-
-    def __init__(self, scene: Scene, mask: str, cache_folder: Path) -> None:
-        package_parent = str(Path(__file__).resolve().parents[1])
-        given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
-        search_path = os.pathsep.join([package_parent, *filter(None, given)])  # an empty part is the working directory
-        below_normal = getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0)  # exists on Windows only
-        self._process = subprocess.Popen(
-            # -P: nothing from the working directory is imported
-            [sys.executable, "-P", "-m", "simulated_devices.rendering"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": search_path, "OPENBLAS_NUM_THREADS": "1"},
-            creationflags=below_normal,
-            start_new_session=True,  # Ctrl-C ends the parent, and that ends this process
-        )
-        if self._process.stdin is None:  # impossible with a pipe
-            raise RuntimeError("the background process has no standard input")
-        pickle.dump((scene, mask, str(cache_folder)), self._process.stdin)
-        self._process.stdin.flush()
-
-    def close(self) -> None:
-        """Kill the process; an image that it has not finished is lost."""
-        self._process.kill()
-        self._process.wait()
-        if self._process.stdin is not None:
-            self._process.stdin.close()
+def rendering_ahead(scene: Scene, mask: str, cache_folder: Path) -> BackgroundProcess:
+    """Start a child process that renders the states of one mask that the cache lacks; if closed, one is lost."""
+    process = BackgroundProcess(_render_missing)
+    process.send((scene, mask, cache_folder))
+    return process
 
 
 def render_missing(scene: Scene, mask: str, cache_folder: Path) -> None:
@@ -267,20 +242,6 @@ def render_missing(scene: Scene, mask: str, cache_folder: Path) -> None:
             return
 
 
-def _end_with_parent() -> None:
-    # sys.stdin.buffer.read() would hold a lock at exit, which makes Python abort.
-    while os.read(sys.stdin.fileno(), 1):  # empty once the parent has closed the pipe or died
-        pass
-    os._exit(0)
-
-
-def _main() -> None:
-    if hasattr(os, "nice"):
-        os.nice(10)
-    scene, mask, cache_folder = pickle.load(sys.stdin.buffer)  # noqa: S301 - our own parent wrote it
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    render_missing(scene, mask, Path(cache_folder))
-
-
-if __name__ == "__main__":
-    _main()
+def _render_missing(messages: Iterator[Any], _answer: Callable[[object], None]) -> None:
+    """Be the process of `rendering_ahead`."""
+    render_missing(*next(messages))

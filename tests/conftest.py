@@ -18,6 +18,8 @@ from support.leftovers import no_leftovers
 from support.optics import PAPER, SmallBench, checkerboard
 
 from app.acquisition.devices import simulated_bench
+from app.measurement import live_solver
+from app.measurement.finder import Finder
 from simulated_devices.clock import ManualClock
 
 if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
@@ -71,6 +73,12 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
         yield
+
+
+@pytest.fixture(autouse=True)
+def _finders_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Search for layers in this process: another takes a second to start, and its code cannot be replaced."""
+    monkeypatch.setattr(live_solver, "FinderProcess", Finder)
 
 
 @pytest.fixture(autouse=True)

@@ -1,90 +1,48 @@
-"""Reconstruction of live frames, with what a low-priority thread finds: the sample's layers and the estimator's bias.
-
-A search for layers takes a second or more. Searches follow each other for as long as frames come, at longer intervals
-if they find the same. Between them the thread refines: a round takes some tenths of a second. It rests in between,
-because it shares Python's lock with the frames. Sample and bias belong together and are replaced together.
+"""Reconstruction of live frames, with what a finder finds meanwhile: the sample's layers and the estimator's bias.
 
 If the wavefront has changed much since the bias was found, the old bias would do harm: frames stay uncorrected until
-the next one is found. A correction that made the misfit of the modelled displacements worse is not used again nearby.
+the next one is found.
 """
 
-import math
-import os
-import sys
 import threading
 import time
 from dataclasses import replace
-from typing import NamedTuple
-
-import numpy as np
 
 from app.measurement.estimator import Estimator
+from app.measurement.finder import Finder, FinderProcess, Found, Solved
 from app.measurement.measurement import Assumptions, RefinementStage, RefinementState
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
-from reconstruction.layers.layered_wavefront import FREE, AssumedSample
-from reconstruction.refinement import Bias, Refinement, mean_rms
+from reconstruction.layers.layered_wavefront import FREE
+from reconstruction.refinement import mean_rms
 from reconstruction.wavefront import Wavefront
 
 _MOVED_FRACTION = 0.5  # of the RMS of the bias's wavefront; after a larger change the bias is useless
 _MOVED_RAD = 0.1  # limit for a nearly flat wavefront
-_HARM = 1.2  # rise of the misfit by a harmful correction; noise stays below
-_HARM_PX = 0.003  # added, for a misfit of nearly 0
-_REST, _LONG_REST = 1, 9  # after a search, over its time; the latter if it has found the same again
-_LONGEST_REST_S = 5.0
-_SAME_SIGMAS = 3.0
-_NICENESS = 10
 _WAIT_S = 0.2
-
-
-class _Solved(NamedTuple):
-    wavefront: Wavefront
-    measured: Displacement  # before the bias
-    time_s: float
-    assumed: Assumptions
-
-
-class _Found(NamedTuple):
-    sample: AssumedSample | None
-    bias: Bias | None = None  # of a wavefront of that sample
-    time_s: float = math.nan  # of the frame that gave the bias
-    helps: bool = True  # whether corrections near it help
-
-
-class _Closed(Exception):
-    """Ends a search or a rendering."""
 
 
 class LiveSolver:
     """Solves for one estimator's frames; its thread ends soon after `close`."""
 
     def __init__(self, estimator: Estimator) -> None:
-        """Start the thread if there is anything to find.
-
-        With refinement, building its model blocks all threads for some tenths of a second.
-        """
+        """Start finder and thread if there is anything to find."""
         self._estimator, self._reconstructor = estimator, estimator.reconstructor
-        self._searches = self._reconstructor.may_be_layered
+        searches = self._reconstructor.may_be_layered
         self._refines = estimator.calibration.bench.reconstruction.refine
-        self._newest: _Solved | None = None  # one slot each way, written by one thread
-        self._found = _Found(None if self._searches else FREE)
-        self._problem = ""
-        self._search_due_s = -math.inf if self._searches else math.inf
-        self._uncorrected_px = math.inf  # misfit of the last uncorrected wavefront
+        self._newest: Solved | None = None  # one slot each way, written by one thread
+        self._found = Found(None if searches else FREE)
         self._something_new, self._closing = threading.Event(), threading.Event()
-        self.prepares = self._searches or self._refines
-        if self._refines:
-            try:
-                _ = estimator.model
-            except ReconstructionError as error:  # the reference does not allow one
-                self._problem = str(error)
-        has_model = self._refines and not self._problem
-        if self._searches or has_model:
-            threading.Thread(target=self._work, args=(has_model,), name="live-solver", daemon=True).start()
+        self.prepares = searches or self._refines
+        self._finder = FinderProcess() if self.prepares else None
+        if self._finder is not None:
+            threading.Thread(target=self._work, args=(self._finder,), name="live-solver", daemon=True).start()
 
     def close(self) -> None:
-        """Stop at once, but not amid a registration or a fit."""
+        """Stop at once."""
         self._closing.set()
+        if self._finder is not None:
+            self._finder.stop()
 
     def solve(self, displacement: Displacement, time_s: float) -> tuple[Wavefront, Assumptions]:
         """Reconstruct a frame exposed at `time_s`, with the newest sample, and the newest bias if it applies."""
@@ -105,7 +63,7 @@ class LiveSolver:
             applied = bias.displacement if stage == "applied" else None
             state = RefinementState(stage, time_s - found.time_s, moved_rad, bias=applied)
         assumed = Assumptions(found.sample, state)
-        self._newest = _Solved(wavefront, displacement, time_s, assumed)
+        self._newest = Solved(displacement, time_s, assumed)
         self._something_new.set()
         return wavefront, assumed
 
@@ -121,31 +79,35 @@ class LiveSolver:
         """State of a frame before the first bias."""
         if not self._refines:
             return RefinementState()
-        return RefinementState("failed" if self._problem else "preparing", problem=self._problem)
+        problem = self._found.problem
+        return RefinementState("failed" if problem else "preparing", problem=problem)
 
-    def _work(self, has_model: bool) -> None:
-        """Search and refine with the newest frame repeatedly."""
-        if sys.platform == "linux":  # threads have their own priority only here
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
+    def _work(self, finder: Finder | FinderProcess) -> None:
+        """Let the finder look at the newest frame again and again; it rests as long as it worked."""
         try:
-            refinement = self._estimator.refinement if has_model else None
+            finder.prepare(self._estimator)
             while not self._closing.is_set():
-                if self._something_new.wait(_WAIT_S) and self._newest is not None:
+                newest = self._newest if self._something_new.wait(_WAIT_S) else None
+                if newest is not None:
                     self._something_new.clear()
                     begin_s = time.monotonic()
-                    try:
-                        self._found = self._find(self._newest, self._found, refinement)
-                    except ReconstructionError as error:  # the next wavefront may succeed
-                        self._problem = str(error)
+                    self._use(finder.find(newest), newest)
                     self._rest(time.monotonic() - begin_s)
-        except _Closed:
-            pass
-        except Exception as error:
-            self._found, self._problem = _Found(self._found.sample), str(error)
-            # At interpreter exit the worker pool ends before this thread: not a fault.
-            is_over = isinstance(error, RuntimeError) and self._closing.is_set()
-            if not (is_over or isinstance(error, ReconstructionError)):
-                raise
+        except ReconstructionError as error:
+            self._found = Found(self._found.sample, problem=str(error))
+        except (EOFError, OSError) as error:
+            if not self._closing.is_set():
+                problem = "the process that finds layers and corrections has ended: take the reference again"
+                self._found = Found(self._found.sample, problem=problem)
+                raise RuntimeError(problem) from error
+        finally:
+            finder.close()
+
+    def _use(self, found: Found, newest: Solved) -> None:
+        """Use what was found for the frames that follow, after what depends on the layers is prepared."""
+        if found.sample is not None and found.sample is not self._found.sample:
+            self._reconstructor.solve(newest.measured, sample=found.sample).sigma()
+        self._found = found
 
     def _rest(self, seconds: float) -> None:
         """Wait, unless frames lack a correction."""
@@ -154,44 +116,3 @@ class LiveSolver:
             if self._newest is not None and self._newest.assumed.refinement.stage not in {"off", "applied"}:
                 return
             self._closing.wait(min(left_s, _WAIT_S))
-
-    def _find(self, newest: _Solved, before: _Found, refinement: Refinement | None) -> _Found:
-        """Search for layers in the newest frame if that is due, and find the bias."""
-        sample, wavefront, correction = before.sample, newest.wavefront, newest.assumed.refinement
-        begin_s = time.monotonic()
-        if begin_s >= self._search_due_s:
-            rest = _REST
-            try:
-                sample = self._reconstructor.find_sample(newest.measured, self._check_open)
-                if _are_alike(sample, before.sample):
-                    rest = _LONG_REST
-            finally:
-                end_s = time.monotonic()
-                self._search_due_s = end_s + min(rest * (end_s - begin_s), _LONGEST_REST_S)
-        elif correction.stage == "worse":  # until the wavefront changes
-            return before
-        applied = correction.bias
-        if sample is not None and wavefront.sample is not sample:
-            if len(sample.ratios) != len(wavefront.sample.ratios):
-                applied = None  # of quite another wavefront
-            wavefront = self._reconstructor.solve(newest.measured, bias=applied, sample=sample)
-            wavefront.sigma()  # what depends on the layers is prepared here, not when it is first shown
-        if refinement is None:
-            return _Found(sample)
-        bias = refinement.bias(wavefront, self._check_open)
-        misfit_px = bias.misfit_px(newest.measured)
-        if applied is None:
-            self._uncorrected_px = misfit_px
-        return _Found(sample, bias, newest.time_s, misfit_px <= _HARM * self._uncorrected_px + _HARM_PX)
-
-    def _check_open(self) -> None:
-        if self._closing.is_set():
-            raise _Closed
-
-
-def _are_alike(found: AssumedSample, before: AssumedSample | None) -> bool:
-    """True if two searches have found as many layers, at places that differ by no more than their errors."""
-    if before is None or len(found.ratios) != len(before.ratios):
-        return False
-    moved = np.abs(np.subtract(found.ratios, before.ratios))
-    return bool(np.all(moved <= _SAME_SIGMAS * np.hypot(found.sigma, before.sigma)))

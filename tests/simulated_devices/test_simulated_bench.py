@@ -17,7 +17,7 @@ from support.patience import HANG_S, wait_until
 from support.simulated_scene import DRIFTING, LATTICE, STILL, current_state, open_bench, states_rendered
 
 from simulated_devices.bench import Playback, SimulatedBench
-from simulated_devices.rendering import ImageCache, RenderingAhead, render_missing
+from simulated_devices.rendering import ImageCache, render_missing, rendering_ahead
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation, Source
 
 
@@ -69,7 +69,7 @@ def test_closing_kills_rendering_ahead(tmp_path: Path) -> None:
 
 def test_ctrl_c_of_the_terminal_does_not_reach_rendering_ahead(bench: SimulatedBench, tmp_path: Path) -> None:
     """It would end with a traceback while it starts."""
-    process = RenderingAhead(replace(bench._scene, simulation=DRIFTING), "square", tmp_path)
+    process = rendering_ahead(replace(bench._scene, simulation=DRIFTING), "square", tmp_path)
     assert os.getpgid(process._process.pid) != os.getpgid(0)
     process.close()
 
@@ -77,7 +77,7 @@ def test_ctrl_c_of_the_terminal_does_not_reach_rendering_ahead(bench: SimulatedB
 @pytest.mark.slow
 def test_rendering_ahead_ends_quietly(bench: SimulatedBench, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     scene = replace(bench._scene, simulation=DRIFTING)
-    process = RenderingAhead(scene, "square", tmp_path)
+    process = rendering_ahead(scene, "square", tmp_path)
     assert process._process.wait(HANG_S) == 0
     process.close()
     assert capfd.readouterr().err == ""
@@ -93,7 +93,7 @@ def test_rendering_ahead_imports_nothing_from_working_directory(
     (tmp_path / "numpy.py").write_text("open('executed', 'w').close(); raise SystemExit(7)")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", search_path)
-    process = RenderingAhead(replace(bench._scene, simulation=DRIFTING), "square", tmp_path)
+    process = rendering_ahead(replace(bench._scene, simulation=DRIFTING), "square", tmp_path)
     assert process._process.wait(HANG_S) == 0
     process.close()
     assert not (tmp_path / "executed").exists()

@@ -15,9 +15,9 @@ from support.optics import FIELD, SmallBench
 from support.patience import HANG_S, wait_until
 
 from app.bench.config import Bench
-from app.bench.imaging_model import BenchModel
+from app.measurement.finder import Finder, FinderProcess, Solved
+from app.measurement.finder import _are_alike as are_alike
 from app.measurement.live_solver import LiveSolver
-from app.measurement.live_solver import _are_alike as are_alike
 from app.measurement.measurement import Assumptions, RefinementState
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
@@ -109,24 +109,6 @@ def test_refinement_thread_ends(paper_bench: SmallBench, reconstructor: Reconstr
     until(solver, reconstructor, paper_bench.reference, "applied")
     solver.close()
     wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
-
-
-@pytest.mark.parametrize("closes", [True, False])
-def test_round_cut_short_by_exit_is_no_error(
-    paper_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch, *, closes: bool
-) -> None:
-    def cut_short(*_: object) -> None:
-        if closes:
-            solver.close()
-        raise RuntimeError("cannot schedule new futures after shutdown")
-
-    raised: list[object] = []
-    monkeypatch.setattr(threading, "excepthook", raised.append)
-    monkeypatch.setattr("app.measurement.estimator.Refinement.bias", cut_short)
-    solver = solver_of(paper_bench, reconstructor)
-    solver.solve(reconstructor.register(paper_bench.reference), 0.0)
-    wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
-    assert len(raised) == (0 if closes else 1)
 
 
 def test_impossible_model_is_reported(
@@ -269,8 +251,8 @@ def test_bias_is_found_with_the_sample_of_the_frames(
     seen: list[tuple[AssumedSample, Bias]] = []
     original = Refinement.bias
 
-    def noted(self: Refinement, wavefront: Wavefront, check: Callable[[], None]) -> Bias:
-        bias = original(self, wavefront, check)
+    def noted(self: Refinement, wavefront: Wavefront) -> Bias:
+        bias = original(self, wavefront)
         seen.append((wavefront.sample, bias))
         return bias
 
@@ -294,10 +276,10 @@ def test_bias_is_found_with_the_sample_of_the_frames(
 def test_search_that_finds_the_same_again_rests_for_longer(
     paper_bench: SmallBench, layered: Reconstructor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It takes Python's lock from the frames."""
+    """It takes a processor from the frames."""
     took_s, began_s = 0.05, list[float]()
 
-    def search(_: Reconstructor, __: Displacement, ___: Callable[[], None]) -> AssumedSample:
+    def search(_: Reconstructor, __: Displacement) -> AssumedSample:
         began_s.append(time.monotonic())
         time.sleep(took_s)
         return AssumedSample((-0.8 + 0.004 * (len(began_s) % 2),), np.array([[0.002**2]]))
@@ -352,53 +334,80 @@ def solve_until(solver: LiveSolver, displacement: Displacement, is_done: Callabl
         ((), (), True),
         ((-0.8, 0.5), (-0.81, 0.51), True),
         ((-0.8, 0.5), (-0.81, 0.6), False),
-        ((-0.8,), None, False),
     ],
 )
 def test_samples_within_their_errors_are_alike(
-    found: tuple[float, ...], before: tuple[float, ...] | None, *, alike: bool
+    found: tuple[float, ...], before: tuple[float, ...], *, alike: bool
 ) -> None:
     def sample(ratios: tuple[float, ...]) -> AssumedSample:
         return AssumedSample(ratios, np.diag(np.full(len(ratios), 0.005**2)))
 
-    assert are_alike(sample(found), None if before is None else sample(before)) == alike
+    assert are_alike(sample(found), sample(before)) == alike
 
 
-def test_close_ends_a_search(paper_bench: SmallBench, layered: Reconstructor, monkeypatch: pytest.MonkeyPatch) -> None:
-    searching = threading.Event()
+@pytest.fixture
+def apart(monkeypatch: pytest.MonkeyPatch) -> list[FinderProcess]:
+    """Processes of finders; each solver starts one."""
+    started = list[FinderProcess]()
 
-    def search(_: Reconstructor, __: Displacement, check: Callable[[], None]) -> AssumedSample:
-        searching.set()
-        while True:
-            check()
-            time.sleep(0.01)
+    def start() -> FinderProcess:
+        started.append(FinderProcess())
+        return started[-1]
 
-    monkeypatch.setattr(Reconstructor, "find_sample", search)
-    solver = solver_of(paper_bench, layered, refine=False)
-    solver.solve(layered.register(paper_bench.reference), 0.0)
-    assert searching.wait(HANG_S)
-    solver.close()
-    wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
+    monkeypatch.setattr("app.measurement.live_solver.FinderProcess", start)
+    return started
 
 
-def test_close_ends_a_rendering(
-    paper_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.slow
+def test_process_finds_what_a_finder_in_this_process_finds(
+    paper_bench: SmallBench, layered: Reconstructor, apart: list[FinderProcess]
 ) -> None:
-    rendering = threading.Event()
+    estimator = estimator_with(layered, bench_of(paper_bench), paper_bench.reference)
+    solver, displacement = LiveSolver(estimator), layered.register(behind_layer(paper_bench, -0.8))
+    try:
+        _, (sample, refinement) = until_ratio(solver, displacement, -0.8)
+        later = solver.solve(displacement, time.monotonic())[1].sample
+    finally:
+        solver.close()
+    here = Finder()
+    here.prepare(estimator)
+    found = here.find(Solved(displacement, 0.0, Assumptions(None, RefinementState("preparing"))))
+    assert found.sample is not None
+    assert found.bias is not None
+    assert later is sample is not None  # not a copy
+    assert sample.ratios == pytest.approx(found.sample.ratios, rel=1e-6)
+    assert refinement.bias == pytest.approx(found.bias.displacement, abs=1e-4)
+    assert len(apart) == 1
 
-    def image(_: BenchModel, field: PointField | None) -> NDArray[np.float32]:
-        if field is None:
-            return paper_bench.reference
-        while True:
-            field(0.0, 0.0)
-            rendering.set()
 
-    monkeypatch.setattr(BenchModel, "image", image)
-    solver = solver_of(paper_bench, reconstructor)
-    solver.solve(reconstructor.register(paper_bench.reference), 0.0)
-    assert rendering.wait(HANG_S)
+@pytest.mark.slow
+def test_close_ends_the_process_amid_its_work(
+    paper_bench: SmallBench, layered: Reconstructor, apart: list[FinderProcess], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    raised: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", raised.append)
+    solver = solver_of(paper_bench, layered)
+    solver.solve(layered.register(paper_bench.reference), 0.0)
     solver.close()
+    assert apart[0]._process._process.poll() is not None
     wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
+    assert not raised
+
+
+@pytest.mark.slow
+def test_process_that_dies_is_reported_and_frames_go_on(
+    paper_bench: SmallBench, reconstructor: Reconstructor, apart: list[FinderProcess], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    raised: list[threading.ExceptHookArgs] = []
+    monkeypatch.setattr(threading, "excepthook", raised.append)
+    solver = solver_of(paper_bench, reconstructor)
+    until(solver, reconstructor, paper_bench.reference, "applied")
+    apart[0]._process._process.kill()
+    until(solver, reconstructor, paper_bench.reference, "failed")
+    _, (_, state) = solver.solve(reconstructor.register(paper_bench.reference), 0.0)
+    assert state.problem == "the process that finds layers and corrections has ended: take the reference again"
+    assert str(raised[0].exc_value) == state.problem
+    solver.close()
 
 
 def test_no_thread_without_layers_and_refinement(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:

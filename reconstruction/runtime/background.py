@@ -1,0 +1,89 @@
+"""A child process at low priority for long computations, which then take no turns at Python's lock with live frames.
+
+It ends as soon as its standard input closes, however its parent ends. Messages are pickled.
+"""
+
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
+from typing import IO, Any, TypeAlias, cast
+
+_NICENESS = 10
+_ROOT = str(Path(__file__).resolve().parents[2])
+
+
+Work: TypeAlias = Callable[[Iterator[Any], Callable[[object], None]], None]
+"""A function of a module, `work(messages, answer)`."""
+
+
+class BackgroundProcess:
+    """Runs `work` in a process of its own."""
+
+    def __init__(self, work: Work) -> None:
+        """What `work` prints goes to the standard error."""
+        given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+        search_path = os.pathsep.join([_ROOT, *filter(None, given)])  # an empty part is the working directory
+        self._process = subprocess.Popen(  # noqa: S603 - this interpreter
+            # -P: nothing from the working directory is imported
+            [sys.executable, "-P", "-c", f"from {__name__} import _run; _run({work.__module__!r}, {work.__name__!r})"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": search_path, "OPENBLAS_NUM_THREADS": "1"},
+            creationflags=getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),  # exists on Windows only
+            start_new_session=True,  # Ctrl-C ends the parent, and that ends this process
+        )
+        self._messages, self._answers = cast("IO[bytes]", self._process.stdin), cast("IO[bytes]", self._process.stdout)
+
+    def send(self, message: object) -> None:
+        """Send a message; `OSError` if the process has ended."""
+        pickle.dump(message, self._messages, pickle.HIGHEST_PROTOCOL)
+        self._messages.flush()
+
+    def receive(self) -> Any:
+        """Wait for an answer; `EOFError` if the process has ended."""
+        return pickle.load(self._answers)  # noqa: S301 - our own child wrote it
+
+    def kill(self) -> None:
+        """End the process at once; a thread that waits for an answer is woken."""
+        self._process.kill()
+        self._process.wait()
+
+    def close(self) -> None:
+        """Kill the process and close the pipes, which no thread may use any more."""
+        self.kill()
+        self._answers.close()
+        with suppress(OSError):  # what it had not read is lost
+            self._messages.close()
+
+
+def _run(module: str, name: str) -> None:
+    """Be the child process: lower the priority, do the work, and end."""
+    if hasattr(os, "nice"):
+        os.nice(_NICENESS)
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    arrived = SimpleQueue[Any]()
+
+    def read() -> None:
+        # Not sys.stdin: its lock, held at exit, would make Python abort.
+        with os.fdopen(0, "rb", closefd=False) as messages:
+            while True:
+                try:
+                    arrived.put(pickle.load(messages))  # noqa: S301 - our own parent wrote it
+                except (EOFError, pickle.UnpicklingError):  # closed, perhaps amid a message
+                    os._exit(0)
+
+    def answer(result: object) -> None:
+        pickle.dump(result, answers, pickle.HIGHEST_PROTOCOL)
+        answers.flush()
+
+    Thread(target=read, daemon=True).start()
+    getattr(import_module(module), name)(iter(arrived.get, None), answer)
+    os._exit(0)
