@@ -153,7 +153,6 @@ class CameraPanel(Panel):
         over.setAlignment(self._placeholder, Qt.AlignmentFlag.AlignCenter)
 
     def menu_entries(self) -> Mapping[str, Entries]:
-        """Return what is drawn over the picture, the zoom and the tools."""
         return {
             "&View": (
                 ("Lattice", "G", self.lattice_toggle),
@@ -168,7 +167,6 @@ class CameraPanel(Panel):
         }
 
     def show_liveness(self) -> None:
-        """Show a badge on a picture that is not live, and dim one that may be over."""
         shown = self.shown.liveness
         if shown.badge != self.badge.text():
             self.badge.setText(shown.badge)
@@ -177,24 +175,20 @@ class CameraPanel(Panel):
         self.badge.setToolTip(shown.reason)
 
     def show_status(self, status: Status) -> None:
-        """Use lattice and full scale for the next frames."""
         self.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)
         self.measuring.show_bench(status.bench.sensor, status.bench.field)
 
     def show_bench(self, sensor: Sensor, lattice: Lattice | None, full_scale: int) -> None:
-        """Set the lattice and the full scale of the next frames."""
         if (sensor, lattice, full_scale) != (self._sensor, self._lattice, self.full_scale):
             self._sensor, self._lattice, self.full_scale = sensor, lattice, full_scale
             self._show_overlay()
 
     def forget_bench(self) -> None:
-        """Forget the lattice, the inspected lenslet and the arrows; put the tool away."""
         self.put_tool_away()
         self._lattice = self._sensor = self._displacement = self._inspected = None
         self._show_overlay()
 
     def propose(self, survey: Survey | None) -> None:
-        """Draw a proposed lattice and its lenslets without light, or none."""
         for item in (self._proposed_lines, self._proposed_boxes):
             item.setVisible(survey is not None)
         if survey is not None:
@@ -202,7 +196,6 @@ class CameraPanel(Panel):
             self._proposed_boxes.draw(lost_boxes(survey.lattice, ~survey.illuminated))
 
     def show_measurement(self, measurement: Measurement) -> None:
-        """Show the frame and, if known, the displacement of its lenslets."""
         frame, wavefront = measurement.frame, measurement.wavefront
         is_first = self._frame is None  # a remembered frozen contrast begins with its levels
         is_new_shape = self._frame is None or self._frame.pixels.shape != frame.pixels.shape
@@ -225,7 +218,6 @@ class CameraPanel(Panel):
             self._image.show_counts(self._frame.pixels, *self._levels.levels)
 
     def use_levels(self, black: float, white: float) -> None:
-        """Freeze the contrast at these counts."""
         self.contrast.setCurrentText(_FROZEN)
         self._levels.levels = black, max(white, black + 1)
         self._draw()
@@ -244,12 +236,10 @@ class CameraPanel(Panel):
         self.reset_zoom()
 
     def reset_zoom(self) -> None:
-        """Show the whole frame."""
         if self._frame is not None:
             self._view.setRange(self._area(self._frame))
 
     def show_numbers(self) -> None:
-        """Show the brightness, and the pixel under the pointer or how long the arrows are."""
         if self._frame is None:
             return
         self.measuring.show_frame(self._frame, self.shown.statistics)
@@ -278,7 +268,6 @@ class CameraPanel(Panel):
         self._use_tool()
 
     def _use_tool(self) -> None:
-        """Follow the choice of the tool."""
         self._view.draws = bool(self.tool.currentData())
         self._drawn.draw(np.zeros((0, 2)))
         self.measuring.use(self.tool.currentText())
@@ -289,7 +278,6 @@ class CameraPanel(Panel):
             self._graphics.unsetCursor()
 
     def _draw_with_tool(self, start: QPointF, end: QPointF, is_finished: bool) -> None:
-        """Place the line or the area, or draw the rectangle around lenslets, which count when it is finished."""
         tool = self.tool.currentText()
         if tool in {"line", "area"}:
             self.measuring.place(tool, start, end)
@@ -305,7 +293,6 @@ class CameraPanel(Panel):
                 self.warned.emit("no centre of a lenslet lies in the rectangle")
 
     def _lenslets_between(self, start: QPointF, end: QPointF) -> list[Lenslet]:
-        """Return the lenslets whose centres lie in the rectangle between two corners."""
         if self._lattice is None or self._sensor is None:
             return []
         at = self._lattice.lenslet_centers_px(self._sensor.lenslet_rows, self._sensor.lenslet_columns)
@@ -323,7 +310,6 @@ class CameraPanel(Panel):
             self._click_timer.start()
 
     def _fill_menu(self, menu: QMenu, at: QPoint) -> None:
-        """Add what can be done with the lenslet at a position of the view."""
         if (lenslet := self._lenslet_at(self._graphics.mapToScene(at))) is None:
             return
         name = "lenslet row {}, column {}".format(*lenslet)
@@ -332,21 +318,18 @@ class CameraPanel(Panel):
         menu.addSeparator()
 
     def _lenslet_at(self, position: QPointF) -> Lenslet | None:
-        """Return the lenslet at a position of the scene, if any."""
         at, sensor = self._view.mapSceneToView(position), self._sensor
         if sensor is None or self._lattice is None:
             return None
         return lenslet_at(self._lattice, (sensor.lenslet_rows, sensor.lenslet_columns), at.x(), at.y())
 
     def inspect(self, lenslet: Lenslet | None) -> None:
-        """Outline a lenslet and ask for its inspection; None beside the lattice."""
         self._inspected = lenslet
         self._show_overlay()
         if lenslet is not None:
             self.lenslet_clicked.emit(*lenslet)
 
     def _displacements(self, _: QPoint) -> str:
-        """Return the mean displacement of each lenslet as a table."""
         if self._displacement is None:
             return ""
         mean_px = self._displacement.mean
@@ -394,7 +377,6 @@ class CameraPanel(Panel):
             self._view.translateBy(x=x, y=y)
 
     def _point_at(self, position: QPointF | None = None) -> None:
-        """Show the pixel at a position, or none."""
         self._pointer = None if position is None else self._view.mapSceneToView(position)
         self.show_numbers()
 
@@ -428,7 +410,6 @@ class ContrastLevels:
         self._time_s = -math.inf
 
     def restart(self) -> None:
-        """Adapt to the next frame at once."""
         self._time_s = -math.inf
 
     def follow(self, frame: Frame, full_scale: int, *, is_automatic: bool) -> None:

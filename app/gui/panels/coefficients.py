@@ -78,7 +78,6 @@ class CoefficientsPanel(Panel):
         return f"{BASES[self.basis.currentData()].names(self._mapped + 1)[-1]}, {of}"
 
     def request(self) -> Request | None:
-        """Return the coefficients to compute, shown or recorded."""
         wavefront, view = self.shown.wavefront, self.shown.view
         if wavefront is None or view is None:
             return None
@@ -89,15 +88,12 @@ class CoefficientsPanel(Panel):
         return Request(wavefront, choice, lambda _: mode_coefficients(wavefront, choice))
 
     def show_nothing(self) -> None:
-        """Show no bars."""
         self.show_result(None)
 
     def forget_bench(self) -> None:
-        """Forget the pinned coefficient."""
         self.pin(None)
 
     def show_result(self, found: ModeCoefficients | None) -> None:
-        """Show coefficients, or that there are none."""
         self._found = found
         self.shown.pinned_rad = self._pinned_rad()
         if not self.isVisible():
@@ -161,7 +157,6 @@ class CoefficientsPanel(Panel):
         self.map.show_maps(Maps(values[None, None], scale, lambda *at: f"{name}: {signed(at[-1])} {unit}", True))
 
     def _offer(self, field_modes: int) -> None:
-        """Offer the field modes of the present warp."""
         if self.of.count() == field_modes + 1:
             return
         with QSignalBlocker(self.of):
@@ -198,7 +193,6 @@ class _Table(QTableWidget):
             header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)  # the names have different lengths
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Copy at Ctrl+C."""
         if event is not None and event.matches(QKeySequence.StandardKey.Copy):
             copy_text(self.text)
         else:

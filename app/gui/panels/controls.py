@@ -156,7 +156,6 @@ class ControlsPanel(Panel):
         )
 
     def menu_entries(self) -> Mapping[str, Entries]:
-        """Return all controls that have a key."""
         return {
             "&Bench": (
                 ("Start or stop the camera", "Space", self.start),
@@ -189,7 +188,6 @@ class ControlsPanel(Panel):
         self.requested.emit("reconstruction.pupil_modes", round(modes) if modes in PUPIL_MODES else None)
 
     def show_switching_off(self) -> None:
-        """Show that the light is being switched off."""
         self.light.setText("Switching\noff \N{HORIZONTAL ELLIPSIS}")
 
     def show_unreached_light(self) -> None:
@@ -299,7 +297,6 @@ class StepButton(Button):
         theme.follow(self, self._light_lamp)
 
     def show_step(self, validity: Validity, state: str, note: str) -> None:
-        """Show a time or value beside the name, and a note in the tool tip."""
         if (validity, state, note) == self._shown:
             return
         self._shown = validity, state, note

@@ -40,12 +40,10 @@ class CorrectorPanel(Panel):
         self.forget_bench()
 
     def forget_bench(self) -> None:
-        """Say that the residuals are being computed: there are none yet."""
         self.sentence.setText("Computing \N{HORIZONTAL ELLIPSIS}")
         self.plot.clear()
 
     def request(self) -> Request | None:
-        """Return the residuals to compute."""
         measurement, origin, corrector = self.shown.measurement, self.origin.currentData(), self.corrector.currentData()
         if not self.isVisible() or measurement is None or measurement.wavefront is None:
             return None
@@ -57,7 +55,6 @@ class CorrectorPanel(Panel):
         )
 
     def show_result(self, made: FoundCorrectors) -> None:
-        """Show residuals, or why there are none."""
         found = made.found
         if found is None:
             self.sentence.setText(f"No residual: {made.problem}")

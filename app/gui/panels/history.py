@@ -81,7 +81,6 @@ class StripChart(QWidget):
         colour_text(self.value, theme.RED if is_known and limits.broken_by(float(values[-1])) else theme.TEXT)
 
     def show_drift(self, found: Drift, samples: int) -> None:
-        """Show the statistics of the last samples."""
         sigma = f"\N{GREEK SMALL LETTER SIGMA} {number(found.sigma, 2)}"
         self.drift[0].setText(f"mean {number(found.mean, 4)}  {sigma}")
         self.drift[1].setText(f"peak to peak {number(found.peak_to_peak, 2)}")
@@ -141,14 +140,12 @@ class HistoryPanel(Panel):
         self._arrange()
 
     def menu_entries(self) -> Mapping[str, Entries]:
-        """Return export and limits."""
         return {
             "&File": (("Export the history", "", self.export_csv),),
             "&View": (("Limits of the history", "", self.form.show),),
         }
 
     def export_csv(self) -> None:
-        """Ask for a name, and write the history as CSV."""
         name = ask_file(self, "Export the history", "history.csv", "Table (*.csv)")
         if name is None:
             return
@@ -160,12 +157,10 @@ class HistoryPanel(Panel):
             self.informed.emit(f"saved {path}")
 
     def forget_bench(self) -> None:
-        """Begin again."""
         self.history, self._watch = History(), LimitWatch()
         self._measurement = self._newest = None
 
     def show_numbers(self) -> None:
-        """Add the newest measurement, and compare it with the limits."""
         measurement, status = self.shown.measurement, self.shown.status
         if measurement is not None and status is not None and measurement is not self._measurement:
             self.record(measurement, status.capabilities.full_scale, status.temperature_c)
@@ -208,7 +203,6 @@ class HistoryPanel(Panel):
         return (UNITS[name], 1.0) if name in UNITS else (self.shown.unit, self.shown.per_rad)
 
     def record(self, measurement: Measurement, full_scale: float, temperature_c: float | None) -> None:
-        """Add a measurement."""
         self._measurement, shown, delay_s = measurement, self.shown, measurement.latency_s
         values = sample(
             measurement.frame, shown.wavefront, full_scale=full_scale, delay_s=delay_s, temperature_c=temperature_c
@@ -218,7 +212,6 @@ class HistoryPanel(Panel):
         self.add(measurement.frame.host_time_s, values)
 
     def pin(self, name: str) -> None:
-        """Show the chart of a coefficient, or of none."""
         if self._pinned and self._pinned != name:
             self.history.forget(self._pinned)
         self._pinned = name
@@ -227,13 +220,11 @@ class HistoryPanel(Panel):
         self._arrange()
 
     def add(self, time_s: float, values: dict[str, float]) -> None:
-        """Add one sample of all series."""
         self.history.add(time_s, values)
         self._newest = time_s, values
         self.refresh()
 
     def refresh(self) -> None:
-        """Draw the charts, if they are visible."""
         if not self.isVisible():
             return
         span_min = float(self.minutes.currentData())
@@ -250,12 +241,10 @@ class HistoryPanel(Panel):
             chart.show_drift(Drift.of(values[-samples:]), samples)
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Draw what has come while hidden."""
         super().showEvent(event)
         self.refresh()
 
     def _arrange(self) -> None:
-        """Make a chart for each chosen series."""
         names = [*filter(None, [self._pinned]), *(name for name, one in self.toggles.items() if one.isChecked())]
         for name in [name for name in self.charts if name not in names]:
             chart = self.charts.pop(name)
@@ -269,7 +258,6 @@ class HistoryPanel(Panel):
 
 
 def _wide_as(text: str, widget: QWidget) -> QWidget:
-    """Return the widget, now as wide as a text in it."""
     widget.setFixedWidth(widget.fontMetrics().horizontalAdvance(text))
     return widget
 

@@ -106,14 +106,12 @@ class LayersPanel(Panel):
         self.forget_bench()
 
     def forget_bench(self) -> None:
-        """Say that the search is under way: there are no layers yet."""
         self.sentence.setText(_SEARCHING)
         self.map.empty = _SEARCHING
         self.map.show_maps(None)
         self.plot.clear()
 
     def request(self) -> Request | None:
-        """Return the search, or the fit, to make."""
         measurement, origin, count = self.shown.measurement, self.origin.currentData(), self.mode.currentData()
         if not self.isVisible() or measurement is None or measurement.wavefront is None:
             return None
@@ -129,7 +127,6 @@ class LayersPanel(Panel):
         )
 
     def show_result(self, found: FoundLayers) -> None:
-        """Show layers, or why there are none."""
         if found.problem:
             self.map.empty = "no layer"
             self.sentence.setText(f"No layer: {found.problem}")
@@ -195,7 +192,6 @@ class LayersPanel(Panel):
 
 
 def _in_words(found: FoundLayers) -> str:
-    """Verdict, distances and what they leave."""
     at = zip(found.distances_m, found.sigma_m, strict=True)
     places = " and ".join(distance_in_words(*each, found.origin) for each in at)
     share = f"{number(100 * found.misfit, 2)} % of the displacements unexplained"

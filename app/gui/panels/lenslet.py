@@ -34,7 +34,6 @@ class _Images(QWidget):
         self.setMinimumHeight(self.fontMetrics().height() + 36)
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Place the images beside each other, as large as all can be."""
         super().resizeEvent(event)
         line, bars = self.fontMetrics().height(), (False, False, True, True)
         space = next(iter(self.tiles.values())).bar_space
@@ -79,7 +78,6 @@ class LensletPanel(Panel):
         self.front_requested.emit()
 
     def select(self, lenslet: tuple[int, int] | None) -> None:
-        """Wait for the inspection of another lenslet."""
         self.lenslet = lenslet
         self.exclude.setEnabled(lenslet is not None)
         self._show_state("Click a lenslet in the camera image" if lenslet is None else "")
@@ -92,7 +90,6 @@ class LensletPanel(Panel):
         self.select(None)
 
     def show_liveness(self) -> None:
-        """Say how the lenslet differs from a live one."""
         shown = self.shown.liveness
         if shown.badge != self._badge:
             self._badge = shown.badge
@@ -107,7 +104,6 @@ class LensletPanel(Panel):
             self._write(f"nothing to inspect: {self.shown.problem or 'there is no wavefront'}")
 
     def request(self) -> Request | None:
-        """Return the inspection to make."""
         measurement, lenslet = self.shown.measurement, self.lenslet
         if self.shown.wavefront is None or measurement is None or lenslet is None or not self.isVisible():
             return None
@@ -137,7 +133,6 @@ class LensletPanel(Panel):
             self.shown.exclusion_requested.emit([self.lenslet], None)
 
     def _show_state(self, state: str) -> None:
-        """Show the lenslet and its state; without a lenslet only that."""
         self._state = state
         name = "" if self.lenslet is None else "Lenslet row {}, column {}".format(*self.lenslet)
         parts = (": ".join(filter(None, (name, state))), self._badge)
@@ -153,7 +148,6 @@ class LensletPanel(Panel):
 
 
 def _numbers(found: LensletInspection) -> tuple[str, str]:
-    """Return the displacement, and how good it is."""
     if not np.isfinite(found.displacement_px).all():
         return "", ""
     x, y = (

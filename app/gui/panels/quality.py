@@ -34,7 +34,6 @@ class QualityPanel(Panel):
         column((row((self.mtf, 1), (self.structure, 1), spacing=16), 1), self.sentence, parent=self)
 
     def request(self) -> Request | None:
-        """Return the curves to compute."""
         wavefront, view = self.shown.wavefront, self.shown.view
         if wavefront is None or view is None or not self.isVisible():
             return None
@@ -46,7 +45,6 @@ class QualityPanel(Panel):
         )
 
     def show_result(self, result: tuple[str, Mtf | None, Isoplanatism | None]) -> None:
-        """Show the curves of the view at a place, and of the field."""
         where, transfer, found = result
         self.mtf.show_transfer(transfer, where)
         self.structure.show_structure(found)
@@ -56,7 +54,6 @@ class QualityPanel(Panel):
             self.sentence.setToolTip(f"{sentence}.\n{_explanation(found)}")
 
     def show_nothing(self) -> None:
-        """Clear the panel."""
         self.mtf.show_transfer(None, "")
         self.structure.show_structure(None)
         self.sentence.setText("")
@@ -77,7 +74,6 @@ class MtfPlot(Plot):
         self.set_ranges((0, 1), (0, 1))
 
     def show_transfer(self, transfer: Mtf | None, where: str) -> None:
-        """Show the MTF of the view at `where`, or none."""
         self.title.setText(f"MTF at {where}" if where else "MTF")
         if transfer is None:
             for curve in (*self._limits, *self._curves):
@@ -119,7 +115,6 @@ class StructurePlot(Plot):
         self.set_ranges((0, 1), (0, 1.5))
 
     def show_structure(self, found: Isoplanatism | None) -> None:
-        """Show the curves with and without tilt, or none."""
         if found is None:
             for items in self._curves:
                 for item in items:

@@ -30,14 +30,12 @@ class TransmissionPanel(Panel):
         column((self.grid, 1), self.sentence, parent=self)
 
     def request(self) -> Request | None:
-        """Return the maps to compute."""
         wavefront = self.shown.wavefront
         if wavefront is None or not self.isVisible():
             return None
         return Request(wavefront, None, lambda _: (wavefront.transmission,))
 
     def show_result(self, result: tuple[tuple[Floats, Floats] | None]) -> None:
-        """Show the transmission with its error."""
         (found,) = result
         known = np.zeros(0) if found is None else found[0][np.isfinite(found[0])]
         if found is None or not known.size:
@@ -54,6 +52,5 @@ class TransmissionPanel(Panel):
         )
 
     def show_nothing(self) -> None:
-        """Clear the panel."""
         self.grid.show_maps(None)
         self.sentence.setText("")

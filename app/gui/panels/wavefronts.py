@@ -92,7 +92,6 @@ class WavefrontPanel(Panel):
         column(self.header, self.stale, (self.grid, 1), parent=self)
 
     def menu_entries(self) -> Mapping[str, Entries]:
-        """Return the quantities and what else the header offers."""
         return {
             "&View": (
                 *(
@@ -107,7 +106,6 @@ class WavefrontPanel(Panel):
 
     @property
     def quantity(self) -> Quantity:
-        """The chosen quantity."""
         return Quantity(self.choice.currentText())
 
     @property
@@ -116,17 +114,14 @@ class WavefrontPanel(Panel):
         return self._reach_mrad.value * 1e-3 if self._reach_mrad.is_set else None
 
     def choose(self, quantity: Quantity) -> None:
-        """Choose a quantity."""
         self.choice.setCurrentText(quantity)
 
     def show_liveness(self) -> None:
-        """Say how the maps differ from live ones, and show those in grey that may be over."""
         badge, reason, is_grey = self.shown.liveness
         self.grid.show_stale(is_stale=is_grey)
         self.stale.setText(f"{badge}: {reason}" if badge else "")
 
     def show_measurement(self, measurement: Measurement) -> None:
-        """Show the views of the wavefront."""
         self.show_wavefront(measurement.wavefront)
 
     def show_wavefront(self, wavefront: Wavefront | None) -> None:
@@ -160,7 +155,6 @@ class WavefrontPanel(Panel):
         )
 
     def show_result(self, result: QuantityMaps | None) -> None:
-        """Show maps of a quantity."""
         if result is None:
             self._show_maps(None)
         elif self.shown.wavefront is not None:
@@ -170,7 +164,6 @@ class WavefrontPanel(Panel):
             self.show_numbers()
 
     def show_numbers(self) -> None:
-        """Update the numbers under the views and in the header."""
         if self._maps is None or self.shown.wavefront is None:
             self._summary.setText("")
             self.grid.set_captions({})
@@ -203,14 +196,12 @@ class WavefrontPanel(Panel):
         return f"mean RMS below noise ({number(noise_rad * self.shown.per_rad)} {self.shown.unit})"
 
     def enlarge(self) -> None:
-        """Show the selected view in a window of its own."""
         if self._enlarged is None:
             self._enlarged = EnlargedView(self.grid, self)
         self._enlarged.show()
         self._enlarged.raise_()
 
     def export(self) -> None:
-        """Ask for a name, and write the shown wavefronts as a picture with their numbers and as NetCDF."""
         shown, status = self.shown.wavefront, self.shown.status
         if shown is None or status is None:
             self.warned.emit("there is no wavefront to export")
@@ -229,7 +220,6 @@ class WavefrontPanel(Panel):
             self.informed.emit(f"saved {path} and {results.name}")
 
     def subtract_file(self, path: Path) -> None:
-        """Subtract the wavefront of a file of results from now on."""
         try:
             lenslets = None if self._newest is None else self._newest.displacement.outcome.shape
             stored = StoredWavefront.from_results(path, lenslets)
@@ -360,7 +350,6 @@ class DisplayMenu(QMenu):
         )
 
     def change(self, **changes: Any) -> None:
-        """Change display options."""
         self.options = replace(self.options, **changes)
         self.clear_stored.setEnabled(self.options.stored is not None)
         self.changed.emit()

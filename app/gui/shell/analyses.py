@@ -70,7 +70,6 @@ class AnalysisThread:
         return future.result()
 
     def forget(self) -> None:
-        """Drop the last requests, and their results."""
         self.requests, self._future = {}, None
 
     def close(self) -> None:
@@ -106,7 +105,6 @@ class Analyses(QObject):
         self._timer.start()
 
     def poll(self) -> None:
-        """Show finished results and request the next."""
         self._shown.has_open_tabs = any(panel.isVisible() for panel in self._panels if panel.place == "tab")
         for thread in dict.fromkeys(self.threads.values()):
             for result in thread.take():
@@ -118,12 +116,10 @@ class Analyses(QObject):
                 panel.show_nothing()
 
     def forget_bench(self) -> None:
-        """Forget the measurements of another bench."""
         for thread in self.threads.values():
             thread.forget()
 
     def close(self) -> None:
-        """End the threads."""
         self._timer.stop()
         self.is_closing = True
         for thread in self.threads.values():

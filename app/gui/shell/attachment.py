@@ -49,14 +49,12 @@ class Attachment:
         return f"in process {connection.place.process}, connected: {', '.join(connection.clients)}"
 
     def take_control(self) -> None:
-        """Take control from another client."""
         if (connection := self.connection) is None:
             self._controller.messages.warn(_NOT_ATTACHED)
         else:
             self._controller.send(lambda _: connection.take_control())
 
     def end_instrument(self) -> None:
-        """End the process of the instrument, after the user has agreed."""
         if (connection := self.connection) is None:
             self._controller.messages.warn(_NOT_ATTACHED)
         elif _is_of_another(connection):
@@ -98,7 +96,6 @@ class Attachment:
 
 
 def _is_of_another(connection: Connection) -> bool:
-    """Return whether another client has control."""
     return connection.controller not in {"", connection.name}
 
 

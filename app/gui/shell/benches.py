@@ -101,7 +101,6 @@ class Benches(QObject):
         self._settings_dialog().edit(load_bench(_TEMPLATE) if status is None else status.bench_in_force)
 
     def make(self) -> None:
-        """Make a bench with connected devices."""
         self._settings_dialog().make(replace(load_bench(_TEMPLATE), lattice=None))
 
     def _settings_dialog(self) -> SettingsDialog:
@@ -118,7 +117,6 @@ class Benches(QObject):
             self._settings_control.change(*changed.items())
 
     def ask(self) -> None:
-        """Ask for a bench file, and open it."""
         folder = next((str(path.parent) for path in self.recent.paths()), "")
         name, _ = QFileDialog.getOpenFileName(self._window, "Open a bench", folder, _FILES)
         if name:
@@ -139,13 +137,11 @@ class Benches(QObject):
             self._remember(path)
 
     def recent_menu(self) -> QMenu:
-        """Return the menu of the recent benches."""
         return self.recent.menu(
             self._window, lambda path: f"{path.name}  \N{EM DASH}  {path.parent}", lambda path: self.open(str(path))
         )
 
     def presets_menu(self) -> QMenu:
-        """Return the menu of the presets."""
         return listing_menu(
             self._window, lambda: [(name.replace("_", " "), partial(self.open, name)) for name in PRESETS]
         )

@@ -34,7 +34,6 @@ class Routines:
         controller.question_closed.connect(lambda: camera.propose(None))
 
     def expose(self) -> None:
-        """Find and set the exposure."""
         self._controller.send(
             lambda to: to.submit(Instrument.auto_expose), lambda found: self._messages.inform(exposure_found(found))
         )
@@ -44,7 +43,6 @@ class Routines:
         self._controller.send(lambda to: to.submit(Instrument.survey_lattice), self._propose)
 
     def check_background(self) -> None:
-        """Compare the background with the dark."""
 
         def show(check: BackgroundCheck) -> None:
             (self._messages.inform if check.is_good else self._messages.warn)(check.verdict)
@@ -65,7 +63,6 @@ class Routines:
         )
 
     def use_lattice(self, lattice: Lattice) -> None:
-        """Change the lattice of the bench."""
         self._settings.change(
             ("lattice", lattice), then=lambda _: self._messages.inform("the lattice is in use; Ctrl+S saves it")
         )
@@ -138,7 +135,6 @@ class CalibrationGuide(QDialog):
         return was_running
 
     def reject(self) -> None:
-        """Cancel the running step, or close."""
         if self._is_running:
             self._controller.cancel()
             self._end("cancelled")
@@ -165,7 +161,6 @@ class CalibrationGuide(QDialog):
         self._controller.send(lambda to: step.begin(to, self._frames), self._finish, self._fail)
 
     def _note(self, setting: Setting, value: bool) -> None:
-        """Note what a person has done, and go on."""
         self._controller.send(lambda to: to.submit(Instrument.set, setting, value), lambda _: self._next(), self._fail)
 
     def _finish(self, result: object) -> None:

@@ -87,7 +87,6 @@ class Controller(QObject):
 
     @property
     def is_idle(self) -> bool:
-        """True if all commands are finished."""
         return all(future.done() for future, _, _ in self._pending)
 
     def use(self, make_acquisition: Callable[[], Carrier], begin: Begin, meanwhile: Callable[[], object]) -> None:
@@ -140,7 +139,6 @@ class Controller(QObject):
         return future
 
     def cancel(self) -> None:
-        """End the routine that is running."""
         if self.acquisition is not None:
             future = self.acquisition.cancel()
             if self.acquisition.activity.text:  # else there is nothing to end: a refusal need not be told

@@ -57,7 +57,6 @@ class SensorRegionDialog(QDialog):
 
     @property
     def area(self) -> SensorArea:
-        """The area that is filled in."""
         return SensorArea(Region(*(round(side.value()) for side in self._sides)), int(self.binning.currentText() or 1))
 
     def begin(self) -> None:
@@ -92,7 +91,6 @@ class SensorRegionDialog(QDialog):
             self.fill(area.region)
 
     def fill(self, region: Region) -> None:
-        """Fill in a region."""
         if self._status is None:
             return
         allowed = self._status.capabilities
@@ -166,7 +164,6 @@ class DevicePresets(QDialog):
         self._list()
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Enable what can be done now."""
         super().showEvent(event)
         self._enable()
 

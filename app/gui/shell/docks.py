@@ -59,15 +59,12 @@ class _TitleBar(QWidget):
             row((header, 1), *buttons, spacing=2, parent=self).setContentsMargins(_MARGIN, 4, 0, 4)
 
     def sizeHint(self) -> QSize:  # noqa: N802 - Qt's name
-        """Return no size below a tab, which has the title."""
         return QSize(0, 0) if self._is_compact else super().sizeHint()
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802 - Qt's name
-        """Return no size below a tab."""
         return QSize(0, 0) if self._is_compact else super().minimumSizeHint()
 
     def show_compact(self, *, is_compact: bool) -> None:
-        """Take no room, or that of the header."""
         if is_compact != self._is_compact:
             self._is_compact = is_compact
             self.setVisible(not is_compact)
@@ -131,7 +128,6 @@ class PanelDocks:
         self._closed = is_open
 
     def show_panel(self, panel: QWidget) -> None:
-        """Open a panel, in front of the other tabs."""
         for dock in self.docks:
             if dock.panel is panel:
                 dock.show()
@@ -145,14 +141,12 @@ class PanelDocks:
                 dock.show()
 
     def menu(self) -> QMenu:
-        """Return a menu that opens and closes the panels."""
         made = QMenu(self._window)
         for dock in self.docks:
             made.addAction(dock.toggleViewAction())
         return made
 
     def follow_height(self) -> None:
-        """Let camera and plots take turns while the window is too low for both."""
         self._settle.start()
 
     def use_tall_layout(self) -> None:

@@ -140,17 +140,14 @@ class TextDialog(QDialog):
         self.resize(within_screen(self, _SIZE))
 
     def show_text(self, text: str) -> None:
-        """Show a text from its beginning."""
         self.view.setPlainText(text)
         self.show()
 
     def show_log(self, text: str) -> None:
-        """Show a growing text from its end."""
         self.view.setPlainText(text)
         self.view.moveCursor(QTextCursor.MoveOperation.End)
 
     def show_page(self, page: QUrl) -> None:
-        """Show a Markdown file and open its links in the same place."""
         self.resize(within_screen(self, _PAGE_SIZE))
         self.back.show()
         self.back.setEnabled(False)

@@ -29,7 +29,6 @@ class LightControl:
 
     @property
     def is_switching_off(self) -> bool:
-        """True while the light is being switched off."""
         return self._switching_off is not None
 
     @property
@@ -93,7 +92,6 @@ class LightControl:
             self._controls.show_switching_off()
 
     def _is_busy(self, acquisition: Carrier) -> bool:
-        """Return whether a command waits or runs."""
         return bool(acquisition.activity.text) or self.is_switching_off or not self._controller.is_idle
 
     def take_dark(self, frames: int) -> None:

@@ -117,7 +117,6 @@ class MainWindow(BaseWindow):
         self.update_text()
 
     def _lay_out(self) -> None:
-        """Place panels in docks, and bars and messages below."""
         self.setWindowTitle("svwfs")
         self.resize(WINDOW_SIZE)
         below = QWidget()
@@ -264,7 +263,6 @@ class MainWindow(BaseWindow):
         self.recording_bar.ask_to_end(lambda: self.light.ask_off(connect))
 
     def refresh(self) -> None:
-        """Show what has changed in the acquisition."""
         acquisition = self.controller.acquisition
         if acquisition is None:
             return
@@ -307,7 +305,6 @@ class MainWindow(BaseWindow):
             self.show_status(status)
 
     def show_measurement(self, measurement: Measurement) -> None:
-        """Show a frame and its wavefront, live or recorded."""
         is_first, self.shown.measurement = self.shown.measurement is None, measurement
         for panel in self.panels:
             panel.show_measurement(measurement)
@@ -317,7 +314,6 @@ class MainWindow(BaseWindow):
         self.measurement_shown.emit(measurement)
 
     def show_status(self, status: Status) -> None:
-        """Show the state of the instrument."""
         self._status = status
         self._situation.follow(status)
         attached = ", attached" * self.controller.is_attached
@@ -332,7 +328,6 @@ class MainWindow(BaseWindow):
         self.region_dialog.show_status(status)
 
     def update_text(self) -> None:
-        """Update the numbers and the message."""
         acquisition, status, shown = self.controller.acquisition, self._status, self.shown
         measurement = shown.measurement
         if measurement is not None:
@@ -372,7 +367,6 @@ class MainWindow(BaseWindow):
         return True
 
     def open_file(self, path: Path) -> None:
-        """Play a recording in another window, open a bench, or show a frame."""
         try:
             if path.is_dir():
                 read_run(path)
@@ -399,7 +393,6 @@ class MainWindow(BaseWindow):
         self.controller.send(lambda to: to.show_file(path), lambda _: self.messages.inform(text))
 
     def _choose_recording(self) -> None:
-        """Ask for a recording, and play it in another window."""
         before = str(self.recording_bar.recordings_folder)
         if chosen := QFileDialog.getExistingDirectory(self, "Replay a recording", before):
             self.open_file(Path(chosen))
@@ -425,7 +418,6 @@ class MainWindow(BaseWindow):
         tour.begin()
 
     def offer_tour(self) -> None:
-        """Show the tour at the first start."""
         if self._settings is not None and not self._settings.contains(_TOUR):
             self._settings.setValue(_TOUR, 1)
             self.show_tour()
@@ -458,7 +450,6 @@ class MainWindow(BaseWindow):
         super().closeEvent(event)
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Follow the height, after the layout."""
         super().resizeEvent(event)
         self.docks.follow_height()
 

@@ -78,7 +78,6 @@ class MessageStrip(QFrame):
         self._say(text)
 
     def clear_notice(self) -> None:
-        """Remove the notice."""
         self._notice_until_s = 0.0
 
     def alarm(self, text: str) -> None:

@@ -155,7 +155,6 @@ class RecordingBar(QFrame):
 
     @property
     def limit(self) -> RecordingLimit:
-        """When the next recording ends by itself."""
         value = self.stop_after.value()
         if not value:
             return RecordingLimit()
@@ -164,19 +163,16 @@ class RecordingBar(QFrame):
         )
 
     def prepare(self) -> None:
-        """Open for the next recording."""
         if self._stage != "recording":
             self._forget()
         self.show()
         self.name.setFocus()  # what is typed now is its name
 
     def use_recordings_folder(self, folder: Path) -> None:
-        """Write later recordings into another folder."""
         self.recordings_folder = folder
         self._messages.inform(f"recordings are saved in {folder}")
 
     def choose_recordings_folder(self) -> None:
-        """Ask for the folder of later recordings."""
         before = str(self.recordings_folder)
         if chosen := QFileDialog.getExistingDirectory(self, "Recordings folder", before):
             self.use_recordings_folder(Path(chosen))
@@ -229,11 +225,9 @@ class RecordingBar(QFrame):
                 show(recording_ended(state))
 
     def recent_menu(self) -> QMenu:
-        """Return a menu of the recent recordings."""
         return self.recent.menu(self, lambda folder: folder.name, self.play)
 
     def play(self, folder: Path) -> None:
-        """Play a recording in another window."""
         self.commands.start_window("--replay", folder)
 
     def _restart(self) -> None:
@@ -315,7 +309,6 @@ class RecordingBar(QFrame):
         self.recent.add(self.folder)
 
     def _show(self, path: Path) -> None:
-        """Show a file in the program that the desktop has for it."""
         if not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
             self._messages.alarm(f"{path} cannot be shown here: this desktop has no program for it")
 

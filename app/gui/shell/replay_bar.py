@@ -27,7 +27,6 @@ class _Slider(QSlider):
     marked: frozenset[int] = frozenset()
 
     def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Paint the slider and its marks."""
         super().paintEvent(event)
         painter, style = QPainter(self), self.style()
         handle = 0 if style is None else style.pixelMetric(QStyle.PixelMetric.PM_SliderLength, None, self)

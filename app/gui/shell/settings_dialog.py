@@ -78,7 +78,6 @@ class SettingsDialog(QDialog):
         self._timer = timer(self, _POLL_MS, self._poll)
 
     def edit(self, bench: Bench) -> None:
-        """Edit the settings of a bench."""
         self.setWindowTitle("Settings of the bench")
         self.devices.hide()
         self.apply.setText("Apply")

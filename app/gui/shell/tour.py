@@ -34,7 +34,6 @@ class Tour(QFrame):
         window.installEventFilter(self)
 
     def begin(self) -> None:
-        """Show the first part."""
         for other in self._window.findChildren(Tour):
             if other is not self:
                 other.close()
@@ -58,7 +57,6 @@ class Tour(QFrame):
         return super().eventFilter(watched, event)
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Remove the outline, too."""
         self._outline.close()
         super().closeEvent(event)
 

@@ -91,7 +91,6 @@ class ElidedLabel(QLabel):
         self.setText(text)
 
     def setText(self, text: str | None) -> None:  # noqa: N802 - Qt's name
-        """Show a text, also in the tool tip."""
         self._text = text or ""
         self.setToolTip(text)
         self.setAccessibleName(text)
@@ -99,7 +98,6 @@ class ElidedLabel(QLabel):
         self.update()
 
     def text(self) -> str:
-        """Return the whole text."""
         return self._text
 
     @property
@@ -111,7 +109,6 @@ class ElidedLabel(QLabel):
         return "\n".join([*first, "" if fitting == "\N{HORIZONTAL ELLIPSIS}" else fitting]).rstrip("\n")
 
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Paint the text, elided to the width."""
         painter, style = QPainter(self), self.style()
         if isinstance(style, QStyle):
             style.drawItemText(
@@ -119,7 +116,6 @@ class ElidedLabel(QLabel):
             )
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Take the lines that the text needs at this width."""
         super().resizeEvent(event)
         if event is not None and event.size().width() != event.oldSize().width():
             self._taken = 1
@@ -135,7 +131,6 @@ class ElidedLabel(QLabel):
         self.setMinimumHeight(self._taken * self.fontMetrics().height())  # also when empty, so that nothing moves
 
     def _wrapped(self) -> list[str]:
-        """Return the lines of the text at this width."""
         layout, lines = QTextLayout(self._text, self.font()), []
         layout.beginLayout()
         while (line := layout.createLine()).isValid():
@@ -168,7 +163,6 @@ class Button(QPushButton):
             self.clicked.connect(clicked)
 
     def event(self, event: QEvent | None) -> bool:
-        """Keep both keys from the shortcuts."""
         if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.KeyPress and event.key() in ENTER:
             self.click()
             return True
@@ -235,7 +229,6 @@ class Choice(QComboBox):
         return size
 
     def event(self, event: QEvent | None) -> bool:
-        """Keep Space from the shortcuts."""
         return keeps_key(event, Qt.Key.Key_Space) or super().event(event)
 
     def wheelEvent(self, event: QWheelEvent | None) -> None:  # noqa: N802 - Qt's name

@@ -35,7 +35,6 @@ class CameraImage(pg.GraphicsObject):  # type: ignore[misc] # ships no types
     """Shows counts in the colours between a black and a white level; pixel centres are at integers."""
 
     def __init__(self, view: pg.ViewBox) -> None:
-        """Add an item without an image to a view."""
         super().__init__()
         self.pixels: Pixels = np.zeros((0, 0), np.uint32)  # as shown
         self._image = QImage()
@@ -53,16 +52,13 @@ class CameraImage(pg.GraphicsObject):  # type: ignore[misc] # ships no types
         self.update()
 
     def use_colours(self, name: str) -> None:
-        """Show the next frames in grey or the colours of a map of pyqtgraph."""
         self._table = colour_table(name, _SHADES)
 
     def boundingRect(self) -> QRectF:  # noqa: N802 - Qt's name
-        """Return the area of the pixels."""
         rows, columns = self.pixels.shape
         return QRectF(-0.5, -0.5, columns, rows)
 
     def paint(self, painter: QPainter, *_: object) -> None:
-        """Paint the image."""
         painter.drawImage(self.boundingRect(), self._image)
 
 
@@ -70,7 +66,6 @@ class ClippedPixels(pg.ImageItem):  # type: ignore[misc] # ships no types
     """Paints clipped pixels red over the camera image."""
 
     def __init__(self, view: pg.ViewBox) -> None:
-        """Add an item without pixels to a view."""
         super().__init__(axisOrder="row-major")  # pyqtgraph's default is column-major
         self.setLookupTable(np.array([[0, 0, 0, 0], theme.RED_ON_IMAGE.getRgb()], np.uint8))
         self.setZValue(0.5)
@@ -93,12 +88,10 @@ class Picture(Canvas):
         self._double_clicked, self._left = double_clicked, left
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Tell of a double click."""
         super().mouseDoubleClickEvent(event)
         self._double_clicked()
 
     def leaveEvent(self, event: QEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Tell that the pointer has left."""
         super().leaveEvent(event)
         self._left()
 

@@ -44,7 +44,6 @@ class EnlargedMap(ViewGrid):
         return min(row, rows - 1), min(column, columns - 1)
 
     def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Paint map, contours and cursor."""
         super().paintEvent(event)
         if self.maps is None:
             return
@@ -66,17 +65,14 @@ class EnlargedMap(ViewGrid):
         painter.drawLine(0, y, tile.width(), y)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Move the cursor to the pointer."""
         if event is not None and event.button() == Qt.MouseButton.LeftButton:
             self._move(event.pos())
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Move the cursor with the pointer."""
         if event is not None:
             self._move(event.pos())
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Move the cursor by one row or column."""
         step = None if event is None else STEPS.get(Qt.Key(event.key()))
         if step is None or self.maps is None:
             super().keyPressEvent(event)
@@ -114,7 +110,6 @@ class SurfaceView(QWidget):
         self.update()
 
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Paint the faces, the farthest first."""
         maps, values = self._maps, self._values
         if maps is None or min(values.shape) < 2:
             return
@@ -175,12 +170,10 @@ class SurfaceView(QWidget):
         painter.drawText(place, Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextDontClip, text)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Begin to turn."""
         if event is not None:
             self._from = event.position()
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Turn the surface."""
         if event is None:
             return
         step, self._from = event.position() - self._from, event.position()
@@ -236,7 +229,6 @@ class EnlargedView(QDialog):
         self._show_sections()
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Show the present map."""
         super().showEvent(event)
         self.refresh()
 

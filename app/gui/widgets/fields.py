@@ -92,7 +92,6 @@ class NumberField(Field, QDoubleSpinBox):
         self.setSuffix(f" {unit}" if unit else "")
 
     def edit(self) -> None:
-        """Take the focus and select the value, so that typing replaces it."""
         self.setFocus()
         self.selectAll()
 
@@ -110,7 +109,6 @@ class NumberField(Field, QDoubleSpinBox):
         return state, text or "", position
 
     def valueFromText(self, text: str | None) -> float:  # noqa: N802 - Qt's name
-        """Return the typed value in the shown unit."""
         value = self._parse(text or "")
         return self.value() if value is None else value
 
@@ -192,7 +190,6 @@ class NumberField(Field, QDoubleSpinBox):
         return f"{round(value, self.decimals()):.12g}"
 
     def _restore(self) -> None:
-        """Show the value in force again."""
         if (line := self.lineEdit()) is not None:
             word = self.specialValueText() if self.value() == self.minimum() else ""
             line.setText(word or self.textFromValue(self.value()) + self.suffix())
@@ -216,7 +213,6 @@ class NumberLine(Field, QLineEdit):
     """A line for a number."""
 
     def event(self, event: QEvent | None) -> bool:
-        """Leave L to the window."""
         return not self.leaves_light_key(event) and super().event(event)
 
 
@@ -244,7 +240,6 @@ class TextField(TextLine):
         self.setPlaceholderText(hint)
 
     def show_text(self, text: str) -> None:
-        """Show a text without emitting it."""
         self._in_force = text
         self.setText(text)
 
@@ -259,7 +254,6 @@ class TextField(TextLine):
         return keeps_key(event, *ends) or super().event(event)
 
     def focusInEvent(self, event: QFocusEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Watch for clicks elsewhere."""
         super().focusInEvent(event)
         if (application := QApplication.instance()) is not None:
             application.installEventFilter(self)
@@ -272,7 +266,6 @@ class TextField(TextLine):
         return False
 
     def focusOutEvent(self, event: QFocusEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Enter the text."""
         super().focusOutEvent(event)
         if (application := QApplication.instance()) is not None:
             application.removeEventFilter(self)

@@ -65,7 +65,6 @@ class Places:
     tiles: QRegion  # of all views
 
     def tile(self, view_row: int, view_column: int) -> QRect:
-        """Return the rectangle of a view without its caption."""
         return QRect(self.first + QPoint(view_column * self.step.width(), view_row * self.step.height()), self.size)
 
 
@@ -133,7 +132,6 @@ class ViewGrid(QWidget):
         add_copy_menu(self, self._numbers_at)
 
     def show_maps(self, maps: Maps | None) -> None:
-        """Show a map of every view, or that there is no wavefront."""
         self.maps = maps
         scale = None if maps is None else self._scale(maps)
         before, self._shown_scale = self._shown_scale, scale
@@ -151,7 +149,6 @@ class ViewGrid(QWidget):
         self.update()
 
     def show_stale(self, *, is_stale: bool) -> None:
-        """Show the maps in grey, or in colours."""
         if is_stale != self.is_stale:
             self.is_stale = is_stale
             self.show_maps(self.maps)
@@ -169,11 +166,9 @@ class ViewGrid(QWidget):
             self.update(QRegion(self.rect()).subtracted(self.places.tiles))
 
     def tile(self, view_row: int, view_column: int) -> QRect:
-        """Return the rectangle of a view without its caption."""
         return self.places.tile(view_row, view_column)
 
     def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Paint all views, and what is around them if it must be painted."""
         painter = QPainter(self)
         maps = self.maps
         if maps is None:
@@ -192,25 +187,21 @@ class ViewGrid(QWidget):
             self._paint_color_bar(painter, maps)
 
     def event(self, event: QEvent | None) -> bool:
-        """Show the value under the pointer as a tool tip."""
         if isinstance(event, QHelpEvent) and event.type() == QEvent.Type.ToolTip:
             QToolTip.showText(event.globalPos(), self._value_at(event.pos()), self)
             return True
         return super().event(event)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Request to select the view under the pointer."""
         is_left = event is not None and event.button() == Qt.MouseButton.LeftButton
         if event is not None and is_left and (view := self._view_at(event.pos())) is not None:
             self.selected.emit(*view)
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Request to enlarge the view under the pointer."""
         if event is not None and self._view_at(event.pos()) is not None:
             self.opened.emit()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Request to select a neighbour of the selected view."""
         if event is None:
             return
         step = STEPS.get(Qt.Key(event.key()))
