@@ -25,6 +25,8 @@ from app.gui.widgets.basics import (
 from app.gui.widgets.camera_image import (
     CameraImage,
     ClippedPixels,
+    DrawingView,
+    Measuring,
     Picture,
     Segments,
     arrow_length_px,
@@ -33,8 +35,8 @@ from app.gui.widgets.camera_image import (
     lattice_lines,
     lenslet_at,
     lost_boxes,
+    rectangle,
 )
-from app.gui.widgets.camera_tools import DrawingView, Measuring, rectangle
 from app.gui.widgets.copies import add_copy_menu, as_table
 from app.gui.widgets.presentation import percent
 from app.gui.widgets.scales import MAGNIFICATIONS, AdaptiveScale
