@@ -12,7 +12,6 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] #
 from app.gui.panels.panel import Check, Panel, Request, Shown
 from app.gui.widgets.basics import timer
 
-_POLL_INTERVAL_MS = 40
 _SHARE = 0.2  # of a core: the measurement needs the rest
 
 
@@ -101,7 +100,7 @@ class Analyses(QObject):
         quick = AnalysisThread(self._check)
         self.threads = {panel: AnalysisThread(self._check) if panel.is_slow else quick for panel in self._panels}
         shown.view_chosen.connect(self.poll)
-        self._timer = timer(self, _POLL_INTERVAL_MS, self.poll)
+        self._timer = timer(self, 40, self.poll)
         self._timer.start()
 
     def poll(self) -> None:

@@ -27,7 +27,6 @@ from app.gui.widgets.copies import ask_file
 _TEMPLATE = "live_demo"
 _FILES = "Bench (*.toml)"
 _LAST = "last/bench"  # key of the settings
-_WIDTH = 560  # px
 
 Choices = tuple[tuple[str, str, Callable[[], object]], ...]  # text, tool tip, action
 
@@ -136,14 +135,12 @@ class Benches(QObject):
             self._remember(path)
 
     def recent_menu(self) -> QMenu:
-        return self.recent.menu(
-            self._window, lambda path: f"{path.name}  \N{EM DASH}  {path.parent}", lambda path: self.open(str(path))
-        )
+        text = "{0.name}  \N{EM DASH}  {0.parent}".format
+        return self.recent.menu(self._window, text, lambda path: self.open(str(path)))
 
     def presets_menu(self) -> QMenu:
-        return listing_menu(
-            self._window, lambda: [(name.replace("_", " "), partial(self.open, name)) for name in PRESETS]
-        )
+        entries = [(name.replace("_", " "), partial(self.open, name)) for name in PRESETS]
+        return listing_menu(self._window, lambda: entries)
 
     def _explain(self, source: str, overrides: tuple[str, ...], error: InputError) -> None:
         line = error.line if isinstance(error, BenchError) else None
@@ -173,7 +170,7 @@ class BenchDialog(QDialog):
         self.text = QLabel()
         self.text.setTextFormat(Qt.TextFormat.RichText)
         self.text.setWordWrap(True)
-        self.text.setMinimumWidth(_WIDTH)
+        self.text.setMinimumWidth(560)  # px
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self._buttons = QHBoxLayout()
         self._buttons.addStretch()

@@ -16,11 +16,10 @@ from app.gui.widgets.basics import Button, Scrolled, column, label, row, within_
 from app.measurement.auto_exposure import AutoExposure
 from app.measurement.averages import BackgroundCheck
 from app.measurement.routines import Cancelled
-from reconstruction.frame.linearity import Linearity, MeasuredLinearity
+from reconstruction.frame.linearity import MeasuredLinearity
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 
-_WIDTH = 660  # px
 _LAMP = 16  # px
 
 
@@ -39,7 +38,12 @@ class Routines:
 
     def find_lattice(self) -> None:
         """Find the lenslets in the reference, and ask whether to use that lattice."""
-        self._controller.send(lambda to: to.submit(Instrument.survey_lattice), self._propose)
+
+        def propose(survey: Survey) -> None:
+            self._camera.propose(survey)
+            self._controller.ask(lattice_found(survey), partial(self.use_lattice, survey.lattice))
+
+        self._controller.send(lambda to: to.submit(Instrument.survey_lattice), propose)
 
     def check_background(self) -> None:
 
@@ -52,23 +56,16 @@ class Routines:
         """Measure the camera's nonlinearity without the sample, and ask whether to correct it."""
 
         def propose(found: MeasuredLinearity) -> None:
-            self._controller.ask(linearity_found(found), partial(self._use_linearity, found.linearity))
+            use = partial(self._use, "linearity", found.linearity, "frames are corrected")
+            self._controller.ask(linearity_found(found), use)
 
         self._controller.send(lambda to: to.submit(Instrument.measure_linearity), propose)
 
-    def _use_linearity(self, linearity: Linearity) -> None:
-        self._settings.change(
-            ("linearity", linearity), then=lambda _: self._messages.inform("frames are corrected; Ctrl+S saves it")
-        )
-
     def use_lattice(self, lattice: Lattice) -> None:
-        self._settings.change(
-            ("lattice", lattice), then=lambda _: self._messages.inform("the lattice is in use; Ctrl+S saves it")
-        )
+        self._use("lattice", lattice, "the lattice is in use")
 
-    def _propose(self, survey: Survey) -> None:
-        self._camera.propose(survey)
-        self._controller.ask(lattice_found(survey), partial(self.use_lattice, survey.lattice))
+    def _use(self, name: str, value: object, done: str) -> None:
+        self._settings.change((name, value), then=lambda _: self._messages.inform(f"{done}; Ctrl+S saves it"))
 
 
 class CalibrationGuide(QDialog):
@@ -89,7 +86,7 @@ class CalibrationGuide(QDialog):
         grid.setContentsMargins(0, 0, 0, 0)
         grid.setHorizontalSpacing(10)
         grid.setVerticalSpacing(2)
-        grid.setColumnMinimumWidth(1, _WIDTH)
+        grid.setColumnMinimumWidth(1, 660)  # px
         for index, step in enumerate(STEPS):
             explanation, result = label(step.explanation, "dim"), self.results[step]
             for text in (explanation, result):
@@ -172,13 +169,9 @@ class CalibrationGuide(QDialog):
             text = lattice_found(result)
             if status is not None and differs(result.lattice, status):
                 self._mark(step, "failed", text)
-                self._ask(
-                    "The bench has another lattice.",
-                    "Use this one",
-                    lambda: self._take_lattice(step, text, result.lattice),
-                    "Keep that of the bench",
-                    self._next,
-                )
+                use = partial(self._take_lattice, step, text, result.lattice)
+                question = "The bench has another lattice."
+                self._ask(question, "Use this one", use, "Keep that of the bench", self._next)
                 return
         self._mark(step, "done", text)
         self._next()

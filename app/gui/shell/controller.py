@@ -25,7 +25,6 @@ Otherwise = Callable[[Exception], object] | None
 Command = tuple[Any, ...]  # a request of the instrument, and its arguments
 
 CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it
-_CLOSING_POLL_S = 0.04
 _BENCH = "bench"  # kind of the commands that change registration, reconstruction, lattice or mask
 _MODES = {"amplifier", "readout_speed"}  # their commands return what else has changed
 _FRAMES_MS = 500  # between two of them: they stop the camera
@@ -126,7 +125,7 @@ class Controller(QObject):
         self.acquisition.begin_close()
         deadline_s = time.monotonic() + CLOSING_S
         while self.acquisition.is_alive and time.monotonic() < deadline_s:
-            self.acquisition.close(timeout_s=_CLOSING_POLL_S)
+            self.acquisition.close(timeout_s=0.04)
             meanwhile()
         self.is_stuck = self.acquisition.is_alive
 

@@ -23,7 +23,6 @@ _SIDES = {
 }
 _KEY = "presets/devices"  # of the settings
 _ABOUT = "A preset keeps exposure, gain, current and mask: type a name, and save those in force."
-_PRESETS_WIDTH = 380  # px: the title fits
 _SETTINGS = {"exposure_s": int | float, "em_gain": int | float, "current_a": int | float, "mask": str}
 
 
@@ -43,9 +42,8 @@ class SensorRegionDialog(QDialog):
         self.binning = Choice("Sensor pixels per frame pixel, along both axes")
         self.limits, self.in_force = label("", "dim"), label("", "dim")
         self.whole = Button("Whole sensor", "Fill in the whole sensor", self._fill_whole)
-        self.around = Button(
-            "Around the lattice", "Fill in all lenslets with a margin of half a pitch", self._fill_around
-        )
+        about = "Fill in all lenslets with a margin of half a pitch"
+        self.around = Button("Around the lattice", about, self._fill_around)
         self.apply = Button("Apply", "Set the region; then take a new dark (D) and reference (R)", self._set_area)
         self.apply.setDefault(True)
         close = Button("Close", "Change nothing (Esc)", self.close)
@@ -139,7 +137,7 @@ class DevicePresets(QDialog):
         self.names.itemDoubleClicked.connect(lambda _: self._apply())
         self.about = label("", "dim")
         self.about.setWordWrap(True)
-        self.about.setMinimumWidth(_PRESETS_WIDTH)
+        self.about.setMinimumWidth(380)  # px: the title fits
         self.name = TextField(tool_tip="Name of the preset", hint="name")
         self.name.textChanged.connect(self._enable)
         self.save = Button("Save", "Save exposure, gain, current and mask in force under this name", self._save)

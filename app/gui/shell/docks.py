@@ -45,12 +45,9 @@ class _TitleBar(QWidget):
     def __init__(self, dock: Dock, header: QWidget, *, is_strip: bool) -> None:
         super().__init__(dock)
         self._is_compact = False
+        floating = "Float as a window, or dock again"
         buttons = (
-            _tool_button(
-                "\N{NORTH EAST ARROW}",
-                "Float as a window, or dock again",
-                lambda: dock.setFloating(not dock.isFloating()),
-            ),
+            _tool_button("\N{NORTH EAST ARROW}", floating, lambda: dock.setFloating(not dock.isFloating())),
             _tool_button("\N{MULTIPLICATION SIGN}", "Close; View > Panels opens it again", dock.close),
         )
         if is_strip:
@@ -83,8 +80,7 @@ class PanelDocks:
         window.setDockOptions(_OPTIONS.AllowNestedDocks | _OPTIONS.AllowTabbedDocks | _OPTIONS.GroupedDragging)
         window.setTabPosition(Qt.DockWidgetArea.AllDockWidgetAreas, QTabWidget.TabPosition.North)
         self._tall: QByteArray | None = None  # the layout of the window before it became low
-        self._settle = timer(window, 0, self._arrange, is_single=True)  # after all the signals of a change
-        self.settled = self._settle.timeout
+        self.settle = timer(window, 0, self._arrange, is_single=True)  # after all the signals of a change
         self._hint = label("All panels are closed or float: View > Restore default layout docks them", "dim")
         self._hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self._middle = QWidget()
@@ -92,9 +88,15 @@ class PanelDocks:
         window.setCentralWidget(self._middle)
         for dock in self.docks:
             for changed in (dock.visibilityChanged, dock.topLevelChanged, dock.dockLocationChanged):
-                changed.connect(lambda *_: self._settle.start())
+                changed.connect(lambda *_: self.settle.start())
             dock.panel.front_requested.connect(lambda panel=dock.panel: self.show_panel(panel))
-        self._dock_all()
+        left = self._at("left")
+        window.addDockWidget(Qt.DockWidgetArea.TopDockWidgetArea, left)
+        window.splitDockWidget(left, self._at("right"), Qt.Orientation.Horizontal)
+        window.splitDockWidget(left, self._tabs[0], Qt.Orientation.Vertical)
+        for before, dock in zip(self._tabs, self._tabs[1:], strict=False):
+            window.tabifyDockWidget(before, dock)
+        window.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self._at("strip"))
         self._default = window.saveState()
         self.restore_default()
 
@@ -110,15 +112,6 @@ class PanelDocks:
         self._window.resizeDocks([left, right], [1000, 1000], Qt.Orientation.Horizontal)
         self._window.resizeDocks([left, first], [1000, 600], Qt.Orientation.Vertical)
         self._arrange()
-
-    def _dock_all(self) -> None:
-        window, left = self._window, self._at("left")
-        window.addDockWidget(Qt.DockWidgetArea.TopDockWidgetArea, left)
-        window.splitDockWidget(left, self._at("right"), Qt.Orientation.Horizontal)
-        window.splitDockWidget(left, self._tabs[0], Qt.Orientation.Vertical)
-        for before, dock in zip(self._tabs, self._tabs[1:], strict=False):
-            window.tabifyDockWidget(before, dock)
-        window.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self._at("strip"))
 
     def toggle_tabs(self) -> None:
         """Close the open tabs, or open those closed last."""
@@ -145,9 +138,6 @@ class PanelDocks:
         for dock in self.docks:
             made.addAction(dock.toggleViewAction())
         return made
-
-    def follow_height(self) -> None:
-        self._settle.start()
 
     def use_tall_layout(self) -> None:
         """Restore the layout from before the window became low."""

@@ -35,8 +35,6 @@ A click or the arrow keys select the view whose MTF is plotted.</p>
 _HELP_WIDTH, _MOST_WIDTH = 960, 2000  # px
 _TOUR_WIDTH = 340  # px
 _AROUND = 70  # px beside the help: margins and scroll bar
-_SIZE = QSize(760, 480)
-_PAGE_SIZE = QSize(960, 720)
 PAPER = (
     'F. Feng, C. Liang, D. Chen, K. Du, R. Yang, C. Lu, S. Chen, L. Chen, L. Tao, and H. Mao, "Space-variant '
     'Shack-Hartmann wavefront sensing based on affine transformation estimation," Applied Optics (2022), '
@@ -133,12 +131,9 @@ class TextDialog(QDialog):
         self.back.hide()
         self.copy = Button("Copy", "Copy the whole text", lambda: copy_text(self.view.toPlainText()))
         close = Button("Close", "Close (Esc)", self.close)
-        buttons = row(self.back, spacing=8)
-        buttons.addStretch()
-        for each in (self.copy, close):
-            buttons.addWidget(each)
+        buttons = row(self.back, (QWidget(), 1), self.copy, close, spacing=8)
         column((self.view, 1), buttons, spacing=8, parent=self).setContentsMargins(11, 11, 11, 11)
-        self.resize(within_screen(self, _SIZE))
+        self.resize(within_screen(self, QSize(760, 480)))
 
     def show_text(self, text: str) -> None:
         self.view.setPlainText(text)
@@ -149,7 +144,7 @@ class TextDialog(QDialog):
         self.view.moveCursor(QTextCursor.MoveOperation.End)
 
     def show_page(self, page: QUrl) -> None:
-        self.resize(within_screen(self, _PAGE_SIZE))
+        self.resize(within_screen(self, QSize(960, 720)))
         self.back.show()
         self.back.setEnabled(False)
         self.view.backwardAvailable.connect(self.back.setEnabled)

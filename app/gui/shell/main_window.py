@@ -48,7 +48,6 @@ from app.results.player import Player
 from drivers.light_source import MAY_BE_ON
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
-_MIN_WIDTH = 900  # px; captions and plots need it
 _REFRESH_INTERVAL_MS = 40
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 _FOLDER, _TOUR = "folders/recordings", "tour/seen"  # keys of the settings
@@ -121,7 +120,7 @@ class MainWindow(BaseWindow):
         if (status_bar := self.statusBar()) is not None:
             status_bar.setSizeGripEnabled(False)
             status_bar.addPermanentWidget(below, 1)
-            status_bar.setMinimumWidth(_MIN_WIDTH)  # the controls may need more
+            status_bar.setMinimumWidth(900)  # px: captions and plots need it, the controls perhaps more
         self.docks = PanelDocks(self, self.panels, self.recording_bar)
         if (bar := self.menuBar()) is not None:
             bar.setNativeMenuBar(False)  # a native one has no corner
@@ -130,8 +129,8 @@ class MainWindow(BaseWindow):
     def _connect(self) -> None:
         acts: dict[str, Callable[[Any], object]] = {
             "light": self.light.switch,
-            "dark": self.light.take_dark,
-            "reference": self.light.take_reference,
+            "dark": partial(self.light.take, "dark"),
+            "reference": partial(self.light.take, "reference"),
             "calibration": self.guide.begin,
             "lattice": lambda _: self.routines.find_lattice(),
             "auto_exposure": lambda _: self.routines.expose(),
@@ -390,28 +389,21 @@ class MainWindow(BaseWindow):
         self.controller.send(lambda to: to.show_file(path), lambda _: self.messages.inform(text))
 
     def _choose_recording(self) -> None:
-        before = str(self.recording_bar.recordings_folder)
-        if chosen := QFileDialog.getExistingDirectory(self, "Replay a recording", before):
+        folder = str(self.recording_bar.recordings_folder)
+        if chosen := QFileDialog.getExistingDirectory(self, "Replay a recording", folder):
             self.open_file(Path(chosen))
 
     def show_tour(self) -> None:
         """Explain one part of the window after the other, beginning with the panels."""
-        tour = Tour(
-            self,
-            (
-                *((panel, f"The {panel.title.lower()}", panel.about) for panel in self.panels if panel.about),
-                (self.messages, "Messages", "What is wrong, why, and which key helps. Ctrl+L opens the log with times"),
-                (
-                    self.recording_panel,
-                    "Recording",
-                    (
-                        "W records every frame and its calibration; K saves the last ten seconds. Afterwards: replay,"
-                        " report and export. F1 lists all keys."
-                    ),
-                ),
-            ),
+        messages = "What is wrong, why, and which key helps. Ctrl+L opens the log with times"
+        recording = (
+            "W records every frame and its calibration; K saves the last ten seconds. Afterwards: replay,"
+            " report and export. F1 lists all keys."
         )
-        self.docks.settled.connect(tour.raise_)  # above a panel that has come to the front
+        of_panels = ((panel, f"The {panel.title.lower()}", panel.about) for panel in self.panels if panel.about)
+        bars = (self.messages, "Messages", messages), (self.recording_panel, "Recording", recording)
+        tour = Tour(self, (*of_panels, *bars))
+        self.docks.settle.timeout.connect(tour.raise_)  # above a panel that has come to the front
         tour.begin()
 
     def offer_tour(self) -> None:
@@ -448,7 +440,7 @@ class MainWindow(BaseWindow):
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
         super().resizeEvent(event)
-        self.docks.follow_height()
+        self.docks.settle.start()
 
     def _show_closing(self) -> None:
         """Paint what the window waits for, without taking any command."""

@@ -31,8 +31,6 @@ from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberLine, TextLine
 from drivers.device import DiscoveredDevice
 
-_POLL_MS = 100
-_SIZE = QSize(52, 34)  # heights of a line
 _DETAIL = re.compile(r" \(.*?\)(?=:)")  # of an error, before the advice: a system's words, in its language
 _NO_DEVICE = "Other, or simulated: choose the driver below"
 
@@ -44,7 +42,7 @@ class SettingsDialog(QDialog):
         self, use: Callable[[Bench, Bench | None], object], opened: Callable[[str], object], parent: QWidget
     ) -> None:
         super().__init__(parent)
-        self.resize(within_screen(self, _SIZE * self.fontMetrics().height()))
+        self.resize(within_screen(self, QSize(52, 34) * self.fontMetrics().height()))
         self._use, self._opened = use, opened
         self._form = SettingsForm({})
         self._before: Bench | None = None  # the edited bench; None for a new one
@@ -67,15 +65,13 @@ class SettingsDialog(QDialog):
         connected.addRow(self.failed)
         self.problem = ElidedLabel(lines=2)
         self.apply = Button("Open", "", self._apply)
-        self.save = Button(
-            "Save \N{HORIZONTAL ELLIPSIS}", "Save these settings as a bench file, and open it", self._save
-        )
+        about = "Save these settings as a bench file, and open it"
+        self.save = Button("Save \N{HORIZONTAL ELLIPSIS}", about, self._save)
         close = Button("Close", "Change nothing (Esc)", self.close)
         ends = row((self.problem, 1), self.apply, self.save, close)
-        column(self.devices, (row(self.sections, (self.pages, 1)), 1), ends, spacing=8, parent=self).setContentsMargins(
-            12, 12, 12, 12
-        )
-        self._timer = timer(self, _POLL_MS, self._poll)
+        parts = self.devices, (row(self.sections, (self.pages, 1)), 1), ends
+        column(*parts, spacing=8, parent=self).setContentsMargins(12, 12, 12, 12)
+        self._timer = timer(self, 100, self._poll)
 
     def edit(self, bench: Bench) -> None:
         self.setWindowTitle("Settings of the bench")
@@ -215,9 +211,8 @@ class SettingsDialog(QDialog):
             bench = self._form.bench()
         except InputError as error:
             _, faulty = self.editors.get(fault_path(error), (None, None))
-            self._show_problem(
-                fault_in_words(error, {path: field for path, (field, _) in self.editors.items()}), faulty
-            )
+            fields = {path: field for path, (field, _) in self.editors.items()}
+            self._show_problem(fault_in_words(error, fields), faulty)
             return None
         self._show_problem("", None)
         return bench
