@@ -131,11 +131,11 @@ class Photographer:
         bar.done.click()
 
     def _show_panels(self, window: MainWindow) -> None:
-        window.panels.wavefronts.choose(Quantity.PSF)
+        window.panels.wavefronts.choice.setCurrentText(Quantity.PSF)
         self._save("psf", window)
-        window.panels.wavefronts.choose(Quantity.UNCERTAINTY)
+        window.panels.wavefronts.choice.setCurrentText(Quantity.UNCERTAINTY)
         self._save("uncertainty", window)
-        window.panels.wavefronts.choose(Quantity.WAVEFRONT)
+        window.panels.wavefronts.choice.setCurrentText(Quantity.WAVEFRONT)
         for name, panel in tabs(window).items():
             if name == "Lenslet":
                 window.panels.lenslet.inspect(7, 7)

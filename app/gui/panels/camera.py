@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QPoint, QPointF, QRectF, Qt, pyqtSignal
+from PyQt6.QtCore import QPoint, QPointF, Qt, pyqtSignal
 from PyQt6.QtWidgets import QApplication, QMenu
 
 from app.acquisition.instrument import Status
@@ -47,7 +48,10 @@ from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey
 
-_AUTOMATIC, _FULL, _FROZEN = "auto contrast", "full range", "frozen contrast"
+_CONTRAST_TIP = "Contrast: automatic (1 % to 99.8 % of the pixels), full range, or frozen"
+_FULL, _FROZEN = "full range", "frozen contrast"
+_CONTRASTS = ("auto contrast", _FULL, _FROZEN)
+_COLOURS_TIP = "Colours of the camera image"
 _LEVELS_INTERVAL_S = 0.5
 _LEVELS_PERCENT = (1.0, 99.8)
 _LEVELS_SLACK = 0.1  # of their span: smaller changes leave the levels alone
@@ -65,7 +69,6 @@ _TOOLS = {  # what to drag over the picture
     "exclude": "a rectangle around the lenslets to leave out",
     "use again": "a rectangle around the lenslets to use again",
 }
-_DIMMED = 0.5  # opacity of a picture that may be over
 _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
 
 Lenslet = tuple[int, int]  # row and column
@@ -100,17 +103,10 @@ class CameraPanel(Panel):
         moved = "Show each lenslet's displacement, averaged over the field (A)"
         self.lattice_toggle = Toggle("Lattice", cells, is_on=True, key="camera/lattice")
         self.arrows_toggle = Toggle("Arrows", moved, is_on=True, key="camera/arrows")
-        for chosen in (self.lattice_toggle, self.arrows_toggle):
-            chosen.toggled.connect(self._show_overlay)
-        self.contrast = Choice(
-            "Contrast: automatic (1 % to 99.8 % of the pixels), full range, or frozen",
-            (_AUTOMATIC, _FULL, _FROZEN),
-            self._restart_contrast,
-            key="camera/contrast",
-        )
-        self.colours = Choice(
-            "Colours of the camera image", ("grey", "inferno"), self._show_colours, key="camera/colours"
-        )
+        self.lattice_toggle.toggled.connect(self._show_overlay)
+        self.arrows_toggle.toggled.connect(self._show_overlay)
+        self.contrast = Choice(_CONTRAST_TIP, _CONTRASTS, self._restart_contrast, key="camera/contrast")
+        self.colours = Choice(_COLOURS_TIP, ("grey", "inferno"), self._show_colours, key="camera/colours")
 
         self.tool = Choice(
             "What a drag over the picture does: move it, measure along a line (M) or in an area (Shift+M),\n"
@@ -138,10 +134,7 @@ class CameraPanel(Panel):
         self._view.sigResized.connect(self._keep_in_sight)
         self._graphics.scene().sigMouseMoved.connect(self._point_at)
         self._graphics.scene().sigMouseClicked.connect(self._click)
-        inspect = timer(
-            self, QApplication.doubleClickInterval(), lambda: self.inspect(self._clicked_at), is_single=True
-        )
-        self._click_timer = inspect  # a click may be the first of two
+        self._click_timer = timer(self, 0, lambda: self.inspect(self._clicked_at), is_single=True)
         add_copy_menu(self._graphics, self._displacements, self._fill_menu)
         self.caption = ElidedLabel("dim")
         self.header = row_of(
@@ -173,7 +166,7 @@ class CameraPanel(Panel):
         if shown.badge != self.badge.text():
             self.badge.setText(shown.badge)
             self.badge.setVisible(bool(shown.badge))
-            self._view.childGroup.setOpacity(_DIMMED if shown.is_grey else 1.0)
+            self._view.childGroup.setOpacity(0.5 if shown.is_grey else 1.0)
         self.badge.setToolTip(shown.reason)
 
     def show_status(self, status: Status) -> None:
@@ -239,7 +232,7 @@ class CameraPanel(Panel):
 
     def reset_zoom(self) -> None:
         if self._frame is not None:
-            self._view.setRange(self._area(self._frame))
+            self._view.setRange(self._image.boundingRect())
 
     def show_numbers(self) -> None:
         if self._frame is None:
@@ -302,14 +295,14 @@ class CameraPanel(Panel):
         inside = np.all((at >= corners[0]) & (at <= corners[1]), axis=-1)
         return [(int(row), int(column)) for row, column in np.argwhere(inside)]
 
-    def _click(self, event: object) -> None:
+    def _click(self, event: Any) -> None:  # pyqtgraph declares no types
         """Inspect a lenslet at a click of the left button, unless another click follows or a tool is in use."""
-        if event.button() != Qt.MouseButton.LeftButton or self._view.draws:  # type: ignore[attr-defined] # pyqtgraph's
+        if event.button() != Qt.MouseButton.LeftButton or self._view.draws:
             return
         self._click_timer.stop()
-        if not event.double():  # type: ignore[attr-defined] # pyqtgraph's event
-            self._clicked_at = self._lenslet_at(event.scenePos())  # type: ignore[attr-defined] # pyqtgraph's event
-            self._click_timer.start()
+        if not event.double():
+            self._clicked_at = self._lenslet_at(event.scenePos())
+            self._click_timer.start(QApplication.doubleClickInterval())  # it may be the first of two
 
     def _fill_menu(self, menu: QMenu, at: QPoint) -> None:
         if (lenslet := self._lenslet_at(self._graphics.mapToScene(at))) is None:
@@ -360,15 +353,11 @@ class CameraPanel(Panel):
             self._magnification = 1 / self._reach.follow(arrow_length_px(mean_px) / room_px)
             self._arrows.draw(arrows(lattice, mean_px, self._magnification))
 
-    def _area(self, frame: Frame) -> QRectF:
-        rows, columns = frame.pixels.shape
-        return QRectF(-0.5, -0.5, columns, rows)  # pixel centres are at integers
-
     def _keep_in_sight(self, *_: object) -> None:
         """Keep the frame at the middle of the view, and at no less than half its size."""
         if self._frame is None:
             return
-        area, seen = self._area(self._frame), self._view.viewRect()
+        area, seen = self._image.boundingRect(), self._view.viewRect()
         if min(seen.width() / area.width(), seen.height() / area.height()) > _FARTHEST:
             self.reset_zoom()
             return

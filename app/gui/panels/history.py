@@ -33,8 +33,6 @@ from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, Drift, His
 from app.results.shown_wavefront import Unit
 from reconstruction.arrays import Floats
 
-_MINUTES = (1, 2, 5, 10, 20)
-_SAMPLES = (20, 100, 500, 2000)
 _HINT = "click a bar of Coefficients to add it"
 _ABOUT = {
     RMS: "Mean RMS of the shown views",
@@ -42,15 +40,12 @@ _ABOUT = {
     DELAY: "Processing delay",
     TEMPERATURE: "Temperature of the camera's sensor",
 }
-_WIDEST = "\N{MINUS SIGN}00.00"  # number on an axis
 _NAME = "000.0 % of full scale"  # its width is that of all names and values
-_LEAST_LINES = 2  # height of a chart
 _NEAR = 1.0  # ranges of the curve: a limit that is nearer to it is shown
 _TICK_LINES = 1.1  # height between two numbers of an axis
 _DRIFT = "mean \N{MINUS SIGN}0.0000  \N{GREEK SMALL LETTER SIGMA} 0.0000"  # the width of the statistics
 _PINNED = "Pinned coefficient"
 _ENDS = "lowest", "highest"  # limits of a series
-_LINE_WIDTH = 110  # px of a line
 _ABOUT_LIMITS = (
     "Empty: no limit. Phases are in the unit of Display, or in the one that you type: 0.5 rad, 0.1 waves, 40 nm.\n"
     "The newest frame is compared five times a second; a crossing is over after two seconds within."
@@ -67,7 +62,7 @@ class StripChart(QWidget):
         labels = QWidget()
         column(self.name, self.value, spacing=0, parent=labels).addStretch()
         self.plot = _plot(None)
-        self.plot.graphics.setMinimumHeight(_LEAST_LINES * self.fontMetrics().height() + 9)
+        self.plot.graphics.setMinimumHeight(2 * self.fontMetrics().height() + 9)
         self.curve = self.plot.add_curve(theme.ACCENT, 1)
         self.limit_lines = [self.plot.add_line(theme.RED, 0) for _ in range(2)]
         self.drift = [ElidedLabel("dim") for _ in range(2)]
@@ -81,12 +76,8 @@ class StripChart(QWidget):
         self.curve.setData(time_min, values, connect="finite")
         low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 1.0)
         near_low, near_high = low - _NEAR * (high - low), high + _NEAR * (high - low)
-        for line, limit, is_near in zip(
-            self.limit_lines,
-            (limits.lowest, limits.highest),
-            (limits.lowest >= near_low, limits.highest <= near_high),
-            strict=True,
-        ):
+        ends = (limits.lowest, limits.lowest >= near_low), (limits.highest, limits.highest <= near_high)
+        for line, (limit, is_near) in zip(self.limit_lines, ends, strict=True):
             line.setVisible(is_near)
             if is_near:
                 line.setValue(limit)
@@ -126,13 +117,11 @@ class HistoryPanel(Panel):
         }
         for chosen in self.toggles.values():
             chosen.toggled.connect(self._arrange)
-        minutes = [(f"{minutes} min", minutes) for minutes in _MINUTES]
+        minutes = [(f"{minutes} min", minutes) for minutes in (1, 2, 5, 10, 20)]
         self.minutes = Choice("Time shown", minutes, key="history/minutes")
-        self.samples = Choice(
-            "Number of samples of mean, \N{GREEK SMALL LETTER SIGMA} and peak to peak; five a second",
-            [(f"last {samples} samples", samples) for samples in _SAMPLES],
-            key="history/samples",
-        )
+        samples = [(f"last {samples} samples", samples) for samples in (20, 100, 500, 2000)]
+        about = "Number of samples of mean, \N{GREEK SMALL LETTER SIGMA} and peak to peak; five a second"
+        self.samples = Choice(about, samples, key="history/samples")
         for choice in (self.minutes, self.samples):
             choice.setCurrentIndex(1)
             choice.currentIndexChanged.connect(self.refresh)
@@ -285,7 +274,7 @@ def _wide_as(text: str, widget: QWidget) -> QWidget:
 
 def _plot(bottom: str | None) -> Plot:
     """Make a plot without title; those of one width have their left axes at the same place."""
-    made = Plot("", bottom, widest=_WIDEST)
+    made = Plot("", bottom, widest="\N{MINUS SIGN}00.00")
     made.title.hide()
     return made
 
@@ -296,9 +285,9 @@ class LimitLine(NumberLine):
     def __init__(self, shown: Shown, series: str, key: str) -> None:
         super().__init__()
         self.setObjectName(key)  # under which its text is kept between two starts
-        self.setMinimumWidth(_LINE_WIDTH)
+        self.setMinimumWidth(110)  # px
         self._shown, self._unit = shown, UNITS.get(series, "").partition(" ")[0]
-        self.editingFinished.connect(self._add_unit)
+        self.editingFinished.connect(lambda: self.setText(self.with_unit()))
 
     def value_of(self, text: str) -> float:
         """Return the limit that a text stands for, phases in rad; NaN if it is none."""
@@ -318,10 +307,6 @@ class LimitLine(NumberLine):
         text = self.text().strip()
         value, unit = self.typed(text)
         return f"{text} {unit}" if math.isfinite(value) and not text.endswith(unit) else text
-
-    def _add_unit(self) -> None:
-        if self.with_unit() != self.text().strip():
-            self.setText(self.with_unit())
 
 
 class LimitsForm(QDialog):

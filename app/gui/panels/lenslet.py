@@ -13,8 +13,6 @@ from app.gui.widgets.view_grid import LEAST_LINES, Maps, ViewGrid
 from app.results.view_analysis import LensletInspection, inspect_lenslet
 from reconstruction.displacement import Outcome
 
-_LIGHT = (0.0, 0.5, 1.0)  # numbered fractions of the colour bar
-_WIDEST = "\N{MINUS SIGN}50000"  # number beside a colour bar
 _GAP = 10  # px between two images
 
 
@@ -24,7 +22,8 @@ class _Images(QWidget):
     def __init__(self) -> None:
         super().__init__()
         names = ("Reference", "Frame", "Warped back", "Residual")
-        self.tiles = {name: ViewGrid((0, 0), "", self, widest=_WIDEST, is_captioned=False) for name in names}
+        widest = "\N{MINUS SIGN}50000"  # number beside a colour bar
+        self.tiles = {name: ViewGrid((0, 0), "", self, widest=widest, is_captioned=False) for name in names}
         self._names = [label(name, "dim", self) for name in names]
         self.tiles["Reference"].setToolTip("Spot image without the sample")
         self.tiles["Warped back"].setToolTip("The frame, warped back onto the reference")
@@ -63,11 +62,8 @@ class LensletPanel(Panel):
         self.numbers, self.quality = ElidedLabel(), ElidedLabel()
         images = _Images()
         self.tiles = images.tiles
-        self.exclude = Button(
-            "Exclude",
-            "Leave this lenslet out of the wavefront, or use it again; noted in the bench and in recordings",
-            self._exclude,
-        )
+        about = "Leave this lenslet out of the wavefront, or use it again; noted in the bench and in recordings"
+        self.exclude = Button("Exclude", about, self._exclude)
         header = row((self.name, 1), self.exclude)
         column(header, column(self.numbers, self.quality, spacing=0), (images, 1), parent=self)
         self.select(None)
@@ -119,7 +115,7 @@ class LensletPanel(Panel):
         self._grey(self.shown.liveness.is_grey)
         self.exclude.setText("Use again" if found.outcome is Outcome.EXCLUDED else "Exclude")
         top = max(float(found.reference.max()), float(found.frame.max()), 1.0)
-        light = ColourScale("inferno", 0.0, self._top.follow(top), "", _LIGHT)
+        light = ColourScale("inferno", 0.0, self._top.follow(top), "", (0.0, 0.5, 1.0))
         scales, images = [light] * 4, (found.reference, found.frame, found.fitted, found.residual)
         if found.residual is not None:
             most = max(float(np.nanmax(np.abs(found.residual), initial=0.0)), 1.0)

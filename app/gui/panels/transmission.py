@@ -10,7 +10,6 @@ from app.gui.widgets.view_grid import Maps, ViewGrid
 from reconstruction.arrays import Floats
 
 _STEP = 0.1  # of the ends of the colour scale
-_UNKNOWN = "This registration method does not measure the transmission"
 
 
 class TransmissionPanel(Panel):
@@ -40,7 +39,8 @@ class TransmissionPanel(Panel):
         known = np.zeros(0) if found is None else found[0][np.isfinite(found[0])]
         if found is None or not known.size:
             self.show_nothing()
-            self.sentence.setText(_UNKNOWN if found is None else "No lenslet has a transmission")
+            unknown = "This registration method does not measure the transmission"
+            self.sentence.setText(unknown if found is None else "No lenslet has a transmission")
             return
         values, sigma = found
         low, high = np.floor(known.min() / _STEP) * _STEP, np.ceil(known.max() / _STEP) * _STEP

@@ -42,7 +42,6 @@ from reconstruction.refinement import mean_rms
 from reconstruction.wavefront import Wavefront
 
 _AVERAGES = (1, 2, 5, 10, 20, 50, MOST_AVERAGED)
-_LIMITS = Range(1e-3, 1e5)
 _WEAK_RAD = 0.1  # mean RMS from which on noise is not looked at: it takes some milliseconds
 
 
@@ -95,7 +94,7 @@ class WavefrontPanel(Panel):
         return {
             "&View": (
                 *(
-                    (f"{quantity} over the field", str(index + 1), partial(self.choose, quantity))
+                    (f"{quantity} over the field", str(index + 1), partial(self.choice.setCurrentText, quantity))
                     for index, quantity in enumerate(Quantity)
                 ),
                 ("Freeze the colour scale", "H", self.freeze_scale),
@@ -112,9 +111,6 @@ class WavefrontPanel(Panel):
     def reach_rad(self) -> float | None:
         """Half width of PSF maps; None until the extent of the light is known."""
         return self._reach_mrad.value * 1e-3 if self._reach_mrad.is_set else None
-
-    def choose(self, quantity: Quantity) -> None:
-        self.choice.setCurrentText(quantity)
 
     def show_liveness(self) -> None:
         badge, reason, is_grey = self.shown.liveness
@@ -148,11 +144,8 @@ class WavefrontPanel(Panel):
         if wavefront is None or settings is None or quantity is Quantity.WAVEFRONT:
             return None
         reach_rad = self.reach_rad if quantity is Quantity.PSF else None
-        return Request(
-            wavefront,
-            (quantity, settings, reach_rad, wavefront.field),
-            lambda _: quantity_maps(wavefront, quantity, settings, reach_rad),
-        )
+        choice = (quantity, settings, reach_rad, wavefront.field)
+        return Request(wavefront, choice, lambda _: quantity_maps(wavefront, quantity, settings, reach_rad))
 
     def show_result(self, result: QuantityMaps | None) -> None:
         if result is None:
@@ -240,7 +233,7 @@ class WavefrontPanel(Panel):
         """Show the limit of a frozen colour scale, to be changed."""
         self.limit.setVisible(self.freeze_scale.isChecked())
         self.limit.use_unit(str(self.shown.unit) if PRESENTATIONS[self.quantity].has_unit else "")
-        self.limit.show_value(self._scale.value, _LIMITS)
+        self.limit.show_value(self._scale.value, Range(1e-3, 1e5))
 
     def _store(self) -> None:
         if self._newest is not None:
@@ -337,17 +330,12 @@ class DisplayMenu(QMenu):
         self.clear_stored.triggered.connect(lambda: self.change(stored=None))
         self.clear_stored.setEnabled(False)
         self.addSeparator()
-        self.averages = self._add_choices(
-            "Average",
-            "average",
-            [(f"{n} frames" if n > 1 else "Off", n) for n in _AVERAGES],
-            lambda count: self.change(averaged=count),
-        )
+        averages = [(f"{n} frames" if n > 1 else "Off", n) for n in _AVERAGES]
+        self.averages = self._add_choices("Average", "average", averages, lambda count: self.change(averaged=count))
         self.units = self._add_choices("Unit", "unit", [(unit.value, unit) for unit in Unit], self._choose_unit)
-        grids = [(f"{n} \N{MULTIPLICATION SIGN} {n}", n) for n in range(1, MOST_VIEWS + 1)]
-        self.grids = self._add_choices(
-            "Views", "grid", [("As in the bench", None), *grids], lambda count: self.change(views=count)
-        )
+        square = [(f"{n} \N{MULTIPLICATION SIGN} {n}", n) for n in range(1, MOST_VIEWS + 1)]
+        grids = [("As in the bench", None), *square]
+        self.grids = self._add_choices("Views", "grid", grids, lambda count: self.change(views=count))
 
     def change(self, **changes: Any) -> None:
         self.options = replace(self.options, **changes)

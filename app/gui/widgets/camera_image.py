@@ -25,10 +25,7 @@ from drivers.interface import Frame
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, lenslet_centers
 
-_PLOT_LINES = 7  # height of the profile
 _MICRO = "\N{MICRO SIGN}m"
-_SHADES = 256
-_ANYWHERE = QRectF(-1e6, -1e6, 2e6, 2e6)  # px
 _AROUND = [0, 1, 1, 2, 2, 3, 3, 0]  # corners at the ends of a cell's four borders
 _INSET = 0.88  # size of a lost lenslet's box over that of its cell
 _USUAL = 0.98  # share of the arrows that are not the longest few
@@ -43,7 +40,7 @@ class CameraImage(pg.GraphicsObject):  # type: ignore[misc] # ships no types
         super().__init__()
         self.pixels: Pixels = np.zeros((0, 0), np.uint32)  # as shown
         self._image = QImage()
-        self._table = colour_table("grey", _SHADES)
+        self.use_colours("grey")
         view.addItem(self)
 
     def show_counts(self, counts: NDArray[np.integer[Any]], black: float, white: float) -> None:
@@ -57,7 +54,7 @@ class CameraImage(pg.GraphicsObject):  # type: ignore[misc] # ships no types
         self.update()
 
     def use_colours(self, name: str) -> None:
-        self._table = colour_table(name, _SHADES)
+        self._table = colour_table(name, 256)
 
     def boundingRect(self) -> QRectF:  # noqa: N802 - Qt's name
         rows, columns = self.pixels.shape
@@ -122,7 +119,7 @@ class Segments(pg.PlotCurveItem):  # type: ignore[misc] # ships no types
 
     def boundingRect(self) -> QRectF:  # noqa: N802 - Qt's name
         """Return where segments may lie; to find their true border in every frame costs a tenth of painting them."""
-        return _ANYWHERE
+        return QRectF(-1e6, -1e6, 2e6, 2e6)
 
 
 @lru_cache(maxsize=4)
@@ -191,14 +188,14 @@ class DrawingView(pg.ViewBox):  # type: ignore[misc] # pyqtgraph declares no typ
     drawn = pyqtSignal(QPointF, QPointF, bool)  # from, to, and whether the button is released
     draws = False
 
-    def mouseDragEvent(self, event: object, axis: int | None = None) -> None:  # noqa: N802 - pyqtgraph's name
+    def mouseDragEvent(self, event: Any, axis: int | None = None) -> None:  # noqa: N802 - pyqtgraph's name
         """Draw, or move the picture; the middle button always moves it."""
-        if not self.draws or event.button() != Qt.MouseButton.LeftButton:  # type: ignore[attr-defined] # pyqtgraph's
+        if not self.draws or event.button() != Qt.MouseButton.LeftButton:
             super().mouseDragEvent(event, axis)
             return
-        event.accept()  # type: ignore[attr-defined] # pyqtgraph's event
-        ends = (event.buttonDownScenePos(), event.scenePos())  # type: ignore[attr-defined] # pyqtgraph's event
-        self.drawn.emit(*map(self.mapSceneToView, ends), event.isFinish())  # type: ignore[attr-defined] # again
+        event.accept()
+        ends = (event.buttonDownScenePos(), event.scenePos())
+        self.drawn.emit(*map(self.mapSceneToView, ends), event.isFinish())
 
 
 def rectangle(start: QPointF, end: QPointF) -> Floats:
@@ -213,11 +210,8 @@ class Measuring(QWidget):
 
     def __init__(self, view: pg.ViewBox) -> None:
         super().__init__()
-        look = {
-            "pen": pg.mkPen(theme.GREEN_ON_IMAGE, width=2),
-            "hoverPen": pg.mkPen(theme.AMBER_ON_IMAGE, width=2),
-            "handlePen": pg.mkPen(theme.GREEN_ON_IMAGE, width=2),
-        }
+        pen, hovered = (pg.mkPen(colour, width=2) for colour in (theme.GREEN_ON_IMAGE, theme.AMBER_ON_IMAGE))
+        look = {"pen": pen, "hoverPen": hovered, "handlePen": pen}
         self.line = pg.LineSegmentROI([(0, 0), (1, 0)], **look)
         self.area = pg.RectROI((0, 0), (1, 1), **look)
         for item in (self.line, self.area):
@@ -236,7 +230,7 @@ class Measuring(QWidget):
         self.reading = ElidedLabel()
         self.plot = Plot("", "px along the line, counts", widest="65000")
         self.plot.title.hide()
-        self.plot.graphics.setFixedHeight(_PLOT_LINES * self.fontMetrics().height())
+        self.plot.graphics.setFixedHeight(7 * self.fontMetrics().height())
         self.curve = self.plot.add_curve(theme.GREEN, 1)
         column(self.reading, self.plot, spacing=2, parent=self)
         self.hide()

@@ -1,11 +1,12 @@
 """The selected view enlarged: map with contours and cursor, two cross-sections, and the surface."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from PyQt6.QtCore import QPoint, QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF, QShowEvent
-from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QWidget
 
 from app.gui.widgets import theme
 from app.gui.widgets.basics import ElidedLabel, Toggle, column, row, within_screen
@@ -18,7 +19,6 @@ from reconstruction.arrays import Floats
 _CONTOUR, _CURSOR = QColor(0, 0, 0, 150), QColor(0, 0, 0)  # on the map, in every theme
 _TURN_RAD = 0.01  # for each pixel of a drag
 _LINED = 41  # rows or columns; finer surfaces have no lines
-_EDGE = QColor(0, 0, 0, 60)
 
 
 class EnlargedMap(ViewGrid):
@@ -125,7 +125,7 @@ class SurfaceView(QWidget):
             red, green, blue = ((int(colour) >> shift & 255) * brightness for shift in (16, 8, 0))
             shaded = QColor(int(red), int(green), int(blue))
             painter.setBrush(shaded)
-            painter.setPen(QPen(_EDGE if is_lined else shaded, 1))
+            painter.setPen(QPen(QColor(0, 0, 0, 60) if is_lined else shaded, 1))
             painter.drawPolygon(QPolygonF([QPointF(x, y) for x, y in face]))
 
     def _on_widget(self, projected: Floats) -> Floats:
@@ -198,16 +198,10 @@ class EnlargedView(QDialog):
         self._curves = [plot.add_curve(theme.ACCENT) for plot in (self.across, self.down)]
         self.surface = SurfaceView()
         self.text = ElidedLabel()
-        self.contour_toggle = Toggle("Contours", "Lines of equal value", self._toggle_contours, is_on=True)
-        grid_layout = QGridLayout()
-        grid_layout.setSpacing(12)
-        grid_layout.addWidget(self.map, 0, 0, 2, 1)
-        grid_layout.addWidget(self.across, 0, 1)
-        grid_layout.addWidget(self.down, 1, 1)
-        grid_layout.addWidget(self.surface, 0, 2, 2, 1)
-        for index, stretch in enumerate((5, 3, 4)):
-            grid_layout.setColumnStretch(index, stretch)
-        layout = column(row((self.text, 1), self.contour_toggle), (grid_layout, 1), parent=self)
+        self.contour_toggle = Toggle("Contours", "Lines of equal value", self.refresh, is_on=True)
+        sections = column((self.across, 1), (self.down, 1), spacing=12)
+        parts = row((self.map, 5), (sections, 3), (self.surface, 4), spacing=12)
+        layout = column(row((self.text, 1), self.contour_toggle), (parts, 1), parent=self)
         layout.setContentsMargins(10, 8, 10, 8)
         self.resize(within_screen(parent, QSize(1180, 480)))
         self.refresh()
@@ -221,9 +215,9 @@ class EnlargedView(QDialog):
         if maps is not None and maps.values.size:
             rows, columns = maps.values.shape[:2]
             i, j = view if view is not None and view[0] < rows and view[1] < columns else (rows // 2, columns // 2)
-            values = maps.values[i : i + 1, j : j + 1]
-            one = Maps(values, maps.scale, maps.describe, maps.is_smooth, maps.reach, maps.reach_unit)
+            one = replace(maps, values=maps.values[i : i + 1, j : j + 1])
             self.map.set_captions({(0, 0): self._grid.captions[i, j]} if (i, j) in self._grid.captions else {})
+        self.map.has_contours = self.contour_toggle.isChecked()
         self.map.show_maps(one)
         self.surface.show_map(one, self.map.values)
         self._show_sections()
@@ -231,10 +225,6 @@ class EnlargedView(QDialog):
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
         super().showEvent(event)
         self.refresh()
-
-    def _toggle_contours(self) -> None:
-        self.map.has_contours = self.contour_toggle.isChecked()
-        self.map.update()
 
     def _show_sections(self) -> None:
         maps, values = self.map.maps, self.map.values

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -24,7 +24,7 @@ from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui.widgets import theme
 from app.gui.widgets.copies import add_copy_menu, as_table
-from app.gui.widgets.scales import ColourScale
+from app.gui.widgets.scales import ColourScale, colour_table
 from app.results.pictures import Pixels, enlarged
 from reconstruction.arrays import Floats
 
@@ -35,7 +35,6 @@ _CAPTION = 100  # px: small views stand apart, if there is room, so that their c
 MARGIN = 3  # px around all views, for the selection frame
 _BETWEEN = 4  # px between the captions of neighbours
 _CAPTIONED = ((2, 50), (1, 40))  # lines and least px: of narrower views only the tool tips have the numbers
-_STALE_OPACITY = 0.5
 STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
 
 Caption = tuple[tuple[str, ...], tuple[str, ...]]  # two lines, each with its wordings, longest first
@@ -213,7 +212,8 @@ class ViewGrid(QWidget):
             self.selected.emit(row, column)
 
     def _scale(self, maps: Maps) -> ColourScale:
-        return maps.scale.in_grey if self.is_stale else maps.scale
+        """From black to white while the maps are stale: a sign stays visible."""
+        return replace(maps.scale, colours="CET-L1") if self.is_stale else maps.scale
 
     def _view_at(self, position: QPoint) -> tuple[int, int] | None:
         if self.maps is None:
@@ -327,7 +327,7 @@ class ViewGrid(QWidget):
 
     def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
         line, bar = self.fontMetrics().height(), self._bar(maps)
-        painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
+        painter.setOpacity(0.5 if self.is_stale else 1.0)
         painter.drawPixmap(bar.topLeft(), self._colour_bar(self._scale(maps), bar.size()))
         painter.setOpacity(1.0)
         painter.setPen(theme.TEXT)
@@ -344,9 +344,10 @@ class ViewGrid(QWidget):
         """Return the bar without its numbers; scaling an image in every frame took longer than all maps."""
         key = (scale.colours, size)
         if key != self._bar_key:
-            at = np.linspace(len(scale.bar) - 1, 0, size.height()).round().astype(np.intp)
+            bar = colour_table(scale.colours)
+            at = np.linspace(len(bar) - 1, 0, size.height()).round().astype(np.intp)
             self._bar_key = key
-            self._bar_pixmap = QPixmap.fromImage(_image(np.repeat(scale.bar[at, None], size.width(), axis=1)).copy())
+            self._bar_pixmap = QPixmap.fromImage(_image(np.repeat(bar[at, None], size.width(), axis=1)).copy())
         return self._bar_pixmap
 
     def _bar(self, maps: Maps) -> QRect:

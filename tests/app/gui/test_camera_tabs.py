@@ -240,7 +240,7 @@ def test_right_click_on_a_view_selects_nothing(window: MainWindow) -> None:
 def test_lenslet_is_excluded_by_hand_and_used_again(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     camera, lenslet = window.panels.camera, window.panels.lenslet
-    camera._view.setRange(camera._area(window.shown.measurement.frame))  # type: ignore[union-attr] # live
+    camera._view.setRange(camera._image.boundingRect())
     x, y = LATTICE.lenslet_centers_px(*LENSLETS)[3, 5]
     at = camera._graphics.mapFromScene(camera._view.mapViewToScene(QPointF(x, y)))
     menu_at(camera._graphics, at)["Exclude lenslet row 3, column 5, or use it again"].trigger()

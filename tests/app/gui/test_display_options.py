@@ -107,7 +107,7 @@ def test_options_apply_to_analysed_quantities(window: MainWindow, qtbot: QtBot) 
     panel = window.panels.wavefronts
     panel.menu.tilt.setChecked(True)
     panel.menu.defocus.setChecked(True)
-    panel.choose(Quantity.PSF)
+    panel.choice.setCurrentText(Quantity.PSF)
     qtbot.waitUntil(lambda: panel.grid.maps is not None)
     maps = shown(window)
     assert maps[1, 1, maps.shape[2] // 2, maps.shape[3] // 2] == pytest.approx(1)  # nothing is left of the bowl
@@ -226,7 +226,7 @@ def test_limit_of_the_colours_has_the_unit(window: MainWindow, qtbot: QtBot) -> 
     QTest.keyClicks(panel.limit, "250 nm\r")  # type: ignore[call-arg, arg-type] # PyQt's stub lacks staticmethod
     assert panel.grid.maps is not None
     assert panel.grid.maps.scale.high == 250
-    panel.choose(Quantity.PSF)
+    panel.choice.setCurrentText(Quantity.PSF)
     assert "nm" not in panel.limit.text()
 
 
