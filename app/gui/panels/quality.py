@@ -51,7 +51,12 @@ class QualityPanel(Panel):
         if found is not None:
             sentence = verdict(found)
             self.sentence.setText(sentence)
-            self.sentence.setToolTip(f"{sentence}.\n{_explanation(found)}")
+            self.sentence.setToolTip(
+                f"{sentence}.\nThe correction is the mean wavefront of the field. The isoplanatic patch ends\n"
+                "where two wavefronts differ by 1 rad RMS (mean square 1 rad\N{SUPERSCRIPT TWO}).\n"
+                f"Tip and tilt removed, which only displace the image: {number(found.error_without_tilt_rad, 2)} rad"
+                f" RMS; patch {_patch(found.curve_without_tilt.patch_m)}."
+            )
 
     def show_nothing(self) -> None:
         self.mtf.show_transfer(None, "")
@@ -134,15 +139,6 @@ def verdict(found: Isoplanatism) -> str:
         return "No lenslet is valid over the whole field"
     patch = _patch(found.curve.patch_m)
     return f"A single correction would leave {number(found.error_rad, 2)} rad RMS. Isoplanatic patch: {patch}"
-
-
-def _explanation(found: Isoplanatism) -> str:
-    return (
-        "The correction is the mean wavefront of the field. The isoplanatic patch ends\n"
-        "where two wavefronts differ by 1 rad RMS (mean square 1 rad\N{SUPERSCRIPT TWO}).\n"
-        f"Tip and tilt removed, which only displace the image: {number(found.error_without_tilt_rad, 2)} rad RMS;"
-        f" patch {_patch(found.curve_without_tilt.patch_m)}."
-    )
 
 
 def _patch(patch_m: float) -> str:

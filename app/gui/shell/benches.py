@@ -9,7 +9,7 @@ from typing import Any
 
 from PyQt6.QtCore import QObject, QSettings, Qt, QUrl
 from PyQt6.QtGui import QDesktopServices
-from PyQt6.QtWidgets import QDialog, QFileDialog, QHBoxLayout, QLabel, QMenu, QWidget
+from PyQt6.QtWidgets import QDialog, QFileDialog, QHBoxLayout, QMenu, QWidget
 
 from app.bench.bench_files import BenchError, bench_file, excerpt, read_bench_text
 from app.bench.config import Bench, load_bench, save_bench
@@ -21,7 +21,7 @@ from app.gui.shell.menus import RecentFiles, listing_menu
 from app.gui.shell.settings_dialog import SettingsDialog
 from app.gui.shell.wording import as_sentence
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, column
+from app.gui.widgets.basics import Button, column, label
 from app.gui.widgets.copies import ask_file
 
 _TEMPLATE = "live_demo"
@@ -167,9 +167,8 @@ class BenchDialog(QDialog):
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
-        self.text = QLabel()
+        self.text = label("", wraps=True)
         self.text.setTextFormat(Qt.TextFormat.RichText)
-        self.text.setWordWrap(True)
         self.text.setMinimumWidth(560)  # px
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self._buttons = QHBoxLayout()

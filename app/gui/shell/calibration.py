@@ -80,7 +80,7 @@ class CalibrationGuide(QDialog):
         self._is_running = False
         self._answers: dict[bool, Callable[[], object]] = {}  # called after "yes" and after "no"
         self.lamps = {step: label("") for step in STEPS}
-        self.results = {step: label("", "dim") for step in STEPS}
+        self.results = {step: label("", "dim", wraps=True) for step in STEPS}
         steps = QWidget()
         grid = QGridLayout(steps)
         grid.setContentsMargins(0, 0, 0, 0)
@@ -88,18 +88,15 @@ class CalibrationGuide(QDialog):
         grid.setVerticalSpacing(2)
         grid.setColumnMinimumWidth(1, 660)  # px
         for index, step in enumerate(STEPS):
-            explanation, result = label(step.explanation, "dim"), self.results[step]
-            for text in (explanation, result):
-                text.setWordWrap(True)
+            result = self.results[step]
             result.setTextFormat(Qt.TextFormat.PlainText)
             result.setAlignment(Qt.AlignmentFlag.AlignTop)
             result.setMinimumHeight(2 * result.fontMetrics().lineSpacing() + 8)  # the lattice takes two lines
             grid.addWidget(self.lamps[step], 3 * index, 0)
             grid.addWidget(label(f"{index + 1}  {step.title}", "title"), 3 * index, 1)
-            grid.addWidget(explanation, 3 * index + 1, 1)
+            grid.addWidget(label(step.explanation, "dim", wraps=True), 3 * index + 1, 1)
             grid.addWidget(result, 3 * index + 2, 1)
-        self.question = label("")
-        self.question.setWordWrap(True)
+        self.question = label("", wraps=True)
         self.yes = Button("", "Return", lambda _: self._answers[True]())
         self.no = Button("", "Esc", lambda _: self._answers[False]())
         answers = row((self.question, 1), self.yes, self.no)

@@ -135,8 +135,7 @@ class DevicePresets(QDialog):
         self.names = QListWidget()
         self.names.currentItemChanged.connect(self._enable)
         self.names.itemDoubleClicked.connect(lambda _: self._apply())
-        self.about = label("", "dim")
-        self.about.setWordWrap(True)
+        self.about = label("", "dim", wraps=True)
         self.about.setMinimumWidth(380)  # px: the title fits
         self.name = TextField(tool_tip="Name of the preset", hint="name")
         self.name.textChanged.connect(self._enable)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QT_VERSION_STR, QEvent, QObject, QPoint, QRect, QSize, Qt, QUrl
 from PyQt6.QtGui import QCloseEvent, QFontDatabase, QImage, QKeyEvent, QTextCursor, QTextDocument
-from PyQt6.QtWidgets import QDialog, QFrame, QLabel, QScrollArea, QTextBrowser, QWidget
+from PyQt6.QtWidgets import QDialog, QFrame, QScrollArea, QTextBrowser, QWidget
 
 import app
 from app.gui.panels.panel import Entries
@@ -63,8 +63,7 @@ def show_keys(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     if _width(_side_by_side(tables), parent) > most:
         tables[0] += tables.pop()
     shown = _side_by_side(tables)
-    text = QLabel(f"{shown}{_CONVENTIONS}")
-    text.setWordWrap(True)
+    text = label(f"{shown}{_CONVENTIONS}", wraps=True)
     width = max(min(_HELP_WIDTH, most), _width(shown, parent))
     text.setMinimumSize(width, text.heightForWidth(width))
     text.setContentsMargins(8, 0, 8, 0)
@@ -209,8 +208,7 @@ class Tour(QFrame):
         self._outline = QFrame(window)
         self._outline.setProperty("role", "outline")
         self._outline.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self.title, self.text, self.count = label("", "title"), QLabel(), label("", "dim")
-        self.text.setWordWrap(True)
+        self.title, self.text, self.count = label("", "title"), label("", wraps=True), label("", "dim")
         self.text.setFixedWidth(_TOUR_WIDTH)
         self.text.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.next = Button("Next", "The next part", self._advance)

@@ -15,7 +15,7 @@ from app.errors import InputError, RunError
 from app.gui.shell.background_commands import BackgroundCommands
 from app.gui.shell.controller import Controller
 from app.gui.shell.menus import RecentFiles
-from app.gui.shell.wording import gaps_in_words, recording_ended
+from app.gui.shell.wording import gaps_in_words
 from app.gui.widgets import theme
 from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, label, mark_refused, row
 from app.gui.widgets.copies import ask_file
@@ -100,7 +100,9 @@ class RecordingBar(QFrame):
         self.setProperty("role", "strip")
         self._controller, self._messages, self._panel = controller, controller.messages, panel
         panel.record.clicked.connect(self._record)
-        panel.keep.clicked.connect(self._keep)
+        panel.keep.clicked.connect(
+            lambda: controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
+        )
         controller.connected.connect(self._restart)
         documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
         self.recordings_folder = Path(documents or ".") / "svwfs"
@@ -204,13 +206,6 @@ class RecordingBar(QFrame):
             if _is_over(state):
                 self._finish(state)
 
-    def _report_ends(self, *states: RecordingState | None) -> None:
-        for state in states:
-            if state is not None and _is_over(state) and state.folder not in self._reported:
-                self._reported.add(state.folder)
-                show = self._messages.alarm if state.stage == "ended early" else self._messages.inform
-                show(recording_ended(state))
-
     def recent_menu(self) -> QMenu:
         return self.recent.menu(self, lambda folder: folder.name, self.play)
 
@@ -234,9 +229,6 @@ class RecordingBar(QFrame):
             self._controller.send(lambda to: to.stop_recording())
         elif not self._starting.cancel():
             self._starting.add_done_callback(lambda _: acquisition.stop_recording())
-
-    def _keep(self) -> None:
-        self._controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
 
     def _new_folder(self, suffix: str = "") -> Path:
         return self.recordings_folder / f"{datetime.now().astimezone():%Y%m%d-%H%M%S}{suffix}"

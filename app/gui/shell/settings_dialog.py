@@ -60,8 +60,7 @@ class SettingsDialog(QDialog):
         connected = QFormLayout(self.devices)
         connected.addRow("Connected camera", self.camera)
         connected.addRow("Connected light", self.light)
-        self.failed = label("", "dim")
-        self.failed.setWordWrap(True)
+        self.failed = label("", "dim", wraps=True)
         connected.addRow(self.failed)
         self.problem = ElidedLabel(lines=2)
         self.apply = Button("Open", "", self._apply)
@@ -146,9 +145,7 @@ class SettingsDialog(QDialog):
         for section in self._form.sections():
             inner = QWidget()
             layout = QFormLayout(inner)
-            about = label(section.help, "dim")
-            about.setWordWrap(True)
-            layout.addRow(about)
+            layout.addRow(label(section.help, "dim", wraps=True))
             for field in section.fields:
                 editor = self._editor(field)
                 editor.setToolTip(f"<p>{_in_names(field.help or field.label)}</p>")

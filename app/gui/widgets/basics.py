@@ -46,10 +46,11 @@ NAMES = {  # human names of settings' values; the others are their word
 }
 
 
-def label(text: str, role: str = "", parent: QWidget | None = None) -> QLabel:
+def label(text: str, role: str = "", parent: QWidget | None = None, *, wraps: bool = False) -> QLabel:
     """Make a label; its role ("title", "dim", "badge") selects the style."""
     made = QLabel(text, parent)
     made.setProperty("role", role)
+    made.setWordWrap(wraps)
     return made
 
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from PyQt6.QtCore import QPoint, QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF, QShowEvent
 from PyQt6.QtWidgets import QDialog, QWidget
 
@@ -47,7 +47,7 @@ class EnlargedMap(ViewGrid):
         super().paintEvent(event)
         if self.maps is None:
             return
-        tile, (rows, columns) = self.tile(0, 0), self.values.shape
+        tile, (rows, columns) = self.places.tile(0, 0), self.values.shape
         painter = QPainter(self)
         painter.setClipRect(tile)
         painter.translate(tile.topLeft().toPointF())
@@ -66,11 +66,13 @@ class EnlargedMap(ViewGrid):
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
         if event is not None and event.button() == Qt.MouseButton.LeftButton:
-            self._move(event.pos())
+            self.mouseMoveEvent(event)
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        if event is not None:
-            self._move(event.pos())
+        tile, (rows, columns) = self.places.tile(0, 0), self.values.shape
+        if event is not None and self.maps is not None and tile.isValid():
+            inside = event.pos() - tile.topLeft()
+            self._set_cursor(inside.y() * rows // tile.height(), inside.x() * columns // tile.width())
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
         step = None if event is None else STEPS.get(Qt.Key(event.key()))
@@ -78,12 +80,6 @@ class EnlargedMap(ViewGrid):
             super().keyPressEvent(event)
             return
         self._set_cursor(self.at[0] + step[0], self.at[1] + step[1])
-
-    def _move(self, position: QPoint) -> None:
-        tile, (rows, columns) = self.tile(0, 0), self.values.shape
-        if self.maps is not None and tile.isValid():
-            inside = position - tile.topLeft()
-            self._set_cursor(inside.y() * rows // tile.height(), inside.x() * columns // tile.width())
 
     def _set_cursor(self, row: int, column: int) -> None:
         rows, columns = self.values.shape
@@ -99,20 +95,20 @@ class SurfaceView(QWidget):
         super().__init__()
         self.azimuth_rad, self.elevation_rad = 0.6, 0.6
         self._maps: Maps | None = None
-        self._values: Floats = np.zeros((0, 0))
         self._from = QPointF()
         self.setMinimumSize(160, 140)
         self.setToolTip("Drag to turn the surface")
 
-    def show_map(self, maps: Maps | None, values: Floats) -> None:
-        """Show the map (row, column) of one view, or nothing."""
-        self._maps, self._values = maps, values
+    def show_map(self, maps: Maps | None) -> None:
+        """Show the map of one view, or nothing."""
+        self._maps = maps
         self.update()
 
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        maps, values = self._maps, self._values
-        if maps is None or min(values.shape) < 2:
+        maps = self._maps
+        if maps is None or min(maps.values.shape[2:]) < 2:
             return
+        values = maps.values[0, 0]
         limit = max(abs(maps.scale.low), abs(maps.scale.high))
         surface = project_surface(values, limit, azimuth_rad=self.azimuth_rad, elevation_rad=self.elevation_rad)
         colours = maps.scale.pixels(surface.values)
@@ -135,7 +131,7 @@ class SurfaceView(QWidget):
 
     def _paint_axes(self, painter: QPainter, maps: Maps) -> None:
         """Paint the base, which lies at the low end of the scale, and the scale at its leftmost corner."""
-        rows, columns = self._values.shape
+        rows, columns = maps.values.shape[2:]
         half_x, half_y = ((count - 1) / (2 * (max(rows, columns) - 1)) for count in (columns, rows))
         limit = max(abs(maps.scale.low), abs(maps.scale.high))
         low, high = maps.scale.low / (4 * limit), maps.scale.high / (4 * limit)
@@ -219,7 +215,7 @@ class EnlargedView(QDialog):
             self.map.set_captions({(0, 0): self._grid.captions[i, j]} if (i, j) in self._grid.captions else {})
         self.map.has_contours = self.contour_toggle.isChecked()
         self.map.show_maps(one)
-        self.surface.show_map(one, self.map.values)
+        self.surface.show_map(one)
         self._show_sections()
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name

@@ -164,9 +164,6 @@ class ViewGrid(QWidget):
             self.captions = captions
             self.update(QRegion(self.rect()).subtracted(self.places.tiles))
 
-    def tile(self, view_row: int, view_column: int) -> QRect:
-        return self.places.tile(view_row, view_column)
-
     def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
         painter = QPainter(self)
         maps = self.maps
@@ -177,7 +174,10 @@ class ViewGrid(QWidget):
         places, painted = self.places, QRegion(self.rect()) if event is None else event.region()
         if painted.intersects(places.tiles):
             self._paint_maps(painter, maps)
-        self._paint_selection(painter)
+        if self.selection is not None:
+            painter.setPen(QPen(theme.ACCENT, 2))
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            painter.drawRect(places.tile(*self.selection).adjusted(-1, -1, 1, 1))
         if painted.subtracted(places.tiles).isEmpty():
             return
         if places.caption_lines:
@@ -219,13 +219,13 @@ class ViewGrid(QWidget):
         if self.maps is None:
             return None
         views = np.ndindex(self.maps.values.shape[:2])
-        return next(((row, column) for row, column in views if self.tile(row, column).contains(position)), None)
+        return next(((row, column) for row, column in views if self.places.tile(row, column).contains(position)), None)
 
     def _value_at(self, position: QPoint) -> str:
         view = self._view_at(position)
         if self.maps is None or view is None:
             return ""
-        tile, values = self.tile(*view), self.maps.values[view]
+        tile, values = self.places.tile(*view), self.maps.values[view]
         inside = position - tile.topLeft()
         row = inside.y() * values.shape[0] // tile.height()
         column = inside.x() * values.shape[1] // tile.width()
@@ -243,7 +243,8 @@ class ViewGrid(QWidget):
         """Return the places of the views, computed again when something that they depend on has changed."""
         if self._is_moved:
             self._laid_out_for = self._layout_key
-            shape, line = self._shape, self.fontMetrics().height()
+            shape = (0, 0, 0, 0) if self.maps is None else self.maps.values.shape
+            line = self.fontMetrics().height()
             space, has_bar = self.bar_space, self.has_bar
             if has_bar is None:
                 has_bar = self.width() >= 2 * space + line and self.height() >= LEAST_LINES * line
@@ -262,13 +263,9 @@ class ViewGrid(QWidget):
         return _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
 
     @property
-    def _shape(self) -> tuple[int, ...]:
-        return (0, 0, 0, 0) if self.maps is None else self.maps.values.shape
-
-    @property
     def _layout_key(self) -> tuple[int, ...]:
-        line = self.fontMetrics().height()
-        return (self.width(), self.height(), line, self._number_width, self.has_bar is not False, *self._shape)
+        shape, line = () if self.maps is None else self.maps.values.shape, self.fontMetrics().height()
+        return (self.width(), self.height(), line, self._number_width, self.has_bar is not False, *shape)
 
     @property
     def _is_moved(self) -> bool:
@@ -303,7 +300,7 @@ class ViewGrid(QWidget):
                 continue
             painter.setPen(colour)
             for (row, column), lines in self.captions.items():
-                tile = self.tile(row, column)
+                tile = self.places.tile(row, column)
                 place = QRect(tile.center().x() - width // 2, tile.bottom() + 3 + index * line, width, line)
                 painter.drawText(place, Qt.AlignmentFlag.AlignCenter, lines[index][wording])
 
@@ -317,13 +314,6 @@ class ViewGrid(QWidget):
         width, advance = self._caption_width, self.fontMetrics().horizontalAdvance
         by_wording = zip(*(lines[line] for lines in self.captions.values()), strict=True)
         return next((index for index, texts in enumerate(by_wording) if max(map(advance, texts)) <= width), None)
-
-    def _paint_selection(self, painter: QPainter) -> None:
-        if self.selection is None:
-            return
-        painter.setPen(QPen(theme.ACCENT, 2))
-        painter.setBrush(Qt.BrushStyle.NoBrush)
-        painter.drawRect(self.tile(*self.selection).adjusted(-1, -1, 1, 1))
 
     def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
         line, bar = self.fontMetrics().height(), self._bar(maps)
@@ -353,7 +343,7 @@ class ViewGrid(QWidget):
     def _bar(self, maps: Maps) -> QRect:
         """Return the place of the colour bar, below its title."""
         view_rows, view_columns = maps.values.shape[:2]
-        top, bottom = self.tile(0, view_columns - 1), self.tile(view_rows - 1, view_columns - 1)
+        top, bottom = self.places.tile(0, view_columns - 1), self.places.tile(view_rows - 1, view_columns - 1)
         first = top.top() + self.fontMetrics().height() + 4
         return QRect(top.right() + _BAR_MARGIN, first, _BAR_WIDTH, bottom.bottom() - first + 1)
 

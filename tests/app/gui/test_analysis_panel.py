@@ -86,11 +86,11 @@ def test_psf_peaks_in_the_middle_and_caption_states_strehl(make_window: MakeWind
     assert captions[2, 0][0][1] == "Strehl \N{EN DASH}"
     grid = window.panels.wavefronts.grid
     seen = picture(grid).astype(int)
-    bright_tile, lost_tile = part(seen, grid.tile(1, 1)), part(seen, grid.tile(2, 0))
+    bright_tile, lost_tile = part(seen, grid.places.tile(1, 1)), part(seen, grid.places.tile(2, 0))
     assert bright_tile[bright_tile.shape[0] // 2, bright_tile.shape[1] // 2].min() > 130
     assert bright_tile[:5, :5].max() < 60
     assert 30 < lost_tile.mean() < 80  # hatched
-    assert "of the peak without aberration" in grid._value_at(grid.tile(1, 1).center())
+    assert "of the peak without aberration" in grid._value_at(grid.places.tile(1, 1).center())
 
 
 def test_clicks_and_arrow_keys_select_the_view_of_the_mtf(make_window: MakeWindow, qtbot: QtBot) -> None:
@@ -98,7 +98,7 @@ def test_clicks_and_arrow_keys_select_the_view_of_the_mtf(make_window: MakeWindo
     show(window, bowl())
     grid, mtf = window.panels.wavefronts.grid, window.panels.quality.mtf
     qtbot.waitUntil(lambda: mtf.title.text() == "MTF at 0, 0 mm")
-    click(qtbot, grid, grid.tile(0, 2).center())
+    click(qtbot, grid, grid.places.tile(0, 2).center())
     qtbot.waitUntil(lambda: mtf.title.text() == "MTF at +0.50, \N{MINUS SIGN}0.50 mm")
     for key in (Qt.Key.Key_Up, Qt.Key.Key_Right, Qt.Key.Key_Down, Qt.Key.Key_Left):  # the first two have no effect
         press(qtbot, grid, key)
@@ -108,7 +108,7 @@ def test_clicks_and_arrow_keys_select_the_view_of_the_mtf(make_window: MakeWindo
     assert x[-1] == pytest.approx(13 * 500e-6 / 462e-9 / 1e3)  # cycles per mrad
     assert mtf._limits[1].getData()[0][-1] == pytest.approx(9 * 500e-6 / 462e-9 / 1e3)
     blue = picture(grid).astype(int)
-    frame = grid.tile(1, 1).adjusted(-1, -1, 1, 1)
+    frame = grid.places.tile(1, 1).adjusted(-1, -1, 1, 1)
     assert blue[frame.top(), frame.center().x(), 2] > blue[frame.top(), frame.center().x(), 0] + 60
 
 
@@ -259,7 +259,7 @@ def test_captions_shorten_in_narrow_tiles(make_window: MakeWindow) -> None:
     narrow = [grid._wording(line) for line in (0, 1)]
     assert all(a is not None for a in wide)
     assert all(b is None or (a is not None and b > a) for a, b in zip(wide, narrow, strict=True))
-    assert grid._value_at(grid.tile(0, 0).topLeft() + QPoint(1, 1)).count("RMS") == 1
+    assert grid._value_at(grid.places.tile(0, 0).topLeft() + QPoint(1, 1)).count("RMS") == 1
 
 
 def curve(*rms_rad: float) -> StructureCurve:

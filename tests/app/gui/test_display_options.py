@@ -115,14 +115,14 @@ def test_options_apply_to_analysed_quantities(window: MainWindow, qtbot: QtBot) 
 
 def test_double_click_opens_the_enlarged_view(window: MainWindow, qtbot: QtBot) -> None:
     panel = window.panels.wavefronts
-    corner = panel.grid.tile(2, 0).center()
+    corner = panel.grid.places.tile(2, 0).center()
     click(qtbot, panel.grid, corner)
     qtbot.mouseDClick(panel.grid, Qt.MouseButton.LeftButton, pos=corner)  # type: ignore[no-untyped-call] # pytest-qt declares no types
     enlarged = window.findChild(EnlargedView)
     assert enlarged is not None
     assert enlarged.isVisible()
     np.testing.assert_array_equal(enlarged.map.values, shown(window)[2, 0])
-    tile = enlarged.map.tile(0, 0)
+    tile = enlarged.map.places.tile(0, 0)
     click(qtbot, enlarged.map, tile.topLeft() + QPoint(tile.width() * 5 // 26, tile.height() * 3 // 18))
     assert enlarged.map.at == (1, 2)
     for key in (Qt.Key.Key_Down, Qt.Key.Key_Right):
@@ -149,9 +149,9 @@ def test_enlarged_view_paints_contours_and_a_surface_that_turns(window: MainWind
     enlarged = window.findChild(EnlargedView)
     assert enlarged is not None
     QApplication.processEvents()
-    with_contours = part(picture(enlarged.map), enlarged.map.tile(0, 0)).astype(int)
+    with_contours = part(picture(enlarged.map), enlarged.map.places.tile(0, 0)).astype(int)
     click(qtbot, enlarged.contour_toggle, enlarged.contour_toggle.rect().center())
-    without = part(picture(enlarged.map), enlarged.map.tile(0, 0)).astype(int)
+    without = part(picture(enlarged.map), enlarged.map.places.tile(0, 0)).astype(int)
     changed = np.abs(with_contours - without).max(axis=2) > 30
     assert 0.01 < changed.mean() < 0.3
     before = picture(enlarged.surface).astype(int)
