@@ -51,11 +51,7 @@ class Splash(QSplashScreen):
 
 def show_ending(sentence: str, details: str) -> None:
     """Show how the program ended, and details on request, until the dialog is closed; no terminal tells."""
-    application = QApplication.instance()
-    if not isinstance(application, QApplication):
-        application = QApplication(sys.argv[:1])
-    application.setApplicationName("svwfs")
-    theme.apply_theme(application)
+    _application = theme.styled_application()  # kept alive with the dialog
     dialog = QMessageBox(QMessageBox.Icon.Critical, "svwfs", sentence)
     dialog.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
     dialog.setDetailedText(details)

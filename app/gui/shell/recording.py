@@ -15,7 +15,7 @@ from app.errors import InputError, RunError
 from app.gui.shell.background_commands import BackgroundCommands
 from app.gui.shell.controller import Controller
 from app.gui.shell.menus import RecentFiles
-from app.gui.shell.wording import gaps_in_words
+from app.gui.shell.wording import gaps_in_words, recording_ended
 from app.gui.widgets import theme
 from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, label, mark_refused, row
 from app.gui.widgets.copies import ask_file
@@ -205,6 +205,13 @@ class RecordingBar(QFrame):
             self._show_stage(state)
             if _is_over(state):
                 self._finish(state)
+
+    def _report_ends(self, *states: RecordingState | None) -> None:
+        for state in states:
+            if state is not None and _is_over(state) and state.folder not in self._reported:
+                self._reported.add(state.folder)
+                show = self._messages.alarm if state.stage == "ended early" else self._messages.inform
+                show(recording_ended(state))
 
     def recent_menu(self) -> QMenu:
         return self.recent.menu(self, lambda folder: folder.name, self.play)
