@@ -35,18 +35,13 @@ class Splash(QSplashScreen):
 
     def _paint(self) -> None:
         """Handle events until the picture is on the screen: while the libraries load, nothing else does."""
-        until_s = time.monotonic() + _EXPOSED_S
-        while (window := self.windowHandle()) is None or not window.isExposed():
-            if time.monotonic() > until_s:
-                return
-            self._handle_events()
-        until_s = time.monotonic() + _SETTLED_S
+        until_s, is_exposed = time.monotonic() + _EXPOSED_S, False
         while time.monotonic() < until_s:
-            self._handle_events()
-
-    def _handle_events(self) -> None:
-        QApplication.processEvents()
-        time.sleep(0.005)
+            QApplication.processEvents()
+            time.sleep(0.005)
+            window = self.windowHandle()
+            if not is_exposed and window is not None and window.isExposed():
+                until_s, is_exposed = time.monotonic() + _SETTLED_S, True
 
 
 def show_ending(sentence: str, details: str) -> None:

@@ -93,14 +93,10 @@ class SensorRegionDialog(QDialog):
             return
         allowed = self._status.capabilities
         whole = allowed.sensor or region
-        for side, value, most in (
-            (self.top, region.top, whole.rows),
-            (self.left, region.left, whole.columns),
-            (self.rows, region.rows, whole.rows),
-            (self.columns, region.columns, whole.columns),
-        ):
+        values, most = (region.top, region.left, region.rows, region.columns), (whole.rows, whole.columns)
+        for side, value, limit in zip(self._sides, values, most * 2, strict=True):
             side.setSingleStep(allowed.region_step_px)
-            side.show_value(value, Range(0, most))
+            side.show_value(value, Range(0, limit))
 
     def _fill_whole(self) -> None:
         if self._status is not None and self._status.capabilities.sensor is not None:

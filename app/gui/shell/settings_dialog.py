@@ -54,12 +54,12 @@ class SettingsDialog(QDialog):
         self.sections.setFixedWidth(170)
         self.sections.currentRowChanged.connect(self.pages.setCurrentIndex)
         self.camera, self.light = Choice(), Choice()
-        for kind, choice in (("camera", self.camera), ("light", self.light)):
-            choice.textActivated.connect(partial(self._choose_device, kind))
+        self._choices = {"camera": self.camera, "light": self.light}
         self.devices = QWidget()
         connected = QFormLayout(self.devices)
-        connected.addRow("Connected camera", self.camera)
-        connected.addRow("Connected light", self.light)
+        for kind, choice in self._choices.items():
+            choice.textActivated.connect(partial(self._choose_device, kind))
+            connected.addRow(f"Connected {kind}", choice)
         self.failed = label("", "dim", wraps=True)
         connected.addRow(self.failed)
         self.problem = ElidedLabel(lines=2)
@@ -84,7 +84,7 @@ class SettingsDialog(QDialog):
         """Make a bench after the example of another, with devices that are searched for."""
         self.setWindowTitle("New bench from my camera")
         self.devices.show()
-        for choice in (self.camera, self.light):
+        for choice in self._choices.values():
             choice.clear()
             choice.addItem("Searching \N{HORIZONTAL ELLIPSIS}")
             choice.setEnabled(False)
@@ -116,7 +116,7 @@ class SettingsDialog(QDialog):
         self._timer.stop()
         self.failed.setText("\n".join(_DETAIL.sub("", failed).replace("`", "") for failed in self._failed))
         self.failed.setToolTip("\n".join(self._failed))
-        for kind, choice in (("camera", self.camera), ("light", self.light)):
+        for kind, choice in self._choices.items():
             names = [device.name for device in self._found if device.kind == kind]
             choice.clear()
             choice.addItems([_NO_DEVICE if names else "None found: choose the driver below", *names])

@@ -149,6 +149,14 @@ def keeps_key(event: QEvent | None, *keys: Qt.Key) -> bool:
     return is_offered
 
 
+def scrolls_past(event: QEvent | None, widget: QWidget) -> bool:
+    """Return whether the wheel turns over a widget without the focus, which must not change a setting."""
+    is_past = isinstance(event, QWheelEvent) and not widget.hasFocus()
+    if event is not None and is_past:
+        event.ignore()
+    return is_past
+
+
 class Button(QPushButton):
     """A button that does not take the focus when clicked.
 
@@ -230,14 +238,9 @@ class Choice(QComboBox):
         return size
 
     def event(self, event: QEvent | None) -> bool:
+        if scrolls_past(event, self):
+            return False
         return keeps_key(event, Qt.Key.Key_Space) or super().event(event)
-
-    def wheelEvent(self, event: QWheelEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Ignore the wheel without the focus: scrolling past must not change a setting."""
-        if event is not None and not self.hasFocus():
-            event.ignore()
-        else:
-            super().wheelEvent(event)
 
 
 def timer(parent: QObject, interval_ms: int, act: Slot, *, is_single: bool = False) -> QTimer:

@@ -3,11 +3,11 @@
 import math
 
 from PyQt6.QtCore import QEvent, QLocale, QObject, QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QFocusEvent, QKeyEvent, QValidator, QWheelEvent
+from PyQt6.QtGui import QFocusEvent, QKeyEvent, QValidator
 from PyQt6.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QLineEdit, QWidget
 
 from app.bench.settings_form import typed_number
-from app.gui.widgets.basics import ENTER, keeps_key, mark_refused
+from app.gui.widgets.basics import ENTER, keeps_key, mark_refused, scrolls_past
 from drivers.interface import Range
 
 BUTTONS_WIDTH = 26  # px, with the frame
@@ -114,7 +114,7 @@ class NumberField(Field, QDoubleSpinBox):
 
     def event(self, event: QEvent | None) -> bool:
         """Keep typed keys from the shortcuts; Return enters, Esc restores, and both leave the field."""
-        if self.leaves_light_key(event):
+        if self.leaves_light_key(event) or scrolls_past(event, self):
             return False
         if not isinstance(event, QKeyEvent):
             return super().event(event)
@@ -140,13 +140,6 @@ class NumberField(Field, QDoubleSpinBox):
             self._restore()
             self.refused.emit(problem)
         super().focusOutEvent(event)
-
-    def wheelEvent(self, event: QWheelEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Ignore the wheel without the focus: scrolling past must not change a device."""
-        if event is not None and not self.hasFocus():
-            event.ignore()
-        else:
-            super().wheelEvent(event)
 
     def _parse(self, text: str) -> float | None:
         """Return a typed value in the shown unit; None if it is no number with this unit."""
