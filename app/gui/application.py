@@ -3,11 +3,11 @@
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
-from PyQt6.QtWidgets import QApplication
 
 from app.acquisition.carrier import Carrier
 from app.acquisition.session import FirstWavefront
@@ -19,17 +19,24 @@ from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
 from app.gui.shell.state import apply_preferences, settings_file
 from app.gui.shell.wording import left_behind
 from app.gui.widgets.basics import timer
-from app.gui.widgets.theme import apply_theme
+from app.gui.widgets.theme import styled_application
 
 _FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run
+
+
+@dataclass(frozen=True, slots=True)
+class Unattended:
+    """A run without a user, which always looks the same."""
+
+    seconds: float  # after the first wavefront, the window closes
+    screenshot: Path | None = None  # image file to save
+    on_finish: Callable[[Measurement], object] | None = None  # receives the last measurement with a wavefront
 
 
 def run_window(
     open_first: Callable[[MainWindow], object],
     *,
-    offscreen_s: float | None = None,
-    screenshot: Path | None = None,
-    on_finish: Callable[[Measurement], None] | None = None,
+    unattended: Unattended | None = None,
     until: Callable[[], bool] | None = None,
     make_for: Callable[[Bench], Carrier] = Acquisition,
     remembers: bool = True,
@@ -40,18 +47,14 @@ def run_window(
     ----------
     open_first
         Opens a bench or a recording in the new window.
-    offscreen_s
-        Close this long after the first wavefront: an unattended run.
-    screenshot
-        Image file that an unattended run saves.
-    on_finish
-        Receives the last measurement with a wavefront of an unattended run.
+    unattended
+        Close by itself in place of a user.
     until
         Polled at 10 Hz; the window closes when it returns True. Its errors are raised here.
     make_for
         Makes the acquisition of a bench that is opened in the window.
     remembers
-        The window looks as at its last end, and offers the tour once. An unattended run always looks the same.
+        The window looks as at its last end, and offers the tour once, unless it is unattended.
 
     Raises
     ------
@@ -63,17 +66,13 @@ def run_window(
         A signal such as Ctrl-C closed the window.
     """
     qInstallMessageHandler(_pass_on)
-    application = QApplication.instance()
-    if not isinstance(application, QApplication):
-        application = QApplication(sys.argv[:1])
-    application.setApplicationName("svwfs")
-    apply_theme(application)
-    settings = settings_file() if remembers and offscreen_s is None else None
+    application = styled_application()
+    settings = settings_file() if remembers and unattended is None else None
     if settings is not None:
         apply_preferences(application, settings)
     window = MainWindow(None, settings=settings, make_for=make_for)
-    if offscreen_s is not None:
-        steps = _unattended(window, offscreen_s, screenshot, on_finish)
+    if unattended is not None:
+        steps = _steps(window, unattended)
         next(steps)  # it takes note of measurements from now on
         until = partial(next, steps, True)
     watch = None if until is None else _Watch(window, until)
@@ -150,9 +149,7 @@ class _Watch:
         self._window.close()
 
 
-def _unattended(
-    window: MainWindow, seconds: float, screenshot: Path | None, on_finish: Callable[[Measurement], None] | None
-) -> Iterator[bool]:
+def _steps(window: MainWindow, run: Unattended) -> Iterator[bool]:
     """Yield False until the time of an unattended run is over, and save its results then."""
     first, newest = FirstWavefront(_FIRST_WAVEFRONT_S), list[Measurement]()
 
@@ -163,11 +160,11 @@ def _unattended(
             first.take(measurement)
 
     window.measurement_shown.connect(note)
-    while first.came_s is None or time.perf_counter() < first.came_s + seconds:
+    while first.came_s is None or time.perf_counter() < first.came_s + run.seconds:
         yield False
         first.check()
     window.update_text()
-    if screenshot is not None and not window.save_screenshot(screenshot):
-        raise RunError(f"{screenshot}: cannot be written")
-    if on_finish is not None and newest:
-        on_finish(newest[0])
+    if run.screenshot is not None and not window.save_screenshot(run.screenshot):
+        raise RunError(f"{run.screenshot}: cannot be written")
+    if run.on_finish is not None and newest:
+        run.on_finish(newest[0])

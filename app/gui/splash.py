@@ -35,27 +35,18 @@ class Splash(QSplashScreen):
 
     def _paint(self) -> None:
         """Handle events until the picture is on the screen: while the libraries load, nothing else does."""
-        until_s = time.monotonic() + _EXPOSED_S
-        while (window := self.windowHandle()) is None or not window.isExposed():
-            if time.monotonic() > until_s:
-                return
-            self._handle_events()
-        until_s = time.monotonic() + _SETTLED_S
+        until_s, is_exposed = time.monotonic() + _EXPOSED_S, False
         while time.monotonic() < until_s:
-            self._handle_events()
-
-    def _handle_events(self) -> None:
-        QApplication.processEvents()
-        time.sleep(0.005)
+            QApplication.processEvents()
+            time.sleep(0.005)
+            window = self.windowHandle()
+            if not is_exposed and window is not None and window.isExposed():
+                until_s, is_exposed = time.monotonic() + _SETTLED_S, True
 
 
 def show_ending(sentence: str, details: str) -> None:
     """Show how the program ended, and details on request, until the dialog is closed; no terminal tells."""
-    application = QApplication.instance()
-    if not isinstance(application, QApplication):
-        application = QApplication(sys.argv[:1])
-    application.setApplicationName("svwfs")
-    theme.apply_theme(application)
+    _application = theme.styled_application()  # kept alive with the dialog
     dialog = QMessageBox(QMessageBox.Icon.Critical, "svwfs", sentence)
     dialog.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
     dialog.setDetailedText(details)

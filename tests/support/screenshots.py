@@ -24,8 +24,8 @@ from PyQt6.QtWidgets import QApplication, QDialog, QWidget
 from app.acquisition.devices import open_devices
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
+from app.gui.shell.help import Tour
 from app.gui.shell.main_window import MainWindow
-from app.gui.shell.tour import Tour
 from app.gui.widgets.theme import apply_theme
 from app.results.player import Player
 from app.results.view_analysis import Quantity
@@ -131,11 +131,11 @@ class Photographer:
         bar.done.click()
 
     def _show_panels(self, window: MainWindow) -> None:
-        window.panels.wavefronts.choose(Quantity.PSF)
+        window.panels.wavefronts.choice.setCurrentText(Quantity.PSF)
         self._save("psf", window)
-        window.panels.wavefronts.choose(Quantity.UNCERTAINTY)
+        window.panels.wavefronts.choice.setCurrentText(Quantity.UNCERTAINTY)
         self._save("uncertainty", window)
-        window.panels.wavefronts.choose(Quantity.WAVEFRONT)
+        window.panels.wavefronts.choice.setCurrentText(Quantity.WAVEFRONT)
         for name, panel in tabs(window).items():
             if name == "Lenslet":
                 window.panels.lenslet.inspect(7, 7)

@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QPoint, QPointF, QRectF, Qt, pyqtSignal
+from PyQt6.QtCore import QPoint, QPointF, Qt, pyqtSignal
 from PyQt6.QtWidgets import QApplication, QMenu
 
 from app.acquisition.instrument import Status
@@ -25,6 +26,8 @@ from app.gui.widgets.basics import (
 from app.gui.widgets.camera_image import (
     CameraImage,
     ClippedPixels,
+    DrawingView,
+    Measuring,
     Picture,
     Segments,
     arrow_length_px,
@@ -33,8 +36,8 @@ from app.gui.widgets.camera_image import (
     lattice_lines,
     lenslet_at,
     lost_boxes,
+    rectangle,
 )
-from app.gui.widgets.camera_tools import DrawingView, Measuring, rectangle
 from app.gui.widgets.copies import add_copy_menu, as_table
 from app.gui.widgets.presentation import percent
 from app.gui.widgets.scales import MAGNIFICATIONS, AdaptiveScale
@@ -45,7 +48,10 @@ from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey
 
-_AUTOMATIC, _FULL, _FROZEN = "auto contrast", "full range", "frozen contrast"
+_CONTRAST_TIP = "Contrast: automatic (1 % to 99.8 % of the pixels), full range, or frozen"
+_FULL, _FROZEN = "full range", "frozen contrast"
+_CONTRASTS = ("auto contrast", _FULL, _FROZEN)
+_COLOURS_TIP = "Colours of the camera image"
 _LEVELS_INTERVAL_S = 0.5
 _LEVELS_PERCENT = (1.0, 99.8)
 _LEVELS_SLACK = 0.1  # of their span: smaller changes leave the levels alone
@@ -63,7 +69,6 @@ _TOOLS = {  # what to drag over the picture
     "exclude": "a rectangle around the lenslets to leave out",
     "use again": "a rectangle around the lenslets to use again",
 }
-_DIMMED = 0.5  # opacity of a picture that may be over
 _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
 
 Lenslet = tuple[int, int]  # row and column
@@ -98,17 +103,10 @@ class CameraPanel(Panel):
         moved = "Show each lenslet's displacement, averaged over the field (A)"
         self.lattice_toggle = Toggle("Lattice", cells, is_on=True, key="camera/lattice")
         self.arrows_toggle = Toggle("Arrows", moved, is_on=True, key="camera/arrows")
-        for chosen in (self.lattice_toggle, self.arrows_toggle):
-            chosen.toggled.connect(self._show_overlay)
-        self.contrast = Choice(
-            "Contrast: automatic (1 % to 99.8 % of the pixels), full range, or frozen",
-            (_AUTOMATIC, _FULL, _FROZEN),
-            self._restart_contrast,
-            key="camera/contrast",
-        )
-        self.colours = Choice(
-            "Colours of the camera image", ("grey", "inferno"), self._show_colours, key="camera/colours"
-        )
+        self.lattice_toggle.toggled.connect(self._show_overlay)
+        self.arrows_toggle.toggled.connect(self._show_overlay)
+        self.contrast = Choice(_CONTRAST_TIP, _CONTRASTS, self._restart_contrast, key="camera/contrast")
+        self.colours = Choice(_COLOURS_TIP, ("grey", "inferno"), self._show_colours, key="camera/colours")
 
         self.tool = Choice(
             "What a drag over the picture does: move it, measure along a line (M) or in an area (Shift+M),\n"
@@ -136,10 +134,7 @@ class CameraPanel(Panel):
         self._view.sigResized.connect(self._keep_in_sight)
         self._graphics.scene().sigMouseMoved.connect(self._point_at)
         self._graphics.scene().sigMouseClicked.connect(self._click)
-        inspect = timer(
-            self, QApplication.doubleClickInterval(), lambda: self.inspect(self._clicked_at), is_single=True
-        )
-        self._click_timer = inspect  # a click may be the first of two
+        self._click_timer = timer(self, 0, lambda: self.inspect(self._clicked_at), is_single=True)
         add_copy_menu(self._graphics, self._displacements, self._fill_menu)
         self.caption = ElidedLabel("dim")
         self.header = row_of(
@@ -153,7 +148,6 @@ class CameraPanel(Panel):
         over.setAlignment(self._placeholder, Qt.AlignmentFlag.AlignCenter)
 
     def menu_entries(self) -> Mapping[str, Entries]:
-        """Return what is drawn over the picture, the zoom and the tools."""
         return {
             "&View": (
                 ("Lattice", "G", self.lattice_toggle),
@@ -168,33 +162,28 @@ class CameraPanel(Panel):
         }
 
     def show_liveness(self) -> None:
-        """Show a badge on a picture that is not live, and dim one that may be over."""
         shown = self.shown.liveness
         if shown.badge != self.badge.text():
             self.badge.setText(shown.badge)
             self.badge.setVisible(bool(shown.badge))
-            self._view.childGroup.setOpacity(_DIMMED if shown.is_grey else 1.0)
+            self._view.childGroup.setOpacity(0.5 if shown.is_grey else 1.0)
         self.badge.setToolTip(shown.reason)
 
     def show_status(self, status: Status) -> None:
-        """Use lattice and full scale for the next frames."""
         self.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)
         self.measuring.show_bench(status.bench.sensor, status.bench.field)
 
     def show_bench(self, sensor: Sensor, lattice: Lattice | None, full_scale: int) -> None:
-        """Set the lattice and the full scale of the next frames."""
         if (sensor, lattice, full_scale) != (self._sensor, self._lattice, self.full_scale):
             self._sensor, self._lattice, self.full_scale = sensor, lattice, full_scale
             self._show_overlay()
 
     def forget_bench(self) -> None:
-        """Forget the lattice, the inspected lenslet and the arrows; put the tool away."""
         self.put_tool_away()
         self._lattice = self._sensor = self._displacement = self._inspected = None
         self._show_overlay()
 
     def propose(self, survey: Survey | None) -> None:
-        """Draw a proposed lattice and its lenslets without light, or none."""
         for item in (self._proposed_lines, self._proposed_boxes):
             item.setVisible(survey is not None)
         if survey is not None:
@@ -202,7 +191,6 @@ class CameraPanel(Panel):
             self._proposed_boxes.draw(lost_boxes(survey.lattice, ~survey.illuminated))
 
     def show_measurement(self, measurement: Measurement) -> None:
-        """Show the frame and, if known, the displacement of its lenslets."""
         frame, wavefront = measurement.frame, measurement.wavefront
         is_first = self._frame is None  # a remembered frozen contrast begins with its levels
         is_new_shape = self._frame is None or self._frame.pixels.shape != frame.pixels.shape
@@ -225,7 +213,6 @@ class CameraPanel(Panel):
             self._image.show_counts(self._frame.pixels, *self._levels.levels)
 
     def use_levels(self, black: float, white: float) -> None:
-        """Freeze the contrast at these counts."""
         self.contrast.setCurrentText(_FROZEN)
         self._levels.levels = black, max(white, black + 1)
         self._draw()
@@ -244,12 +231,10 @@ class CameraPanel(Panel):
         self.reset_zoom()
 
     def reset_zoom(self) -> None:
-        """Show the whole frame."""
         if self._frame is not None:
-            self._view.setRange(self._area(self._frame))
+            self._view.setRange(self._image.boundingRect())
 
     def show_numbers(self) -> None:
-        """Show the brightness, and the pixel under the pointer or how long the arrows are."""
         if self._frame is None:
             return
         self.measuring.show_frame(self._frame, self.shown.statistics)
@@ -278,7 +263,6 @@ class CameraPanel(Panel):
         self._use_tool()
 
     def _use_tool(self) -> None:
-        """Follow the choice of the tool."""
         self._view.draws = bool(self.tool.currentData())
         self._drawn.draw(np.zeros((0, 2)))
         self.measuring.use(self.tool.currentText())
@@ -289,7 +273,6 @@ class CameraPanel(Panel):
             self._graphics.unsetCursor()
 
     def _draw_with_tool(self, start: QPointF, end: QPointF, is_finished: bool) -> None:
-        """Place the line or the area, or draw the rectangle around lenslets, which count when it is finished."""
         tool = self.tool.currentText()
         if tool in {"line", "area"}:
             self.measuring.place(tool, start, end)
@@ -305,7 +288,6 @@ class CameraPanel(Panel):
                 self.warned.emit("no centre of a lenslet lies in the rectangle")
 
     def _lenslets_between(self, start: QPointF, end: QPointF) -> list[Lenslet]:
-        """Return the lenslets whose centres lie in the rectangle between two corners."""
         if self._lattice is None or self._sensor is None:
             return []
         at = self._lattice.lenslet_centers_px(self._sensor.lenslet_rows, self._sensor.lenslet_columns)
@@ -313,17 +295,16 @@ class CameraPanel(Panel):
         inside = np.all((at >= corners[0]) & (at <= corners[1]), axis=-1)
         return [(int(row), int(column)) for row, column in np.argwhere(inside)]
 
-    def _click(self, event: object) -> None:
+    def _click(self, event: Any) -> None:  # pyqtgraph declares no types
         """Inspect a lenslet at a click of the left button, unless another click follows or a tool is in use."""
-        if event.button() != Qt.MouseButton.LeftButton or self._view.draws:  # type: ignore[attr-defined] # pyqtgraph's
+        if event.button() != Qt.MouseButton.LeftButton or self._view.draws:
             return
         self._click_timer.stop()
-        if not event.double():  # type: ignore[attr-defined] # pyqtgraph's event
-            self._clicked_at = self._lenslet_at(event.scenePos())  # type: ignore[attr-defined] # pyqtgraph's event
-            self._click_timer.start()
+        if not event.double():
+            self._clicked_at = self._lenslet_at(event.scenePos())
+            self._click_timer.start(QApplication.doubleClickInterval())  # it may be the first of two
 
     def _fill_menu(self, menu: QMenu, at: QPoint) -> None:
-        """Add what can be done with the lenslet at a position of the view."""
         if (lenslet := self._lenslet_at(self._graphics.mapToScene(at))) is None:
             return
         name = "lenslet row {}, column {}".format(*lenslet)
@@ -332,21 +313,18 @@ class CameraPanel(Panel):
         menu.addSeparator()
 
     def _lenslet_at(self, position: QPointF) -> Lenslet | None:
-        """Return the lenslet at a position of the scene, if any."""
         at, sensor = self._view.mapSceneToView(position), self._sensor
         if sensor is None or self._lattice is None:
             return None
         return lenslet_at(self._lattice, (sensor.lenslet_rows, sensor.lenslet_columns), at.x(), at.y())
 
     def inspect(self, lenslet: Lenslet | None) -> None:
-        """Outline a lenslet and ask for its inspection; None beside the lattice."""
         self._inspected = lenslet
         self._show_overlay()
         if lenslet is not None:
             self.lenslet_clicked.emit(*lenslet)
 
     def _displacements(self, _: QPoint) -> str:
-        """Return the mean displacement of each lenslet as a table."""
         if self._displacement is None:
             return ""
         mean_px = self._displacement.mean
@@ -375,15 +353,11 @@ class CameraPanel(Panel):
             self._magnification = 1 / self._reach.follow(arrow_length_px(mean_px) / room_px)
             self._arrows.draw(arrows(lattice, mean_px, self._magnification))
 
-    def _area(self, frame: Frame) -> QRectF:
-        rows, columns = frame.pixels.shape
-        return QRectF(-0.5, -0.5, columns, rows)  # pixel centres are at integers
-
     def _keep_in_sight(self, *_: object) -> None:
         """Keep the frame at the middle of the view, and at no less than half its size."""
         if self._frame is None:
             return
-        area, seen = self._area(self._frame), self._view.viewRect()
+        area, seen = self._image.boundingRect(), self._view.viewRect()
         if min(seen.width() / area.width(), seen.height() / area.height()) > _FARTHEST:
             self.reset_zoom()
             return
@@ -394,7 +368,6 @@ class CameraPanel(Panel):
             self._view.translateBy(x=x, y=y)
 
     def _point_at(self, position: QPointF | None = None) -> None:
-        """Show the pixel at a position, or none."""
         self._pointer = None if position is None else self._view.mapSceneToView(position)
         self.show_numbers()
 
@@ -428,7 +401,6 @@ class ContrastLevels:
         self._time_s = -math.inf
 
     def restart(self) -> None:
-        """Adapt to the next frame at once."""
         self._time_s = -math.inf
 
     def follow(self, frame: Frame, full_scale: int, *, is_automatic: bool) -> None:

@@ -1,6 +1,7 @@
 """The coefficients panel: bars with error bars, a table to copy, and the field map of the pinned coefficient."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
@@ -18,8 +19,6 @@ from app.gui.widgets.scales import AdaptiveScale, diverging
 from app.gui.widgets.view_grid import Maps, ViewGrid
 from app.results.coefficients import ModeChoice, ModeCoefficients, mode_coefficients
 from reconstruction.modes.pupil_modes import BASES
-
-_TIP = "Click a bar to record its history and to map it over the field; click it again to stop"
 
 
 class CoefficientsPanel(Panel):
@@ -39,17 +38,14 @@ class CoefficientsPanel(Panel):
             lambda: self.pin(None),
             key="coefficients/basis",
         )
-        self.of = Choice(
-            "The selected view as shown, or the coefficients e_pq of one field mode",
-            [("Selected view", None)],
-            lambda: self.pin(None),
-        )
+        about = "The selected view as shown, or the coefficients e_pq of one field mode"
+        self.of = Choice(about, [("Selected view", None)], lambda: self.pin(None))
         for choice in (self.of, self.basis):
             choice.setSizeAdjustPolicy(Choice.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             choice.setMinimumContentsLength(10)
         self.table_toggle = Toggle("Table", "Numbers with one standard deviation; Ctrl+C copies them", self._turn)
         self.plot = Plot("Coefficients", "", widest="\N{MINUS SIGN}0.000")
-        self.plot.setToolTip(_TIP)
+        self.plot.setToolTip("Click a bar to record its history and to map it over the field; click it again to stop")
         self._bars = pg.BarGraphItem(x=[0], height=[0], width=0.7, pen=None)
         self.plot.view.addItem(self._bars)
         self._errors = pg.PlotCurveItem(connect="pairs")
@@ -78,7 +74,6 @@ class CoefficientsPanel(Panel):
         return f"{BASES[self.basis.currentData()].names(self._mapped + 1)[-1]}, {of}"
 
     def request(self) -> Request | None:
-        """Return the coefficients to compute, shown or recorded."""
         wavefront, view = self.shown.wavefront, self.shown.view
         if wavefront is None or view is None:
             return None
@@ -89,15 +84,12 @@ class CoefficientsPanel(Panel):
         return Request(wavefront, choice, lambda _: mode_coefficients(wavefront, choice))
 
     def show_nothing(self) -> None:
-        """Show no bars."""
         self.show_result(None)
 
     def forget_bench(self) -> None:
-        """Forget the pinned coefficient."""
         self.pin(None)
 
     def show_result(self, found: ModeCoefficients | None) -> None:
-        """Show coefficients, or that there are none."""
         self._found = found
         self.shown.pinned_rad = self._pinned_rad()
         if not self.isVisible():
@@ -121,13 +113,8 @@ class CoefficientsPanel(Panel):
         self.plot.axes["bottom"].setTicks([[(at, names[at].split(" ")[0]) for at in index[::step]]])
         pinned = self._described(found, self._mapped) if self._mapped is not None and found else ""
         self.plot.title.setText(pinned or f"Coefficients ({self.shown.unit})")
-        self.table.show_rows(
-            [
-                (name, *with_error(value, one))
-                for name, value, one in zip(names[1:], values[1:], sigma[1:], strict=True)
-            ],
-            self.shown.unit,
-        )
+        numbers = zip(names[1:], values[1:], sigma[1:], strict=True)
+        self.table.show_rows([(name, *with_error(value, one)) for name, value, one in numbers], self.shown.unit)
         self._show_map(found)
 
     def pin(self, mode: int | None) -> None:
@@ -161,7 +148,6 @@ class CoefficientsPanel(Panel):
         self.map.show_maps(Maps(values[None, None], scale, lambda *at: f"{name}: {signed(at[-1])} {unit}", True))
 
     def _offer(self, field_modes: int) -> None:
-        """Offer the field modes of the present warp."""
         if self.of.count() == field_modes + 1:
             return
         with QSignalBlocker(self.of):
@@ -174,12 +160,10 @@ class CoefficientsPanel(Panel):
         self._stack.setCurrentIndex(int(self.table_toggle.isChecked()))
         self.show_result(self._found)
 
-    def _click(self, event: object) -> None:
-        if event.button() != Qt.MouseButton.LeftButton:  # type: ignore[attr-defined] # pyqtgraph's event
-            return
-        position = self.plot.view.mapSceneToView(event.scenePos())  # type: ignore[attr-defined] # pyqtgraph's event
-        mode = round(position.x())
-        if self._found is not None and 1 <= mode < len(self._found.rad):
+    def _click(self, event: Any) -> None:  # pyqtgraph declares no types
+        mode = round(self.plot.view.mapSceneToView(event.scenePos()).x())
+        is_left = event.button() == Qt.MouseButton.LeftButton
+        if is_left and self._found is not None and 1 <= mode < len(self._found.rad):
             self.pin(None if mode == self._mapped else mode)
 
 
@@ -198,7 +182,6 @@ class _Table(QTableWidget):
             header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)  # the names have different lengths
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Copy at Ctrl+C."""
         if event is not None and event.matches(QKeySequence.StandardKey.Copy):
             copy_text(self.text)
         else:

@@ -20,9 +20,7 @@ from app.measurement.averages import AVERAGED_FRAMES
 from drivers.interface import Range
 from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis
 
-_FRAMES_RANGE = Range(AVERAGED_FRAMES.start, AVERAGED_FRAMES[-1])
 _GAP, _GROUP_GAP = 4, 8  # px between controls, and between groups of them
-_LIGHT_WIDTH, _LIGHT_LAMP = 96, 20  # px
 _DIM = 0.3  # share of full scale below which noise matters
 _CHOICES = {  # tool tips by the names of the requests
     "amplifier": "Output amplifier; a change restarts the camera",
@@ -67,11 +65,8 @@ class ControlsPanel(Panel):
         self.amplifier, self.readout_speed, self.mask_choice = amplifier, speed, mask
         self.pupil_modes = NumberField(name="Modes", tool_tip=_MODES_TIP, lowest=AUTOMATIC)
         self.pupil_modes.entered.connect(self._enter_modes)
-        self.refine = Toggle(
-            "Refine",
-            "Correct systematic errors by a simulation of your bench, updated about every second (F)",
-            self._ask("reconstruction.refine"),
-        )
+        about = "Correct systematic errors by a simulation of your bench, updated about every second (F)"
+        self.refine = Toggle("Refine", about, self._ask("reconstruction.refine"))
         calibration: list[Item] = [self.lattice]
         for step in (self.auto_exposure, self.dark, self.reference):
             calibration += [label("\N{SINGLE RIGHT-POINTING ANGLE QUOTATION MARK}", "dim"), step]
@@ -102,61 +97,39 @@ class ControlsPanel(Panel):
         self.setEnabled(False)
 
     def _make_devices(self) -> None:
-        self.start = Button(
-            "Start",
-            "Start or stop taking frames (Space)",
-            lambda: self.requested.emit("is_running", not self._is_running),
-        )
+        about = "Start or stop taking frames (Space)"
+        self.start = Button("Start", about, lambda: self.requested.emit("is_running", not self._is_running))
         self.start.setMinimumWidth(self.start.sizeHint().width() + self.start.iconSize().width() + _GAP)
-        self.sensor_region = Button(
-            "Region\N{HORIZONTAL ELLIPSIS}", "Choose the sensor region and the binning (P)", self._ask("sensor_region")
-        )
+        about = "Choose the sensor region and the binning (P)"
+        self.sensor_region = Button("Region\N{HORIZONTAL ELLIPSIS}", about, self._ask("sensor_region"))
         self.exposure = NumberField(name="Exposure", unit="ms", decimals=3, tool_tip="Exposure time in force (E)")
-        self.em_gain = NumberField(
-            name="Gain", decimals=1, tool_tip="Electron-multiplying gain: more signal above the read noise"
-        )
+        about = "Electron-multiplying gain: more signal above the read noise"
+        self.em_gain = NumberField(name="Gain", decimals=1, tool_tip=about)
         self.current = NumberField(name="Current", unit="mA", decimals=1, tool_tip="Current of the light while on (C)")
         for name, field in (("exposure_s", self.exposure), ("em_gain", self.em_gain), ("current_a", self.current)):
             field.entered.connect(self._ask(name))
         self.light = _LightButton("Light off", "Switch the light (L)", self._ask("light"))
         self.light.setProperty("role", "light")
-        self.light.setIconSize(QSize(_LIGHT_LAMP, _LIGHT_LAMP))
-        self.light.setMinimumWidth(_LIGHT_WIDTH)
+        self.light.setIconSize(QSize(20, 20))
+        self.light.setMinimumWidth(96)
         self.light.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
         self.sample = Toggle("Sample out", "Move the sample into or out of the beam (S)", self._ask("is_sample_in"))
 
     def _make_calibration(self) -> None:
         self.frames = NumberField(name="Frames", tool_tip="Number of frames averaged into a dark or a reference")
-        self.frames.show_value(FRAMES, _FRAMES_RANGE)
-        self.lattice = StepButton(
-            f"1 {LATTICE.title}",
-            "Find the lenslets in the reference and propose a lattice (N)",
-            self._ask("lattice"),
-            widest="",
-        )
-        self.auto_exposure = StepButton(
-            f"2 {EXPOSURE.title}",
-            "Find the exposure, and if needed the current, that fills 70 % of the camera's range (X)",
-            self._ask("auto_exposure"),
-        )
-        self.dark = StepButton(
-            f"3 {DARK.title}",
-            "Average frames with the light off: the background of all frames (D)",
-            lambda: self._ask_average("dark"),
-        )
-        self.reference = StepButton(
-            f"4 {REFERENCE.title}",
-            "Average frames without the sample: spot positions that count as zero (R)",
-            lambda: self._ask_average("reference"),
-        )
-        self.calibrate = Button(
-            "Calibrate",
-            "Find lattice and exposure, take dark and reference, with an explanation of each step (Ctrl+K)",
-            lambda: self._ask_average("calibration"),
-        )
+        self.frames.show_value(FRAMES, Range(AVERAGED_FRAMES.start, AVERAGED_FRAMES[-1]))
+        about = "Find the lenslets in the reference and propose a lattice (N)"
+        self.lattice = StepButton(f"1 {LATTICE.title}", about, self._ask("lattice"), widest="")
+        about = "Find the exposure, and if needed the current, that fills 70 % of the camera's range (X)"
+        self.auto_exposure = StepButton(f"2 {EXPOSURE.title}", about, self._ask("auto_exposure"))
+        about = "Average frames with the light off: the background of all frames (D)"
+        self.dark = StepButton(f"3 {DARK.title}", about, lambda: self._ask_average("dark"))
+        about = "Average frames without the sample: spot positions that count as zero (R)"
+        self.reference = StepButton(f"4 {REFERENCE.title}", about, lambda: self._ask_average("reference"))
+        about = "Find lattice and exposure, take dark and reference, with an explanation of each step (Ctrl+K)"
+        self.calibrate = Button("Calibrate", about, lambda: self._ask_average("calibration"))
 
     def menu_entries(self) -> Mapping[str, Entries]:
-        """Return all controls that have a key."""
         return {
             "&Bench": (
                 ("Start or stop the camera", "Space", self.start),
@@ -189,7 +162,6 @@ class ControlsPanel(Panel):
         self.requested.emit("reconstruction.pupil_modes", round(modes) if modes in PUPIL_MODES else None)
 
     def show_switching_off(self) -> None:
-        """Show that the light is being switched off."""
         self.light.setText("Switching\noff \N{HORIZONTAL ELLIPSIS}")
 
     def show_unreached_light(self) -> None:
@@ -299,7 +271,6 @@ class StepButton(Button):
         theme.follow(self, self._light_lamp)
 
     def show_step(self, validity: Validity, state: str, note: str) -> None:
-        """Show a time or value beside the name, and a note in the tool tip."""
         if (validity, state, note) == self._shown:
             return
         self._shown = validity, state, note

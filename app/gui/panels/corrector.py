@@ -12,8 +12,6 @@ _CORRECTORS = (
     *(Corrector("legendre", count) for count in (10, 21, 45, 66)),
     *(Corrector("actuators", side**2) for side in (5, 8, 12, 17)),
 )
-_DEFAULT = 2
-_INTERVAL_S = 5.0
 
 
 class CorrectorPanel(Panel):
@@ -23,10 +21,9 @@ class CorrectorPanel(Panel):
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
-        self.corrector = Choice(
-            "Shapes that the corrector can take over its footprint", [(_name(one), one) for one in _CORRECTORS]
-        )
-        self.corrector.setCurrentIndex(_DEFAULT)
+        choices = [(_name(one), one) for one in _CORRECTORS]
+        self.corrector = Choice("Shapes that the corrector can take over its footprint", choices)
+        self.corrector.setCurrentIndex(2)
         self.origin = origin_choice()
         keys = (("best command", theme.ACCENT), ("best distance", theme.AMBER), ("no corrector", theme.DIM))
         about = (
@@ -40,24 +37,17 @@ class CorrectorPanel(Panel):
         self.forget_bench()
 
     def forget_bench(self) -> None:
-        """Say that the residuals are being computed: there are none yet."""
         self.sentence.setText("Computing \N{HORIZONTAL ELLIPSIS}")
         self.plot.clear()
 
     def request(self) -> Request | None:
-        """Return the residuals to compute."""
         measurement, origin, corrector = self.shown.measurement, self.origin.currentData(), self.corrector.currentData()
         if not self.isVisible() or measurement is None or measurement.wavefront is None:
             return None
-        return Request(
-            measurement,
-            (origin, corrector),
-            lambda _: find_shown_correctors(measurement, origin, corrector),
-            _INTERVAL_S,
-        )
+        find = find_shown_correctors
+        return Request(measurement, (origin, corrector), lambda _: find(measurement, origin, corrector), interval_s=5.0)
 
     def show_result(self, made: FoundCorrectors) -> None:
-        """Show residuals, or why there are none."""
         found = made.found
         if found is None:
             self.sentence.setText(f"No residual: {made.problem}")

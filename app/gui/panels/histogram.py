@@ -50,12 +50,10 @@ class HistogramPanel(Panel):
             handle.setHoverPen(pg.mkPen(theme.ACCENT, width=3))
 
     def show_levels(self, black: float, white: float) -> None:
-        """Show the counts that are black and white."""
         with QSignalBlocker(self.levels):
             self.levels.setRegion((black, white))
 
     def show_numbers(self) -> None:
-        """Show the histogram of a recent frame, if visible."""
         found = self.shown.statistics
         if found is None or not self.isVisible():
             return

@@ -1,26 +1,38 @@
-"""Strip charts of the recent minutes, one above the other on a common time axis."""
+"""Strip charts of the recent minutes, one above the other on a common time axis, and the limits of their values."""
 
 import math
 from collections.abc import Mapping
 
 import numpy as np
+from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QShowEvent
-from PyQt6.QtWidgets import QApplication, QScrollArea, QWidget
+from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QScrollArea, QWidget
 
+from app.bench.settings_form import typed_number
 from app.errors import RunError
-from app.gui.panels.limits import LimitsForm
 from app.gui.panels.panel import Entries, Panel, Shown, Verdict
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, colour_text, column, row, unfocused
+from app.gui.widgets.basics import (
+    Button,
+    Choice,
+    ElidedLabel,
+    Toggle,
+    colour_text,
+    column,
+    label,
+    mark_refused,
+    row,
+    unfocused,
+)
 from app.gui.widgets.copies import ask_file
+from app.gui.widgets.fields import NumberLine
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import NOTHING, number
 from app.measurement.measurement import Measurement
 from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, Drift, History, LimitWatch, SeriesLimits, sample
+from app.results.shown_wavefront import Unit
 from reconstruction.arrays import Floats
 
-_MINUTES = (1, 2, 5, 10, 20)
-_SAMPLES = (20, 100, 500, 2000)
 _HINT = "click a bar of Coefficients to add it"
 _ABOUT = {
     RMS: "Mean RMS of the shown views",
@@ -28,12 +40,16 @@ _ABOUT = {
     DELAY: "Processing delay",
     TEMPERATURE: "Temperature of the camera's sensor",
 }
-_WIDEST = "\N{MINUS SIGN}00.00"  # number on an axis
 _NAME = "000.0 % of full scale"  # its width is that of all names and values
-_LEAST_LINES = 2  # height of a chart
 _NEAR = 1.0  # ranges of the curve: a limit that is nearer to it is shown
 _TICK_LINES = 1.1  # height between two numbers of an axis
 _DRIFT = "mean \N{MINUS SIGN}0.0000  \N{GREEK SMALL LETTER SIGMA} 0.0000"  # the width of the statistics
+_PINNED = "Pinned coefficient"
+_ENDS = "lowest", "highest"  # limits of a series
+_ABOUT_LIMITS = (
+    "Empty: no limit. Phases are in the unit of Display, or in the one that you type: 0.5 rad, 0.1 waves, 40 nm.\n"
+    "The newest frame is compared five times a second; a crossing is over after two seconds within."
+)
 
 
 class StripChart(QWidget):
@@ -46,7 +62,7 @@ class StripChart(QWidget):
         labels = QWidget()
         column(self.name, self.value, spacing=0, parent=labels).addStretch()
         self.plot = _plot(None)
-        self.plot.graphics.setMinimumHeight(_LEAST_LINES * self.fontMetrics().height() + 9)
+        self.plot.graphics.setMinimumHeight(2 * self.fontMetrics().height() + 9)
         self.curve = self.plot.add_curve(theme.ACCENT, 1)
         self.limit_lines = [self.plot.add_line(theme.RED, 0) for _ in range(2)]
         self.drift = [ElidedLabel("dim") for _ in range(2)]
@@ -60,12 +76,8 @@ class StripChart(QWidget):
         self.curve.setData(time_min, values, connect="finite")
         low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 1.0)
         near_low, near_high = low - _NEAR * (high - low), high + _NEAR * (high - low)
-        for line, limit, is_near in zip(
-            self.limit_lines,
-            (limits.lowest, limits.highest),
-            (limits.lowest >= near_low, limits.highest <= near_high),
-            strict=True,
-        ):
+        ends = (limits.lowest, limits.lowest >= near_low), (limits.highest, limits.highest <= near_high)
+        for line, (limit, is_near) in zip(self.limit_lines, ends, strict=True):
             line.setVisible(is_near)
             if is_near:
                 line.setValue(limit)
@@ -81,7 +93,6 @@ class StripChart(QWidget):
         colour_text(self.value, theme.RED if is_known and limits.broken_by(float(values[-1])) else theme.TEXT)
 
     def show_drift(self, found: Drift, samples: int) -> None:
-        """Show the statistics of the last samples."""
         sigma = f"\N{GREEK SMALL LETTER SIGMA} {number(found.sigma, 2)}"
         self.drift[0].setText(f"mean {number(found.mean, 4)}  {sigma}")
         self.drift[1].setText(f"peak to peak {number(found.peak_to_peak, 2)}")
@@ -106,13 +117,11 @@ class HistoryPanel(Panel):
         }
         for chosen in self.toggles.values():
             chosen.toggled.connect(self._arrange)
-        minutes = [(f"{minutes} min", minutes) for minutes in _MINUTES]
+        minutes = [(f"{minutes} min", minutes) for minutes in (1, 2, 5, 10, 20)]
         self.minutes = Choice("Time shown", minutes, key="history/minutes")
-        self.samples = Choice(
-            "Number of samples of mean, \N{GREEK SMALL LETTER SIGMA} and peak to peak; five a second",
-            [(f"last {samples} samples", samples) for samples in _SAMPLES],
-            key="history/samples",
-        )
+        samples = [(f"last {samples} samples", samples) for samples in (20, 100, 500, 2000)]
+        about = "Number of samples of mean, \N{GREEK SMALL LETTER SIGMA} and peak to peak; five a second"
+        self.samples = Choice(about, samples, key="history/samples")
         for choice in (self.minutes, self.samples):
             choice.setCurrentIndex(1)
             choice.currentIndexChanged.connect(self.refresh)
@@ -141,14 +150,12 @@ class HistoryPanel(Panel):
         self._arrange()
 
     def menu_entries(self) -> Mapping[str, Entries]:
-        """Return export and limits."""
         return {
             "&File": (("Export the history", "", self.export_csv),),
             "&View": (("Limits of the history", "", self.form.show),),
         }
 
     def export_csv(self) -> None:
-        """Ask for a name, and write the history as CSV."""
         name = ask_file(self, "Export the history", "history.csv", "Table (*.csv)")
         if name is None:
             return
@@ -160,12 +167,10 @@ class HistoryPanel(Panel):
             self.informed.emit(f"saved {path}")
 
     def forget_bench(self) -> None:
-        """Begin again."""
         self.history, self._watch = History(), LimitWatch()
         self._measurement = self._newest = None
 
     def show_numbers(self) -> None:
-        """Add the newest measurement, and compare it with the limits."""
         measurement, status = self.shown.measurement, self.shown.status
         if measurement is not None and status is not None and measurement is not self._measurement:
             self.record(measurement, status.capabilities.full_scale, status.temperature_c)
@@ -208,7 +213,6 @@ class HistoryPanel(Panel):
         return (UNITS[name], 1.0) if name in UNITS else (self.shown.unit, self.shown.per_rad)
 
     def record(self, measurement: Measurement, full_scale: float, temperature_c: float | None) -> None:
-        """Add a measurement."""
         self._measurement, shown, delay_s = measurement, self.shown, measurement.latency_s
         values = sample(
             measurement.frame, shown.wavefront, full_scale=full_scale, delay_s=delay_s, temperature_c=temperature_c
@@ -218,7 +222,6 @@ class HistoryPanel(Panel):
         self.add(measurement.frame.host_time_s, values)
 
     def pin(self, name: str) -> None:
-        """Show the chart of a coefficient, or of none."""
         if self._pinned and self._pinned != name:
             self.history.forget(self._pinned)
         self._pinned = name
@@ -227,13 +230,11 @@ class HistoryPanel(Panel):
         self._arrange()
 
     def add(self, time_s: float, values: dict[str, float]) -> None:
-        """Add one sample of all series."""
         self.history.add(time_s, values)
         self._newest = time_s, values
         self.refresh()
 
     def refresh(self) -> None:
-        """Draw the charts, if they are visible."""
         if not self.isVisible():
             return
         span_min = float(self.minutes.currentData())
@@ -250,12 +251,10 @@ class HistoryPanel(Panel):
             chart.show_drift(Drift.of(values[-samples:]), samples)
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Draw what has come while hidden."""
         super().showEvent(event)
         self.refresh()
 
     def _arrange(self) -> None:
-        """Make a chart for each chosen series."""
         names = [*filter(None, [self._pinned]), *(name for name, one in self.toggles.items() if one.isChecked())]
         for name in [name for name in self.charts if name not in names]:
             chart = self.charts.pop(name)
@@ -269,13 +268,110 @@ class HistoryPanel(Panel):
 
 
 def _wide_as(text: str, widget: QWidget) -> QWidget:
-    """Return the widget, now as wide as a text in it."""
     widget.setFixedWidth(widget.fontMetrics().horizontalAdvance(text))
     return widget
 
 
 def _plot(bottom: str | None) -> Plot:
     """Make a plot without title; those of one width have their left axes at the same place."""
-    made = Plot("", bottom, widest=_WIDEST)
+    made = Plot("", bottom, widest="\N{MINUS SIGN}00.00")
     made.title.hide()
     return made
+
+
+class LimitLine(NumberLine):
+    """A number with its unit; empty if there is no limit, red if it is no number."""
+
+    def __init__(self, shown: Shown, series: str, key: str) -> None:
+        super().__init__()
+        self.setObjectName(key)  # under which its text is kept between two starts
+        self.setMinimumWidth(110)  # px
+        self._shown, self._unit = shown, UNITS.get(series, "").partition(" ")[0]
+        self.editingFinished.connect(lambda: self.setText(self.with_unit()))
+
+    def value_of(self, text: str) -> float:
+        """Return the limit that a text stands for, phases in rad; NaN if it is none."""
+        value, unit = self.typed(text)
+        return value if self._unit else value / Unit(unit).per_rad(self._shown.wavelength_m)
+
+    def typed(self, text: str) -> tuple[float, str]:
+        """Return the number of a text, NaN if it is none, and its unit."""
+        text = text.strip()
+        units = [self._unit] if self._unit else [self._shown.unit, *Unit]
+        unit = next((one for one in units if text.endswith(one)), "")
+        number = typed_number(text.removesuffix(unit), "", 1.0)
+        return math.nan if number is None else number, unit or units[0]
+
+    def with_unit(self) -> str:
+        """Return the text with its unit, so that it still means the same in another unit of the display."""
+        text = self.text().strip()
+        value, unit = self.typed(text)
+        return f"{text} {unit}" if math.isfinite(value) and not text.endswith(unit) else text
+
+
+class LimitsForm(QDialog):
+    """One row for each series, and whether a crossing beeps."""
+
+    changed = pyqtSignal()
+
+    def __init__(self, shown: Shown, series: tuple[str, ...], parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Limits of the history")
+        self._shown, self._pinned, self._pinned_label = shown, "", label(_PINNED)
+        self.beep = Toggle("Beep", "Beep when a value crosses a limit", key="history/beep")
+        self.lines: dict[str, tuple[LimitLine, LimitLine]] = {}
+        self._in_force: dict[str, tuple[str, str]] = {}  # the last texts of a series that were limits
+        grid = QGridLayout()
+        for at, text in enumerate(("", "at least", "at most")):
+            grid.addWidget(label(text, "dim"), 0, at)
+        for name in series:
+            self._add_row(grid, name, label(name))
+        self._add_row(grid, "", self._pinned_label)
+        self.use_pinned("")
+        about = label(_ABOUT_LIMITS, "dim")
+        ends = row(self.beep, (QWidget(), 1), Button("Close", "Close (Esc)", self.close))
+        column(grid, about, ends, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
+
+    def _add_row(self, grid: QGridLayout, name: str, shown_name: QLabel) -> None:
+        at = grid.rowCount()
+        grid.addWidget(shown_name, at, 0)
+        keys = [f"history/{end} {name}" if name else "" for end in _ENDS]
+        self.lines[name] = LimitLine(self._shown, name, keys[0]), LimitLine(self._shown, name, keys[1])
+        self._in_force[name] = "", ""
+        for side, line in enumerate(self.lines[name], 1):
+            line.textChanged.connect(lambda _, name=name: self._change(name))
+            grid.addWidget(line, at, side)
+
+    def _change(self, name: str) -> None:
+        """Mark texts that are no number, and pairs whose lower limit is above the upper one; others come into force."""
+        lower, upper = self.lines[name]
+        are_crossed = lower.value_of(lower.text()) > upper.value_of(upper.text())
+        reasons = []
+        for line in (lower, upper):
+            is_number = math.isfinite(line.typed(line.text())[0]) or not line.text().strip()
+            why = "No value can be within" if are_crossed else ""
+            reasons.append(why if is_number else "This is no number with its unit")
+        if not any(reasons):
+            self._in_force[name] = lower.with_unit(), upper.with_unit()
+        holds = ": the former limits hold" if any(self._in_force[name]) else ""
+        for line, why in zip((lower, upper), reasons, strict=True):
+            line.setToolTip(why and why + holds)
+            mark_refused(line, is_refused=bool(why))
+        self.changed.emit()
+
+    def limits(self) -> dict[str, SeriesLimits]:
+        """Return the limits in force by series, phases in rad."""
+        found = dict[str, SeriesLimits]()
+        for name, lines in self.lines.items():
+            values = zip(_ENDS, lines, self._in_force[name], strict=True)
+            typed = {end: line.value_of(text) for end, line, text in values if text}
+            found[name or self._pinned] = SeriesLimits(**typed)
+        return {name: limits for name, limits in found.items() if name and limits.is_set}
+
+    def use_pinned(self, name: str) -> None:
+        """Show the name of the pinned coefficient, which has no limits yet, or that there is none."""
+        self._pinned = name
+        self._pinned_label.setText(name or _PINNED)
+        for line in self.lines[""]:
+            line.setEnabled(bool(name))
+            line.clear()

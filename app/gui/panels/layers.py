@@ -30,7 +30,6 @@ from app.results.layers import (
 from drivers.interface import Range
 from reconstruction.arrays import Floats
 
-_MODES = (("find one layer", 1), ("find two layers", 2), ("layer known at", 0))
 _SEARCHING = "Searching \N{HORIZONTAL ELLIPSIS}"
 _INTERVALS_S = {1: 5.0, 2: 20.0, 0: 0.1}  # between two fits
 
@@ -80,14 +79,11 @@ class LayersPanel(Panel):
         self._bench: Bench | None = None
         self._ratio = 0.0  # of the layer found last, or of the known one
         self._scale = AdaptiveScale()
-        self.mode = Choice(
-            "Search for one or two layers every few seconds,\nor show the phase of one at a known distance live",
-            _MODES,
-            self._change_mode,
-        )
-        self.distance = NumberField(
-            tool_tip="Distance of the known layer", name="Distance of the layer", unit="mm", decimals=1
-        )
+        about = "Search for one or two layers every few seconds,\nor show the phase of one at a known distance live"
+        modes = (("find one layer", 1), ("find two layers", 2), ("layer known at", 0))
+        self.mode = Choice(about, modes, self._change_mode)
+        about, name = "Distance of the known layer", "Distance of the layer"
+        self.distance = NumberField(tool_tip=about, name=name, unit="mm", decimals=1)
         self.distance.entered.connect(self._enter)
         self.origin = origin_choice()
         self.origin.currentIndexChanged.connect(self._show_distance)
@@ -106,14 +102,12 @@ class LayersPanel(Panel):
         self.forget_bench()
 
     def forget_bench(self) -> None:
-        """Say that the search is under way: there are no layers yet."""
         self.sentence.setText(_SEARCHING)
         self.map.empty = _SEARCHING
         self.map.show_maps(None)
         self.plot.clear()
 
     def request(self) -> Request | None:
-        """Return the search, or the fit, to make."""
         measurement, origin, count = self.shown.measurement, self.origin.currentData(), self.mode.currentData()
         if not self.isVisible() or measurement is None or measurement.wavefront is None:
             return None
@@ -129,7 +123,6 @@ class LayersPanel(Panel):
         )
 
     def show_result(self, found: FoundLayers) -> None:
-        """Show layers, or why there are none."""
         if found.problem:
             self.map.empty = "no layer"
             self.sentence.setText(f"No layer: {found.problem}")
@@ -195,7 +188,6 @@ class LayersPanel(Panel):
 
 
 def _in_words(found: FoundLayers) -> str:
-    """Verdict, distances and what they leave."""
     at = zip(found.distances_m, found.sigma_m, strict=True)
     places = " and ".join(distance_in_words(*each, found.origin) for each in at)
     share = f"{number(100 * found.misfit, 2)} % of the displacements unexplained"

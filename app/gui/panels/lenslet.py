@@ -13,8 +13,6 @@ from app.gui.widgets.view_grid import LEAST_LINES, Maps, ViewGrid
 from app.results.view_analysis import LensletInspection, inspect_lenslet
 from reconstruction.displacement import Outcome
 
-_LIGHT = (0.0, 0.5, 1.0)  # numbered fractions of the colour bar
-_WIDEST = "\N{MINUS SIGN}50000"  # number beside a colour bar
 _GAP = 10  # px between two images
 
 
@@ -24,7 +22,8 @@ class _Images(QWidget):
     def __init__(self) -> None:
         super().__init__()
         names = ("Reference", "Frame", "Warped back", "Residual")
-        self.tiles = {name: ViewGrid((0, 0), "", self, widest=_WIDEST, is_captioned=False) for name in names}
+        widest = "\N{MINUS SIGN}50000"  # number beside a colour bar
+        self.tiles = {name: ViewGrid((0, 0), "", self, widest=widest, is_captioned=False) for name in names}
         self._names = [label(name, "dim", self) for name in names]
         self.tiles["Reference"].setToolTip("Spot image without the sample")
         self.tiles["Warped back"].setToolTip("The frame, warped back onto the reference")
@@ -34,7 +33,6 @@ class _Images(QWidget):
         self.setMinimumHeight(self.fontMetrics().height() + 36)
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Place the images beside each other, as large as all can be."""
         super().resizeEvent(event)
         line, bars = self.fontMetrics().height(), (False, False, True, True)
         space = next(iter(self.tiles.values())).bar_space
@@ -64,11 +62,8 @@ class LensletPanel(Panel):
         self.numbers, self.quality = ElidedLabel(), ElidedLabel()
         images = _Images()
         self.tiles = images.tiles
-        self.exclude = Button(
-            "Exclude",
-            "Leave this lenslet out of the wavefront, or use it again; noted in the bench and in recordings",
-            self._exclude,
-        )
+        about = "Leave this lenslet out of the wavefront, or use it again; noted in the bench and in recordings"
+        self.exclude = Button("Exclude", about, self._exclude)
         header = row((self.name, 1), self.exclude)
         column(header, column(self.numbers, self.quality, spacing=0), (images, 1), parent=self)
         self.select(None)
@@ -79,7 +74,6 @@ class LensletPanel(Panel):
         self.front_requested.emit()
 
     def select(self, lenslet: tuple[int, int] | None) -> None:
-        """Wait for the inspection of another lenslet."""
         self.lenslet = lenslet
         self.exclude.setEnabled(lenslet is not None)
         self._show_state("Click a lenslet in the camera image" if lenslet is None else "")
@@ -92,7 +86,6 @@ class LensletPanel(Panel):
         self.select(None)
 
     def show_liveness(self) -> None:
-        """Say how the lenslet differs from a live one."""
         shown = self.shown.liveness
         if shown.badge != self._badge:
             self._badge = shown.badge
@@ -107,7 +100,6 @@ class LensletPanel(Panel):
             self._write(f"nothing to inspect: {self.shown.problem or 'there is no wavefront'}")
 
     def request(self) -> Request | None:
-        """Return the inspection to make."""
         measurement, lenslet = self.shown.measurement, self.lenslet
         if self.shown.wavefront is None or measurement is None or lenslet is None or not self.isVisible():
             return None
@@ -123,7 +115,7 @@ class LensletPanel(Panel):
         self._grey(self.shown.liveness.is_grey)
         self.exclude.setText("Use again" if found.outcome is Outcome.EXCLUDED else "Exclude")
         top = max(float(found.reference.max()), float(found.frame.max()), 1.0)
-        light = ColourScale("inferno", 0.0, self._top.follow(top), "", _LIGHT)
+        light = ColourScale("inferno", 0.0, self._top.follow(top), "", (0.0, 0.5, 1.0))
         scales, images = [light] * 4, (found.reference, found.frame, found.fitted, found.residual)
         if found.residual is not None:
             most = max(float(np.nanmax(np.abs(found.residual), initial=0.0)), 1.0)
@@ -137,7 +129,6 @@ class LensletPanel(Panel):
             self.shown.exclusion_requested.emit([self.lenslet], None)
 
     def _show_state(self, state: str) -> None:
-        """Show the lenslet and its state; without a lenslet only that."""
         self._state = state
         name = "" if self.lenslet is None else "Lenslet row {}, column {}".format(*self.lenslet)
         parts = (": ".join(filter(None, (name, state))), self._badge)
@@ -153,7 +144,6 @@ class LensletPanel(Panel):
 
 
 def _numbers(found: LensletInspection) -> tuple[str, str]:
-    """Return the displacement, and how good it is."""
     if not np.isfinite(found.displacement_px).all():
         return "", ""
     x, y = (

@@ -57,7 +57,6 @@ class Shown(QObject):
         self._view: tuple[int, int] | None = None  # as chosen; None: the middle one
 
     def use_wavefront(self, wavefront: Wavefront | None) -> None:
-        """Replace the shown wavefront."""
         self.wavefront = wavefront
         if wavefront is not None:
             self.wavelength_m = wavefront.sensor.wavelength_m
@@ -78,7 +77,6 @@ class Shown(QObject):
         return rows // 2, columns // 2
 
     def choose_view(self, row: int, column: int) -> None:
-        """Choose a view."""
         self._view = (row, column)
         self.view_chosen.emit()
 

@@ -34,7 +34,6 @@ class QualityPanel(Panel):
         column((row((self.mtf, 1), (self.structure, 1), spacing=16), 1), self.sentence, parent=self)
 
     def request(self) -> Request | None:
-        """Return the curves to compute."""
         wavefront, view = self.shown.wavefront, self.shown.view
         if wavefront is None or view is None or not self.isVisible():
             return None
@@ -46,17 +45,20 @@ class QualityPanel(Panel):
         )
 
     def show_result(self, result: tuple[str, Mtf | None, Isoplanatism | None]) -> None:
-        """Show the curves of the view at a place, and of the field."""
         where, transfer, found = result
         self.mtf.show_transfer(transfer, where)
         self.structure.show_structure(found)
         if found is not None:
             sentence = verdict(found)
             self.sentence.setText(sentence)
-            self.sentence.setToolTip(f"{sentence}.\n{_explanation(found)}")
+            self.sentence.setToolTip(
+                f"{sentence}.\nThe correction is the mean wavefront of the field. The isoplanatic patch ends\n"
+                "where two wavefronts differ by 1 rad RMS (mean square 1 rad\N{SUPERSCRIPT TWO}).\n"
+                f"Tip and tilt removed, which only displace the image: {number(found.error_without_tilt_rad, 2)} rad"
+                f" RMS; patch {_patch(found.curve_without_tilt.patch_m)}."
+            )
 
     def show_nothing(self) -> None:
-        """Clear the panel."""
         self.mtf.show_transfer(None, "")
         self.structure.show_structure(None)
         self.sentence.setText("")
@@ -77,7 +79,6 @@ class MtfPlot(Plot):
         self.set_ranges((0, 1), (0, 1))
 
     def show_transfer(self, transfer: Mtf | None, where: str) -> None:
-        """Show the MTF of the view at `where`, or none."""
         self.title.setText(f"MTF at {where}" if where else "MTF")
         if transfer is None:
             for curve in (*self._limits, *self._curves):
@@ -119,7 +120,6 @@ class StructurePlot(Plot):
         self.set_ranges((0, 1), (0, 1.5))
 
     def show_structure(self, found: Isoplanatism | None) -> None:
-        """Show the curves with and without tilt, or none."""
         if found is None:
             for items in self._curves:
                 for item in items:
@@ -139,15 +139,6 @@ def verdict(found: Isoplanatism) -> str:
         return "No lenslet is valid over the whole field"
     patch = _patch(found.curve.patch_m)
     return f"A single correction would leave {number(found.error_rad, 2)} rad RMS. Isoplanatic patch: {patch}"
-
-
-def _explanation(found: Isoplanatism) -> str:
-    return (
-        "The correction is the mean wavefront of the field. The isoplanatic patch ends\n"
-        "where two wavefronts differ by 1 rad RMS (mean square 1 rad\N{SUPERSCRIPT TWO}).\n"
-        f"Tip and tilt removed, which only displace the image: {number(found.error_without_tilt_rad, 2)} rad RMS;"
-        f" patch {_patch(found.curve_without_tilt.patch_m)}."
-    )
 
 
 def _patch(patch_m: float) -> str:

@@ -10,7 +10,6 @@ from app.gui.widgets.view_grid import Maps, ViewGrid
 from reconstruction.arrays import Floats
 
 _STEP = 0.1  # of the ends of the colour scale
-_UNKNOWN = "This registration method does not measure the transmission"
 
 
 class TransmissionPanel(Panel):
@@ -30,19 +29,18 @@ class TransmissionPanel(Panel):
         column((self.grid, 1), self.sentence, parent=self)
 
     def request(self) -> Request | None:
-        """Return the maps to compute."""
         wavefront = self.shown.wavefront
         if wavefront is None or not self.isVisible():
             return None
         return Request(wavefront, None, lambda _: (wavefront.transmission,))
 
     def show_result(self, result: tuple[tuple[Floats, Floats] | None]) -> None:
-        """Show the transmission with its error."""
         (found,) = result
         known = np.zeros(0) if found is None else found[0][np.isfinite(found[0])]
         if found is None or not known.size:
             self.show_nothing()
-            self.sentence.setText(_UNKNOWN if found is None else "No lenslet has a transmission")
+            unknown = "This registration method does not measure the transmission"
+            self.sentence.setText(unknown if found is None else "No lenslet has a transmission")
             return
         values, sigma = found
         low, high = np.floor(known.min() / _STEP) * _STEP, np.ceil(known.max() / _STEP) * _STEP
@@ -54,6 +52,5 @@ class TransmissionPanel(Panel):
         )
 
     def show_nothing(self) -> None:
-        """Clear the panel."""
         self.grid.show_maps(None)
         self.sentence.setText("")

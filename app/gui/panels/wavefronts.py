@@ -42,7 +42,6 @@ from reconstruction.refinement import mean_rms
 from reconstruction.wavefront import Wavefront
 
 _AVERAGES = (1, 2, 5, 10, 20, 50, MOST_AVERAGED)
-_LIMITS = Range(1e-3, 1e5)
 _WEAK_RAD = 0.1  # mean RMS from which on noise is not looked at: it takes some milliseconds
 
 
@@ -92,11 +91,10 @@ class WavefrontPanel(Panel):
         column(self.header, self.stale, (self.grid, 1), parent=self)
 
     def menu_entries(self) -> Mapping[str, Entries]:
-        """Return the quantities and what else the header offers."""
         return {
             "&View": (
                 *(
-                    (f"{quantity} over the field", str(index + 1), partial(self.choose, quantity))
+                    (f"{quantity} over the field", str(index + 1), partial(self.choice.setCurrentText, quantity))
                     for index, quantity in enumerate(Quantity)
                 ),
                 ("Freeze the colour scale", "H", self.freeze_scale),
@@ -107,7 +105,6 @@ class WavefrontPanel(Panel):
 
     @property
     def quantity(self) -> Quantity:
-        """The chosen quantity."""
         return Quantity(self.choice.currentText())
 
     @property
@@ -115,18 +112,12 @@ class WavefrontPanel(Panel):
         """Half width of PSF maps; None until the extent of the light is known."""
         return self._reach_mrad.value * 1e-3 if self._reach_mrad.is_set else None
 
-    def choose(self, quantity: Quantity) -> None:
-        """Choose a quantity."""
-        self.choice.setCurrentText(quantity)
-
     def show_liveness(self) -> None:
-        """Say how the maps differ from live ones, and show those in grey that may be over."""
         badge, reason, is_grey = self.shown.liveness
         self.grid.show_stale(is_stale=is_grey)
         self.stale.setText(f"{badge}: {reason}" if badge else "")
 
     def show_measurement(self, measurement: Measurement) -> None:
-        """Show the views of the wavefront."""
         self.show_wavefront(measurement.wavefront)
 
     def show_wavefront(self, wavefront: Wavefront | None) -> None:
@@ -153,14 +144,10 @@ class WavefrontPanel(Panel):
         if wavefront is None or settings is None or quantity is Quantity.WAVEFRONT:
             return None
         reach_rad = self.reach_rad if quantity is Quantity.PSF else None
-        return Request(
-            wavefront,
-            (quantity, settings, reach_rad, wavefront.field),
-            lambda _: quantity_maps(wavefront, quantity, settings, reach_rad),
-        )
+        choice = (quantity, settings, reach_rad, wavefront.field)
+        return Request(wavefront, choice, lambda _: quantity_maps(wavefront, quantity, settings, reach_rad))
 
     def show_result(self, result: QuantityMaps | None) -> None:
-        """Show maps of a quantity."""
         if result is None:
             self._show_maps(None)
         elif self.shown.wavefront is not None:
@@ -170,7 +157,6 @@ class WavefrontPanel(Panel):
             self.show_numbers()
 
     def show_numbers(self) -> None:
-        """Update the numbers under the views and in the header."""
         if self._maps is None or self.shown.wavefront is None:
             self._summary.setText("")
             self.grid.set_captions({})
@@ -203,14 +189,12 @@ class WavefrontPanel(Panel):
         return f"mean RMS below noise ({number(noise_rad * self.shown.per_rad)} {self.shown.unit})"
 
     def enlarge(self) -> None:
-        """Show the selected view in a window of its own."""
         if self._enlarged is None:
             self._enlarged = EnlargedView(self.grid, self)
         self._enlarged.show()
         self._enlarged.raise_()
 
     def export(self) -> None:
-        """Ask for a name, and write the shown wavefronts as a picture with their numbers and as NetCDF."""
         shown, status = self.shown.wavefront, self.shown.status
         if shown is None or status is None:
             self.warned.emit("there is no wavefront to export")
@@ -229,7 +213,6 @@ class WavefrontPanel(Panel):
             self.informed.emit(f"saved {path} and {results.name}")
 
     def subtract_file(self, path: Path) -> None:
-        """Subtract the wavefront of a file of results from now on."""
         try:
             lenslets = None if self._newest is None else self._newest.displacement.outcome.shape
             stored = StoredWavefront.from_results(path, lenslets)
@@ -250,7 +233,7 @@ class WavefrontPanel(Panel):
         """Show the limit of a frozen colour scale, to be changed."""
         self.limit.setVisible(self.freeze_scale.isChecked())
         self.limit.use_unit(str(self.shown.unit) if PRESENTATIONS[self.quantity].has_unit else "")
-        self.limit.show_value(self._scale.value, _LIMITS)
+        self.limit.show_value(self._scale.value, Range(1e-3, 1e5))
 
     def _store(self) -> None:
         if self._newest is not None:
@@ -347,20 +330,14 @@ class DisplayMenu(QMenu):
         self.clear_stored.triggered.connect(lambda: self.change(stored=None))
         self.clear_stored.setEnabled(False)
         self.addSeparator()
-        self.averages = self._add_choices(
-            "Average",
-            "average",
-            [(f"{n} frames" if n > 1 else "Off", n) for n in _AVERAGES],
-            lambda count: self.change(averaged=count),
-        )
+        averages = [(f"{n} frames" if n > 1 else "Off", n) for n in _AVERAGES]
+        self.averages = self._add_choices("Average", "average", averages, lambda count: self.change(averaged=count))
         self.units = self._add_choices("Unit", "unit", [(unit.value, unit) for unit in Unit], self._choose_unit)
-        grids = [(f"{n} \N{MULTIPLICATION SIGN} {n}", n) for n in range(1, MOST_VIEWS + 1)]
-        self.grids = self._add_choices(
-            "Views", "grid", [("As in the bench", None), *grids], lambda count: self.change(views=count)
-        )
+        square = [(f"{n} \N{MULTIPLICATION SIGN} {n}", n) for n in range(1, MOST_VIEWS + 1)]
+        grids = [("As in the bench", None), *square]
+        self.grids = self._add_choices("Views", "grid", grids, lambda count: self.change(views=count))
 
     def change(self, **changes: Any) -> None:
-        """Change display options."""
         self.options = replace(self.options, **changes)
         self.clear_stored.setEnabled(self.options.stored is not None)
         self.changed.emit()

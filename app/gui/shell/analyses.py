@@ -12,7 +12,6 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] #
 from app.gui.panels.panel import Check, Panel, Request, Shown
 from app.gui.widgets.basics import timer
 
-_POLL_INTERVAL_MS = 40
 _SHARE = 0.2  # of a core: the measurement needs the rest
 
 
@@ -70,7 +69,6 @@ class AnalysisThread:
         return future.result()
 
     def forget(self) -> None:
-        """Drop the last requests, and their results."""
         self.requests, self._future = {}, None
 
     def close(self) -> None:
@@ -102,11 +100,10 @@ class Analyses(QObject):
         quick = AnalysisThread(self._check)
         self.threads = {panel: AnalysisThread(self._check) if panel.is_slow else quick for panel in self._panels}
         shown.view_chosen.connect(self.poll)
-        self._timer = timer(self, _POLL_INTERVAL_MS, self.poll)
+        self._timer = timer(self, 40, self.poll)
         self._timer.start()
 
     def poll(self) -> None:
-        """Show finished results and request the next."""
         self._shown.has_open_tabs = any(panel.isVisible() for panel in self._panels if panel.place == "tab")
         for thread in dict.fromkeys(self.threads.values()):
             for result in thread.take():
@@ -118,12 +115,10 @@ class Analyses(QObject):
                 panel.show_nothing()
 
     def forget_bench(self) -> None:
-        """Forget the measurements of another bench."""
         for thread in self.threads.values():
             thread.forget()
 
     def close(self) -> None:
-        """End the threads."""
         self._timer.stop()
         self.is_closing = True
         for thread in self.threads.values():

@@ -9,26 +9,24 @@ from typing import Any
 
 from PyQt6.QtCore import QObject, QSettings, Qt, QUrl
 from PyQt6.QtGui import QDesktopServices
-from PyQt6.QtWidgets import QDialog, QFileDialog, QHBoxLayout, QLabel, QMenu, QWidget
+from PyQt6.QtWidgets import QDialog, QFileDialog, QHBoxLayout, QMenu, QWidget
 
 from app.bench.bench_files import BenchError, bench_file, excerpt, read_bench_text
 from app.bench.config import Bench, load_bench, save_bench
 from app.bench.presets import PRESETS
 from app.bench.trusted_libraries import unconfirmed
 from app.errors import InputError, RunError
-from app.gui.shell.controller import Controller
+from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.menus import RecentFiles, listing_menu
-from app.gui.shell.settings_control import SettingsControl
 from app.gui.shell.settings_dialog import SettingsDialog
 from app.gui.shell.wording import as_sentence
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, column
+from app.gui.widgets.basics import Button, column, label
 from app.gui.widgets.copies import ask_file
 
 _TEMPLATE = "live_demo"
 _FILES = "Bench (*.toml)"
 _LAST = "last/bench"  # key of the settings
-_WIDTH = 560  # px
 
 Choices = tuple[tuple[str, str, Callable[[], object]], ...]  # text, tool tip, action
 
@@ -101,7 +99,6 @@ class Benches(QObject):
         self._settings_dialog().edit(load_bench(_TEMPLATE) if status is None else status.bench_in_force)
 
     def make(self) -> None:
-        """Make a bench with connected devices."""
         self._settings_dialog().make(replace(load_bench(_TEMPLATE), lattice=None))
 
     def _settings_dialog(self) -> SettingsDialog:
@@ -118,7 +115,6 @@ class Benches(QObject):
             self._settings_control.change(*changed.items())
 
     def ask(self) -> None:
-        """Ask for a bench file, and open it."""
         folder = next((str(path.parent) for path in self.recent.paths()), "")
         name, _ = QFileDialog.getOpenFileName(self._window, "Open a bench", folder, _FILES)
         if name:
@@ -139,16 +135,12 @@ class Benches(QObject):
             self._remember(path)
 
     def recent_menu(self) -> QMenu:
-        """Return the menu of the recent benches."""
-        return self.recent.menu(
-            self._window, lambda path: f"{path.name}  \N{EM DASH}  {path.parent}", lambda path: self.open(str(path))
-        )
+        text = "{0.name}  \N{EM DASH}  {0.parent}".format
+        return self.recent.menu(self._window, text, lambda path: self.open(str(path)))
 
     def presets_menu(self) -> QMenu:
-        """Return the menu of the presets."""
-        return listing_menu(
-            self._window, lambda: [(name.replace("_", " "), partial(self.open, name)) for name in PRESETS]
-        )
+        entries = [(name.replace("_", " "), partial(self.open, name)) for name in PRESETS]
+        return listing_menu(self._window, lambda: entries)
 
     def _explain(self, source: str, overrides: tuple[str, ...], error: InputError) -> None:
         line = error.line if isinstance(error, BenchError) else None
@@ -175,10 +167,9 @@ class BenchDialog(QDialog):
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
-        self.text = QLabel()
+        self.text = label("", wraps=True)
         self.text.setTextFormat(Qt.TextFormat.RichText)
-        self.text.setWordWrap(True)
-        self.text.setMinimumWidth(_WIDTH)
+        self.text.setMinimumWidth(560)  # px
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self._buttons = QHBoxLayout()
         self._buttons.addStretch()

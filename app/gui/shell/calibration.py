@@ -9,19 +9,17 @@ from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
 from app.acquisition.instrument import Instrument, Setting
 from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, differs
 from app.gui.panels.camera import CameraPanel
-from app.gui.shell.controller import Controller
-from app.gui.shell.settings_control import SettingsControl
+from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.wording import exposure_found, lattice_found, linearity_found
 from app.gui.widgets import theme
 from app.gui.widgets.basics import Button, Scrolled, column, label, row, within_screen
 from app.measurement.auto_exposure import AutoExposure
 from app.measurement.averages import BackgroundCheck
 from app.measurement.routines import Cancelled
-from reconstruction.frame.linearity import Linearity, MeasuredLinearity
+from reconstruction.frame.linearity import MeasuredLinearity
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 
-_WIDTH = 660  # px
 _LAMP = 16  # px
 
 
@@ -34,17 +32,20 @@ class Routines:
         controller.question_closed.connect(lambda: camera.propose(None))
 
     def expose(self) -> None:
-        """Find and set the exposure."""
         self._controller.send(
             lambda to: to.submit(Instrument.auto_expose), lambda found: self._messages.inform(exposure_found(found))
         )
 
     def find_lattice(self) -> None:
         """Find the lenslets in the reference, and ask whether to use that lattice."""
-        self._controller.send(lambda to: to.submit(Instrument.survey_lattice), self._propose)
+
+        def propose(survey: Survey) -> None:
+            self._camera.propose(survey)
+            self._controller.ask(lattice_found(survey), partial(self.use_lattice, survey.lattice))
+
+        self._controller.send(lambda to: to.submit(Instrument.survey_lattice), propose)
 
     def check_background(self) -> None:
-        """Compare the background with the dark."""
 
         def show(check: BackgroundCheck) -> None:
             (self._messages.inform if check.is_good else self._messages.warn)(check.verdict)
@@ -55,24 +56,16 @@ class Routines:
         """Measure the camera's nonlinearity without the sample, and ask whether to correct it."""
 
         def propose(found: MeasuredLinearity) -> None:
-            self._controller.ask(linearity_found(found), partial(self._use_linearity, found.linearity))
+            use = partial(self._use, "linearity", found.linearity, "frames are corrected")
+            self._controller.ask(linearity_found(found), use)
 
         self._controller.send(lambda to: to.submit(Instrument.measure_linearity), propose)
 
-    def _use_linearity(self, linearity: Linearity) -> None:
-        self._settings.change(
-            ("linearity", linearity), then=lambda _: self._messages.inform("frames are corrected; Ctrl+S saves it")
-        )
-
     def use_lattice(self, lattice: Lattice) -> None:
-        """Change the lattice of the bench."""
-        self._settings.change(
-            ("lattice", lattice), then=lambda _: self._messages.inform("the lattice is in use; Ctrl+S saves it")
-        )
+        self._use("lattice", lattice, "the lattice is in use")
 
-    def _propose(self, survey: Survey) -> None:
-        self._camera.propose(survey)
-        self._controller.ask(lattice_found(survey), partial(self.use_lattice, survey.lattice))
+    def _use(self, name: str, value: object, done: str) -> None:
+        self._settings.change((name, value), then=lambda _: self._messages.inform(f"{done}; Ctrl+S saves it"))
 
 
 class CalibrationGuide(QDialog):
@@ -87,26 +80,23 @@ class CalibrationGuide(QDialog):
         self._is_running = False
         self._answers: dict[bool, Callable[[], object]] = {}  # called after "yes" and after "no"
         self.lamps = {step: label("") for step in STEPS}
-        self.results = {step: label("", "dim") for step in STEPS}
+        self.results = {step: label("", "dim", wraps=True) for step in STEPS}
         steps = QWidget()
         grid = QGridLayout(steps)
         grid.setContentsMargins(0, 0, 0, 0)
         grid.setHorizontalSpacing(10)
         grid.setVerticalSpacing(2)
-        grid.setColumnMinimumWidth(1, _WIDTH)
+        grid.setColumnMinimumWidth(1, 660)  # px
         for index, step in enumerate(STEPS):
-            explanation, result = label(step.explanation, "dim"), self.results[step]
-            for text in (explanation, result):
-                text.setWordWrap(True)
+            result = self.results[step]
             result.setTextFormat(Qt.TextFormat.PlainText)
             result.setAlignment(Qt.AlignmentFlag.AlignTop)
             result.setMinimumHeight(2 * result.fontMetrics().lineSpacing() + 8)  # the lattice takes two lines
             grid.addWidget(self.lamps[step], 3 * index, 0)
             grid.addWidget(label(f"{index + 1}  {step.title}", "title"), 3 * index, 1)
-            grid.addWidget(explanation, 3 * index + 1, 1)
+            grid.addWidget(label(step.explanation, "dim", wraps=True), 3 * index + 1, 1)
             grid.addWidget(result, 3 * index + 2, 1)
-        self.question = label("")
-        self.question.setWordWrap(True)
+        self.question = label("", wraps=True)
         self.yes = Button("", "Return", lambda _: self._answers[True]())
         self.no = Button("", "Esc", lambda _: self._answers[False]())
         answers = row((self.question, 1), self.yes, self.no)
@@ -138,7 +128,6 @@ class CalibrationGuide(QDialog):
         return was_running
 
     def reject(self) -> None:
-        """Cancel the running step, or close."""
         if self._is_running:
             self._controller.cancel()
             self._end("cancelled")
@@ -165,7 +154,6 @@ class CalibrationGuide(QDialog):
         self._controller.send(lambda to: step.begin(to, self._frames), self._finish, self._fail)
 
     def _note(self, setting: Setting, value: bool) -> None:
-        """Note what a person has done, and go on."""
         self._controller.send(lambda to: to.submit(Instrument.set, setting, value), lambda _: self._next(), self._fail)
 
     def _finish(self, result: object) -> None:
@@ -178,13 +166,9 @@ class CalibrationGuide(QDialog):
             text = lattice_found(result)
             if status is not None and differs(result.lattice, status):
                 self._mark(step, "failed", text)
-                self._ask(
-                    "The bench has another lattice.",
-                    "Use this one",
-                    lambda: self._take_lattice(step, text, result.lattice),
-                    "Keep that of the bench",
-                    self._next,
-                )
+                use = partial(self._take_lattice, step, text, result.lattice)
+                question = "The bench has another lattice."
+                self._ask(question, "Use this one", use, "Keep that of the bench", self._next)
                 return
         self._mark(step, "done", text)
         self._next()

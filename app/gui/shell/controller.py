@@ -1,4 +1,4 @@
-"""Controller: the open acquisition, the commands that the window sends to it, and the questions about them."""
+"""The open acquisition, the commands and settings that the window sends to it, and the process that it runs in."""
 
 import time
 from collections.abc import Callable
@@ -6,10 +6,11 @@ from concurrent.futures import CancelledError, Future
 from functools import partial
 from typing import Any, TypeVar
 
-from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtCore import QObject, QTimer, pyqtSignal
+from PyQt6.QtWidgets import QMessageBox, QWidget
 
 from app.acquisition.carrier import Carrier
-from app.acquisition.instrument import Status
+from app.acquisition.instrument import Instrument, Status
 from app.acquisition.remote.connection import Connection
 from app.acquisition.start_up import start_up
 from app.cache import release_memory
@@ -21,9 +22,13 @@ T = TypeVar("T")
 Begin = Callable[[Carrier], tuple[Future[Any], ...]]  # sends the first commands to an acquisition
 Then = Callable[[Any], object] | None  # receives a result
 Otherwise = Callable[[Exception], object] | None
+Command = tuple[Any, ...]  # a request of the instrument, and its arguments
 
 CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it
-_CLOSING_POLL_S = 0.04
+_BENCH = "bench"  # kind of the commands that change registration, reconstruction, lattice or mask
+_MODES = {"amplifier", "readout_speed"}  # their commands return what else has changed
+_FRAMES_MS = 500  # between two of them: they stop the camera
+_NOT_ATTACHED = "this window runs the instrument itself: svwfs live --attach opens one on another process"
 
 
 class Controller(QObject):
@@ -87,7 +92,6 @@ class Controller(QObject):
 
     @property
     def is_idle(self) -> bool:
-        """True if all commands are finished."""
         return all(future.done() for future, _, _ in self._pending)
 
     def use(self, make_acquisition: Callable[[], Carrier], begin: Begin, meanwhile: Callable[[], object]) -> None:
@@ -121,7 +125,7 @@ class Controller(QObject):
         self.acquisition.begin_close()
         deadline_s = time.monotonic() + CLOSING_S
         while self.acquisition.is_alive and time.monotonic() < deadline_s:
-            self.acquisition.close(timeout_s=_CLOSING_POLL_S)
+            self.acquisition.close(timeout_s=0.04)
             meanwhile()
         self.is_stuck = self.acquisition.is_alive
 
@@ -140,7 +144,6 @@ class Controller(QObject):
         return future
 
     def cancel(self) -> None:
-        """End the routine that is running."""
         if self.acquisition is not None:
             future = self.acquisition.cancel()
             if self.acquisition.activity.text:  # else there is nothing to end: a refusal need not be told
@@ -161,3 +164,170 @@ class Controller(QObject):
                 if then is not None:
                     then(result)
         return bool(done)
+
+
+class SettingsControl:
+    """Sends what is wanted, one command of each kind at a time.
+
+    Of the commands that come meanwhile, the last of each kind is kept; changes of the bench are joined into one.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self._sent: set[str] = set()  # kinds of the commands under way
+        self._next: dict[str, tuple[Callable[[], Command], Then]] = {}  # by kind
+        self._changes: list[tuple[str, Any]] = []  # of the next command of the bench
+        self._mask: str | None = None  # of the next command, too
+        self._kinds: dict[str, str] = {}  # of the wanted settings
+        self.wanted: dict[str, Any] = {}  # value of each setting that is not in force yet, by its name in the controls
+        controller.connected.connect(self._restart)
+
+    def _restart(self) -> None:
+        """Forget all commands: another acquisition begins."""
+        self._mask = None
+        for each in (self._sent, self._next, self.wanted, self._changes):
+            each.clear()
+
+    def want(self, name: str, value: Any) -> None:
+        """Set what the controls call `name`: a setting of a device, or one of the bench, "section.key"."""
+        is_of_bench = "." in name or name == "mask"
+        self.wanted[name], self._kinds[name] = value, _BENCH if is_of_bench else name
+        if "." in name:
+            self.change((name, value))
+        elif is_of_bench:
+            self._mask = value
+            self.change()
+        else:
+            then = self._controller.messages.warn if name in _MODES else None
+            self._keep(name, lambda: (Instrument.set, name, value), then)
+
+    def change(self, *changes: tuple[str, Any], then: Then = None) -> None:
+        """Change settings of the open bench, see `Instrument.change_settings`; the devices stay open."""
+        self._changes += changes
+        _, earlier = self._next.get(_BENCH, (None, None))
+        self._keep(_BENCH, self._change_bench, then or earlier)
+
+    def _change_bench(self) -> Command:
+        """Return one command for all changes of the bench, so that the reconstruction is prepared once."""
+        changes, mask, self._changes, self._mask = self._changes, self._mask, [], None
+        return Instrument.change_settings, changes, mask
+
+    def _keep(self, kind: str, make: Callable[[], Command], then: Then) -> None:
+        self._next[kind] = make, then
+        if kind not in self._sent:
+            self._send_next(kind)
+
+    def _send_next(self, kind: str) -> None:
+        self._sent.discard(kind)
+        if kind not in self._next:
+            self.wanted = {name: value for name, value in self.wanted.items() if self._kinds[name] != kind}
+            return
+        make, then = self._next.pop(kind)
+        command = make()
+        self._sent.add(kind)
+        self._controller.send(
+            lambda to: to.submit(*command), partial(self._end, kind, then), partial(self._end, kind, None)
+        )
+
+    def _end(self, kind: str, then: Then, result: object) -> None:
+        if then is not None:
+            then(result)
+        if kind == _BENCH and kind in self._next:
+            QTimer.singleShot(_FRAMES_MS, partial(self._send_next, kind))
+        else:
+            self._send_next(kind)
+
+
+class Attachment:
+    """Commands about the process of the instrument, if that is not this one."""
+
+    def __init__(self, controller: Controller, parent: QWidget) -> None:
+        self._controller, self._parent = controller, parent
+
+    @property
+    def connection(self) -> Connection | None:
+        """The connection to the instrument's process, while there is one."""
+        acquisition = self._controller.acquisition
+        return acquisition if isinstance(acquisition, Connection) and acquisition.is_alive else None
+
+    @property
+    def only_watches(self) -> bool:
+        """True if this window could take control."""
+        connection = self.connection
+        return connection is not None and not connection.has_control and not connection.is_silent
+
+    @property
+    def notice(self) -> str:
+        """Why commands are refused; empty if they are not."""
+        connection = self.connection
+        if connection is not None and connection.is_silent:
+            return f"the instrument's process {connection.place.process} does not answer: if that lasts, end it"
+        if connection is None or connection.has_control:
+            return ""
+        who = f"{connection.controller} has control" if connection.controller else "nobody has control"
+        return f"this window only watches: {who}"
+
+    @property
+    def place(self) -> str:
+        """Which process has the devices, and who else is connected; empty if this one has them."""
+        connection = self.connection
+        if connection is None:
+            return ""
+        return f"in process {connection.place.process}, connected: {', '.join(connection.clients)}"
+
+    def take_control(self) -> None:
+        if (connection := self.connection) is None:
+            self._controller.messages.warn(_NOT_ATTACHED)
+        else:
+            self._controller.send(lambda _: connection.take_control())
+
+    def end_instrument(self) -> None:
+        if (connection := self.connection) is None:
+            self._controller.messages.warn(_NOT_ATTACHED)
+        elif _is_of_another(connection):
+            self._controller.messages.warn(self.notice)
+        else:
+            self._controller.ask(
+                "the instrument ends for everybody: the light goes off, recordings are finished",
+                lambda: self._controller.send(lambda _: _shut_down(connection)),
+                "End it",
+                "Keep it",
+                loses=True,
+            )
+
+    def ask_to_leave(self, then: Callable[[], object]) -> bool:
+        """Ask whether the instrument goes on, and call `then`; return False without asking if this process has it.
+
+        An instrument that another client controls goes on.
+        """
+        if (connection := self.connection) is None:
+            return False
+        if _is_of_another(connection):
+            then()
+            return True
+        box = QMessageBox(self._parent)
+        box.setIcon(QMessageBox.Icon.Question)
+        box.setWindowTitle("svwfs")
+        box.setText("Does the instrument go on without this window?")
+        box.setInformativeText("If it goes on, the light stays as it is, and recordings are continued.")
+        goes_on = box.addButton("It goes on", QMessageBox.ButtonRole.AcceptRole)
+        ends = box.addButton("End it", QMessageBox.ButtonRole.DestructiveRole)
+        box.setDefaultButton(goes_on)
+        box.addButton(QMessageBox.StandardButton.Cancel)
+        box.exec()
+        if box.clickedButton() is ends:
+            self._controller.send(lambda _: _shut_down(connection), lambda _: then(), lambda _: None)
+        elif box.clickedButton() is goes_on:
+            then()
+        return True
+
+
+def _is_of_another(connection: Connection) -> bool:
+    return connection.controller not in {"", connection.name}
+
+
+def _shut_down(connection: Connection) -> Future[None]:
+    """End the instrument, also if nobody has control."""
+    if not connection.has_control:
+        connection.take_control()
+    return connection.shut_down()

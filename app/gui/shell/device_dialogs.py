@@ -23,7 +23,6 @@ _SIDES = {
 }
 _KEY = "presets/devices"  # of the settings
 _ABOUT = "A preset keeps exposure, gain, current and mask: type a name, and save those in force."
-_PRESETS_WIDTH = 380  # px: the title fits
 _SETTINGS = {"exposure_s": int | float, "em_gain": int | float, "current_a": int | float, "mask": str}
 
 
@@ -43,9 +42,8 @@ class SensorRegionDialog(QDialog):
         self.binning = Choice("Sensor pixels per frame pixel, along both axes")
         self.limits, self.in_force = label("", "dim"), label("", "dim")
         self.whole = Button("Whole sensor", "Fill in the whole sensor", self._fill_whole)
-        self.around = Button(
-            "Around the lattice", "Fill in all lenslets with a margin of half a pitch", self._fill_around
-        )
+        about = "Fill in all lenslets with a margin of half a pitch"
+        self.around = Button("Around the lattice", about, self._fill_around)
         self.apply = Button("Apply", "Set the region; then take a new dark (D) and reference (R)", self._set_area)
         self.apply.setDefault(True)
         close = Button("Close", "Change nothing (Esc)", self.close)
@@ -57,7 +55,6 @@ class SensorRegionDialog(QDialog):
 
     @property
     def area(self) -> SensorArea:
-        """The area that is filled in."""
         return SensorArea(Region(*(round(side.value()) for side in self._sides)), int(self.binning.currentText() or 1))
 
     def begin(self) -> None:
@@ -92,19 +89,14 @@ class SensorRegionDialog(QDialog):
             self.fill(area.region)
 
     def fill(self, region: Region) -> None:
-        """Fill in a region."""
         if self._status is None:
             return
         allowed = self._status.capabilities
         whole = allowed.sensor or region
-        for side, value, most in (
-            (self.top, region.top, whole.rows),
-            (self.left, region.left, whole.columns),
-            (self.rows, region.rows, whole.rows),
-            (self.columns, region.columns, whole.columns),
-        ):
+        values, most = (region.top, region.left, region.rows, region.columns), (whole.rows, whole.columns)
+        for side, value, limit in zip(self._sides, values, most * 2, strict=True):
             side.setSingleStep(allowed.region_step_px)
-            side.show_value(value, Range(0, most))
+            side.show_value(value, Range(0, limit))
 
     def _fill_whole(self) -> None:
         if self._status is not None and self._status.capabilities.sensor is not None:
@@ -139,9 +131,8 @@ class DevicePresets(QDialog):
         self.names = QListWidget()
         self.names.currentItemChanged.connect(self._enable)
         self.names.itemDoubleClicked.connect(lambda _: self._apply())
-        self.about = label("", "dim")
-        self.about.setWordWrap(True)
-        self.about.setMinimumWidth(_PRESETS_WIDTH)
+        self.about = label("", "dim", wraps=True)
+        self.about.setMinimumWidth(380)  # px: the title fits
         self.name = TextField(tool_tip="Name of the preset", hint="name")
         self.name.textChanged.connect(self._enable)
         self.save = Button("Save", "Save exposure, gain, current and mask in force under this name", self._save)
@@ -166,7 +157,6 @@ class DevicePresets(QDialog):
         self._list()
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Enable what can be done now."""
         super().showEvent(event)
         self._enable()
 

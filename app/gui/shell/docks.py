@@ -45,12 +45,9 @@ class _TitleBar(QWidget):
     def __init__(self, dock: Dock, header: QWidget, *, is_strip: bool) -> None:
         super().__init__(dock)
         self._is_compact = False
+        floating = "Float as a window, or dock again"
         buttons = (
-            _tool_button(
-                "\N{NORTH EAST ARROW}",
-                "Float as a window, or dock again",
-                lambda: dock.setFloating(not dock.isFloating()),
-            ),
+            _tool_button("\N{NORTH EAST ARROW}", floating, lambda: dock.setFloating(not dock.isFloating())),
             _tool_button("\N{MULTIPLICATION SIGN}", "Close; View > Panels opens it again", dock.close),
         )
         if is_strip:
@@ -59,15 +56,12 @@ class _TitleBar(QWidget):
             row((header, 1), *buttons, spacing=2, parent=self).setContentsMargins(_MARGIN, 4, 0, 4)
 
     def sizeHint(self) -> QSize:  # noqa: N802 - Qt's name
-        """Return no size below a tab, which has the title."""
         return QSize(0, 0) if self._is_compact else super().sizeHint()
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802 - Qt's name
-        """Return no size below a tab."""
         return QSize(0, 0) if self._is_compact else super().minimumSizeHint()
 
     def show_compact(self, *, is_compact: bool) -> None:
-        """Take no room, or that of the header."""
         if is_compact != self._is_compact:
             self._is_compact = is_compact
             self.setVisible(not is_compact)
@@ -86,8 +80,7 @@ class PanelDocks:
         window.setDockOptions(_OPTIONS.AllowNestedDocks | _OPTIONS.AllowTabbedDocks | _OPTIONS.GroupedDragging)
         window.setTabPosition(Qt.DockWidgetArea.AllDockWidgetAreas, QTabWidget.TabPosition.North)
         self._tall: QByteArray | None = None  # the layout of the window before it became low
-        self._settle = timer(window, 0, self._arrange, is_single=True)  # after all the signals of a change
-        self.settled = self._settle.timeout
+        self.settle = timer(window, 0, self._arrange, is_single=True)  # after all the signals of a change
         self._hint = label("All panels are closed or float: View > Restore default layout docks them", "dim")
         self._hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self._middle = QWidget()
@@ -95,9 +88,15 @@ class PanelDocks:
         window.setCentralWidget(self._middle)
         for dock in self.docks:
             for changed in (dock.visibilityChanged, dock.topLevelChanged, dock.dockLocationChanged):
-                changed.connect(lambda *_: self._settle.start())
+                changed.connect(lambda *_: self.settle.start())
             dock.panel.front_requested.connect(lambda panel=dock.panel: self.show_panel(panel))
-        self._dock_all()
+        left = self._at("left")
+        window.addDockWidget(Qt.DockWidgetArea.TopDockWidgetArea, left)
+        window.splitDockWidget(left, self._at("right"), Qt.Orientation.Horizontal)
+        window.splitDockWidget(left, self._tabs[0], Qt.Orientation.Vertical)
+        for before, dock in zip(self._tabs, self._tabs[1:], strict=False):
+            window.tabifyDockWidget(before, dock)
+        window.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self._at("strip"))
         self._default = window.saveState()
         self.restore_default()
 
@@ -114,15 +113,6 @@ class PanelDocks:
         self._window.resizeDocks([left, first], [1000, 600], Qt.Orientation.Vertical)
         self._arrange()
 
-    def _dock_all(self) -> None:
-        window, left = self._window, self._at("left")
-        window.addDockWidget(Qt.DockWidgetArea.TopDockWidgetArea, left)
-        window.splitDockWidget(left, self._at("right"), Qt.Orientation.Horizontal)
-        window.splitDockWidget(left, self._tabs[0], Qt.Orientation.Vertical)
-        for before, dock in zip(self._tabs, self._tabs[1:], strict=False):
-            window.tabifyDockWidget(before, dock)
-        window.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self._at("strip"))
-
     def toggle_tabs(self) -> None:
         """Close the open tabs, or open those closed last."""
         is_open = [dock for dock in self._tabs if not dock.isHidden()]
@@ -131,7 +121,6 @@ class PanelDocks:
         self._closed = is_open
 
     def show_panel(self, panel: QWidget) -> None:
-        """Open a panel, in front of the other tabs."""
         for dock in self.docks:
             if dock.panel is panel:
                 dock.show()
@@ -145,15 +134,10 @@ class PanelDocks:
                 dock.show()
 
     def menu(self) -> QMenu:
-        """Return a menu that opens and closes the panels."""
         made = QMenu(self._window)
         for dock in self.docks:
             made.addAction(dock.toggleViewAction())
         return made
-
-    def follow_height(self) -> None:
-        """Let camera and plots take turns while the window is too low for both."""
-        self._settle.start()
 
     def use_tall_layout(self) -> None:
         """Restore the layout from before the window became low."""

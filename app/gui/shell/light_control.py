@@ -29,7 +29,6 @@ class LightControl:
 
     @property
     def is_switching_off(self) -> bool:
-        """True while the light is being switched off."""
         return self._switching_off is not None
 
     @property
@@ -93,35 +92,24 @@ class LightControl:
             self._controls.show_switching_off()
 
     def _is_busy(self, acquisition: Carrier) -> bool:
-        """Return whether a command waits or runs."""
         return bool(acquisition.activity.text) or self.is_switching_off or not self._controller.is_idle
 
-    def take_dark(self, frames: int) -> None:
-        """Average frames without light."""
-        if self._must_ask(on=False):
-            self._ask_by_hand(on=False, then=lambda: self.take_dark(frames))
+    def take(self, name: Literal["dark", "reference"], frames: int) -> None:
+        """Average frames: for a dark without light, for a reference with light and without the sample."""
+        is_lit = name == "reference"
+        if self._must_ask(on=is_lit):
+            self._ask_by_hand(on=is_lit, then=lambda: self.take(name, frames))
         else:
-            take = Instrument.take_dark
-            self._controller.send(lambda to: to.submit(take, frames), lambda _: self._dark_taken(frames))
-
-    def take_reference(self, frames: int) -> None:
-        """Average frames with light and without the sample."""
-        if self._must_ask(on=True):
-            self._ask_by_hand(on=True, then=lambda: self.take_reference(frames))
-        else:
-            take = Instrument.take_reference
-            self._controller.send(lambda to: to.submit(take, frames), lambda _: self._confirm("reference", frames))
-
-    def _dark_taken(self, frames: int) -> None:
-        self._confirm("dark", frames)
-        if self._must_ask(on=True):
-            self._ask_by_hand(on=True)
+            request = Instrument.take_reference if is_lit else Instrument.take_dark
+            self._controller.send(lambda to: to.submit(request, frames), lambda _: self._confirm(name, frames))
 
     def _confirm(self, name: Literal["dark", "reference"], frames: int) -> None:
-        """Tell that an average was taken; if it is unusable, the warning tells why."""
+        """Tell that an average was taken; if it is unusable, the warning tells why. After a dark, light is needed."""
         status = self._controller.status
         if status is not None and getattr(status, name) == "good":
             self._messages.inform(f"{name} taken: mean of {counted(frames)}")
+        if name == "dark" and self._must_ask(on=True):
+            self._ask_by_hand(on=True)
 
     def _must_ask(self, *, on: bool) -> bool:
         status = self._controller.status

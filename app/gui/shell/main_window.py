@@ -22,23 +22,20 @@ from app.files import make_folder
 from app.gui.panels.panel import Entries, Shown
 from app.gui.panels.registry import make_panels
 from app.gui.shell.analyses import Analyses
-from app.gui.shell.attachment import Attachment
 from app.gui.shell.base_window import BaseWindow, ErrorReports, LateMeasurements
 from app.gui.shell.benches import Benches
 from app.gui.shell.calibration import CalibrationGuide, Routines
-from app.gui.shell.controller import Begin, Controller
+from app.gui.shell.controller import Attachment, Begin, Controller, SettingsControl
 from app.gui.shell.device_dialogs import DevicePresets, SensorRegionDialog
 from app.gui.shell.docks import PanelDocks
-from app.gui.shell.help import show_about, show_citation, show_documentation, show_keys, show_log
+from app.gui.shell.help import Tour, show_about, show_citation, show_documentation, show_keys, show_log
 from app.gui.shell.light_control import LightControl
 from app.gui.shell.menus import fill_menus
 from app.gui.shell.messages import MessageStrip
 from app.gui.shell.recording import RecordingBar, RecordingPanel
 from app.gui.shell.replay_bar import ReplayBar
-from app.gui.shell.settings_control import SettingsControl
 from app.gui.shell.state import PreferencesDialog, fit_to_screen, restore_state, save_state
 from app.gui.shell.status_line import StatusLine
-from app.gui.shell.tour import Tour
 from app.gui.shell.wording import Situation, advice, is_replay, light_when_closing, liveness, way_out
 from app.gui.widgets import theme
 from app.gui.widgets.basics import column, timer
@@ -51,7 +48,6 @@ from app.results.player import Player
 from drivers.light_source import MAY_BE_ON
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
-_MIN_WIDTH = 900  # px; captions and plots need it
 _REFRESH_INTERVAL_MS = 40
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 _FOLDER, _TOUR = "folders/recordings", "tour/seen"  # keys of the settings
@@ -117,7 +113,6 @@ class MainWindow(BaseWindow):
         self.update_text()
 
     def _lay_out(self) -> None:
-        """Place panels in docks, and bars and messages below."""
         self.setWindowTitle("svwfs")
         self.resize(WINDOW_SIZE)
         below = QWidget()
@@ -125,7 +120,7 @@ class MainWindow(BaseWindow):
         if (status_bar := self.statusBar()) is not None:
             status_bar.setSizeGripEnabled(False)
             status_bar.addPermanentWidget(below, 1)
-            status_bar.setMinimumWidth(_MIN_WIDTH)  # the controls may need more
+            status_bar.setMinimumWidth(900)  # px: captions and plots need it, the controls perhaps more
         self.docks = PanelDocks(self, self.panels, self.recording_bar)
         if (bar := self.menuBar()) is not None:
             bar.setNativeMenuBar(False)  # a native one has no corner
@@ -134,8 +129,8 @@ class MainWindow(BaseWindow):
     def _connect(self) -> None:
         acts: dict[str, Callable[[Any], object]] = {
             "light": self.light.switch,
-            "dark": self.light.take_dark,
-            "reference": self.light.take_reference,
+            "dark": partial(self.light.take, "dark"),
+            "reference": partial(self.light.take, "reference"),
             "calibration": self.guide.begin,
             "lattice": lambda _: self.routines.find_lattice(),
             "auto_exposure": lambda _: self.routines.expose(),
@@ -264,7 +259,6 @@ class MainWindow(BaseWindow):
         self.recording_bar.ask_to_end(lambda: self.light.ask_off(connect))
 
     def refresh(self) -> None:
-        """Show what has changed in the acquisition."""
         acquisition = self.controller.acquisition
         if acquisition is None:
             return
@@ -307,7 +301,6 @@ class MainWindow(BaseWindow):
             self.show_status(status)
 
     def show_measurement(self, measurement: Measurement) -> None:
-        """Show a frame and its wavefront, live or recorded."""
         is_first, self.shown.measurement = self.shown.measurement is None, measurement
         for panel in self.panels:
             panel.show_measurement(measurement)
@@ -317,7 +310,6 @@ class MainWindow(BaseWindow):
         self.measurement_shown.emit(measurement)
 
     def show_status(self, status: Status) -> None:
-        """Show the state of the instrument."""
         self._status = status
         self._situation.follow(status)
         attached = ", attached" * self.controller.is_attached
@@ -332,7 +324,6 @@ class MainWindow(BaseWindow):
         self.region_dialog.show_status(status)
 
     def update_text(self) -> None:
-        """Update the numbers and the message."""
         acquisition, status, shown = self.controller.acquisition, self._status, self.shown
         measurement = shown.measurement
         if measurement is not None:
@@ -372,7 +363,6 @@ class MainWindow(BaseWindow):
         return True
 
     def open_file(self, path: Path) -> None:
-        """Play a recording in another window, open a bench, or show a frame."""
         try:
             if path.is_dir():
                 read_run(path)
@@ -399,33 +389,24 @@ class MainWindow(BaseWindow):
         self.controller.send(lambda to: to.show_file(path), lambda _: self.messages.inform(text))
 
     def _choose_recording(self) -> None:
-        """Ask for a recording, and play it in another window."""
-        before = str(self.recording_bar.recordings_folder)
-        if chosen := QFileDialog.getExistingDirectory(self, "Replay a recording", before):
+        folder = str(self.recording_bar.recordings_folder)
+        if chosen := QFileDialog.getExistingDirectory(self, "Replay a recording", folder):
             self.open_file(Path(chosen))
 
     def show_tour(self) -> None:
         """Explain one part of the window after the other, beginning with the panels."""
-        tour = Tour(
-            self,
-            (
-                *((panel, f"The {panel.title.lower()}", panel.about) for panel in self.panels if panel.about),
-                (self.messages, "Messages", "What is wrong, why, and which key helps. Ctrl+L opens the log with times"),
-                (
-                    self.recording_panel,
-                    "Recording",
-                    (
-                        "W records every frame and its calibration; K saves the last ten seconds. Afterwards: replay,"
-                        " report and export. F1 lists all keys."
-                    ),
-                ),
-            ),
+        messages = "What is wrong, why, and which key helps. Ctrl+L opens the log with times"
+        recording = (
+            "W records every frame and its calibration; K saves the last ten seconds. Afterwards: replay,"
+            " report and export. F1 lists all keys."
         )
-        self.docks.settled.connect(tour.raise_)  # above a panel that has come to the front
+        of_panels = ((panel, f"The {panel.title.lower()}", panel.about) for panel in self.panels if panel.about)
+        bars = (self.messages, "Messages", messages), (self.recording_panel, "Recording", recording)
+        tour = Tour(self, (*of_panels, *bars))
+        self.docks.settle.timeout.connect(tour.raise_)  # above a panel that has come to the front
         tour.begin()
 
     def offer_tour(self) -> None:
-        """Show the tour at the first start."""
         if self._settings is not None and not self._settings.contains(_TOUR):
             self._settings.setValue(_TOUR, 1)
             self.show_tour()
@@ -458,9 +439,8 @@ class MainWindow(BaseWindow):
         super().closeEvent(event)
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Follow the height, after the layout."""
         super().resizeEvent(event)
-        self.docks.follow_height()
+        self.docks.settle.start()
 
     def _show_closing(self) -> None:
         """Paint what the window waits for, without taking any command."""

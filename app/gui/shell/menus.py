@@ -67,7 +67,6 @@ class RecentFiles:
         self._names: list[str] = []
 
     def add(self, path: Path) -> None:
-        """Put a path first."""
         absolute = path.absolute()
         paths = [absolute, *(one for one in self.paths() if one != absolute)]
         self._names = [str(one) for one in paths[:_MOST]]

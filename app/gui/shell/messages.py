@@ -15,7 +15,6 @@ from app.gui.widgets import theme
 from app.gui.widgets.basics import Button, ElidedLabel, colour_text, row
 
 _NOTICE_S = 8.0  # how long a notice is shown
-_MOST = 1000  # messages in the log
 
 
 class MessageStrip(QFrame):
@@ -35,15 +34,12 @@ class MessageStrip(QFrame):
         self._alarm = self._question = ""
         self._act: Callable[[], object] = lambda: None  # after a "yes"
         self._loses = False  # whether it ends something
-        self._lines: deque[tuple[str, str]] = deque(maxlen=_MOST)  # time and message
+        self._lines: deque[tuple[str, str]] = deque(maxlen=1000)  # time and message
         self._standing: dict[str, str] = {}  # last failure and warning
         self._shown = ("", theme.DIM)
         self.text = ElidedLabel()
-        self.reconnect = Button(
-            "Reconnect",
-            "Open the devices again, take dark and reference, and start measuring (Ctrl+R)",
-            self.reconnect_requested,
-        )
+        again = "Open the devices again, take dark and reference, and start measuring (Ctrl+R)"
+        self.reconnect = Button("Reconnect", again, self.reconnect_requested)
         self.control = Button("Take control", "Command the instrument in place of others", self.control_requested)
         self.accept = Button("Use it", "", lambda: self._answer(is_accepted=True))
         self.discard = Button("Discard", "Change nothing (Esc)", lambda: self._answer(is_accepted=False))
@@ -78,7 +74,6 @@ class MessageStrip(QFrame):
         self._say(text)
 
     def clear_notice(self) -> None:
-        """Remove the notice."""
         self._notice_until_s = 0.0
 
     def alarm(self, text: str) -> None:
@@ -154,12 +149,9 @@ class MessageStrip(QFrame):
         self.control.setVisible(only_watches and not failure)
         if failure:
             self._question = ""  # no device is left to apply it
-        for widget, is_shown in (
-            (self.accept, self._asks),
-            (self.discard, self._asks),
-            (self.dismiss, bool(self._alarm) and not failure),
-        ):
-            widget.setVisible(is_shown)
+        self.accept.setVisible(self._asks)
+        self.discard.setVisible(self._asks)
+        self.dismiss.setVisible(bool(self._alarm) and not failure)
         if failure:
             self._show(f"{failure}  \N{EM DASH}  {way_out}", theme.RED)
         elif self._alarm:

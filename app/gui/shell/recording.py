@@ -27,9 +27,6 @@ from drivers.interface import Range
 
 _WIDEST = "000000 frames   00:00   disk space for 000 min"  # of more, only the tool tip has the disk space
 _STOP = "Stop recording"
-_BEHIND = 70  # waiting frames from which the number is shown
-_DISK_INTERVAL_S = 2.0  # between two queries of the free disk space
-_FRAMES, _SECONDS = "frames", "s"
 _NAME_TIP = "Appended to the name of the folder when the recording is finished"
 _EXPORTS = {  # suffix and what is written
     "tiff": ("tif", "Frames as TIFF"),
@@ -46,9 +43,8 @@ class RecordingPanel(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.record = Toggle(
-            "Record", "Record every frame with all data needed to reconstruct it again (W)", self._leave_fields
-        )
+        about = "Record every frame with all data needed to reconstruct it again (W)"
+        self.record = Toggle("Record", about, self._leave_fields)
         self.keep = Button(f"Save last {RECENT_S:g} s", f"Save the last {RECENT_S:g} s as a recording (K)")
         self.text = ElidedLabel("dim")
         self.text.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
@@ -70,7 +66,8 @@ class RecordingPanel(QWidget):
         if (self.record.text() == _STOP) != is_recording:
             self._show_button(is_recording=is_recording)
         self.record.setEnabled(state is None or state.stage != "finishing")
-        room = () if math.isinf(free_minutes) else (f"disk space for {_duration(free_minutes)}",)
+        lasts = f"{free_minutes / 60:.0f} h" if free_minutes >= 600 else f"{free_minutes:.0f} min"
+        room = () if math.isinf(free_minutes) else (f"disk space for {lasts}",)
         text = "   ".join((*_progress(state), *room))
         is_narrow = self.text.fontMetrics().horizontalAdvance(text) > self.text.width()
         self.text.setText("   ".join(_progress(state)) if is_narrow else text)
@@ -89,13 +86,9 @@ def _progress(state: RecordingState | None) -> tuple[str, ...]:
     if state is None:
         return ()
     minutes, seconds = divmod(round(state.seconds), 60)
-    behind = (f"{state.waiting} waiting for the disk",) if state.waiting > _BEHIND else ()
+    behind = (f"{state.waiting} waiting for the disk",) if state.waiting > 70 else ()  # a few always wait
     gap = (gaps_in_words(state.gaps),) if state.gaps else ()
     return (counted(state.frames), f"{minutes}:{seconds:02d}", *gap, *behind)
-
-
-def _duration(minutes: float) -> str:
-    return f"{minutes / 60:.0f} h" if minutes >= 600 else f"{minutes:.0f} min"
 
 
 class RecordingBar(QFrame):
@@ -107,7 +100,9 @@ class RecordingBar(QFrame):
         self.setProperty("role", "strip")
         self._controller, self._messages, self._panel = controller, controller.messages, panel
         panel.record.clicked.connect(self._record)
-        panel.keep.clicked.connect(self._keep)
+        panel.keep.clicked.connect(
+            lambda: controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
+        )
         controller.connected.connect(self._restart)
         documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
         self.recordings_folder = Path(documents or ".") / "svwfs"
@@ -130,15 +125,12 @@ class RecordingBar(QFrame):
         self.name.textChanged.connect(self._check_name)
         self.stop_after = NumberField(name="Stop after", tool_tip="The recording ends by itself", lowest="never")
         self.stop_after.show_value(0, Range(0, 1e6))
-        self.unit = Choice("Frames, or seconds between the first and the last", (_FRAMES, _SECONDS))
+        self.unit = Choice("Frames, or seconds between the first and the last", ("frames", "s"))
         self.stop_after.entered.connect(lambda _: self._limit())
         self.unit.activated.connect(lambda _: self._limit())
         self.open = Button("Open folder", "Show the files", lambda: self.folder and self._show(self.folder))
-        self.replay = Button(
-            "Replay",
-            "Play it in another window; the devices go on here",
-            lambda: self.folder and self.play(self.folder),
-        )
+        about = "Play it in another window; the devices go on here"
+        self.replay = Button("Replay", about, lambda: self.folder and self.play(self.folder))
         self.report = Button("Report", "Write report.pdf into the folder and open it", self._report)
         self.export = Button("Export", "Write it for other programs")
         self.exports = QMenu(self)
@@ -155,30 +147,23 @@ class RecordingBar(QFrame):
 
     @property
     def limit(self) -> RecordingLimit:
-        """When the next recording ends by itself."""
         value = self.stop_after.value()
-        if not value:
-            return RecordingLimit()
-        return (
-            RecordingLimit(frames=round(value)) if self.unit.currentText() == _FRAMES else RecordingLimit(seconds=value)
-        )
+        if value and self.unit.currentText() == "frames":
+            return RecordingLimit(frames=round(value))
+        return RecordingLimit(seconds=value) if value else RecordingLimit()
 
     def prepare(self) -> None:
-        """Open for the next recording."""
         if self._stage != "recording":
             self._forget()
         self.show()
         self.name.setFocus()  # what is typed now is its name
 
     def use_recordings_folder(self, folder: Path) -> None:
-        """Write later recordings into another folder."""
         self.recordings_folder = folder
         self._messages.inform(f"recordings are saved in {folder}")
 
     def choose_recordings_folder(self) -> None:
-        """Ask for the folder of later recordings."""
-        before = str(self.recordings_folder)
-        if chosen := QFileDialog.getExistingDirectory(self, "Recordings folder", before):
+        if chosen := QFileDialog.getExistingDirectory(self, "Recordings folder", str(self.recordings_folder)):
             self.use_recordings_folder(Path(chosen))
 
     def ask_to_end(self, then: Callable[[], object]) -> None:
@@ -200,7 +185,7 @@ class RecordingBar(QFrame):
             self._free_minutes = math.inf if is_unknown else self._asked_disk.result()
             self._asked_disk = None
         if self._asked_disk is None and time.monotonic() > self._disk_due_s:
-            self._disk_due_s = time.monotonic() + _DISK_INTERVAL_S
+            self._disk_due_s = time.monotonic() + 2.0
             self._asked_disk = acquisition.free_minutes(self.recordings_folder)
         state, kept = acquisition.recording, acquisition.kept
         is_starting = self._starting is not None and not self._starting.done()
@@ -229,11 +214,9 @@ class RecordingBar(QFrame):
                 show(recording_ended(state))
 
     def recent_menu(self) -> QMenu:
-        """Return a menu of the recent recordings."""
         return self.recent.menu(self, lambda folder: folder.name, self.play)
 
     def play(self, folder: Path) -> None:
-        """Play a recording in another window."""
         self.commands.start_window("--replay", folder)
 
     def _restart(self) -> None:
@@ -253,9 +236,6 @@ class RecordingBar(QFrame):
             self._controller.send(lambda to: to.stop_recording())
         elif not self._starting.cancel():
             self._starting.add_done_callback(lambda _: acquisition.stop_recording())
-
-    def _keep(self) -> None:
-        self._controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
 
     def _new_folder(self, suffix: str = "") -> Path:
         return self.recordings_folder / f"{datetime.now().astimezone():%Y%m%d-%H%M%S}{suffix}"
@@ -315,7 +295,6 @@ class RecordingBar(QFrame):
         self.recent.add(self.folder)
 
     def _show(self, path: Path) -> None:
-        """Show a file in the program that the desktop has for it."""
         if not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
             self._messages.alarm(f"{path} cannot be shown here: this desktop has no program for it")
 

@@ -13,12 +13,8 @@ from app.gui.widgets.basics import Button, Choice, label, row, timer
 from app.recording.recover import frames_in_words
 from app.results.player import Player
 
-_QUARTER, _HALF = "\N{VULGAR FRACTION ONE QUARTER}", "\N{VULGAR FRACTION ONE HALF}"
-_SPEEDS = {
-    f"\N{MULTIPLICATION SIGN} {name}": speed
-    for name, speed in ((_QUARTER, 0.25), (_HALF, 0.5), ("1", 1.0), ("2", 2.0), ("4", 4.0))
-}
-_POLL_MS = 40
+_NAMES = ("\N{VULGAR FRACTION ONE QUARTER}", "\N{VULGAR FRACTION ONE HALF}", "1", "2", "4")
+_SPEEDS = {f"\N{MULTIPLICATION SIGN} {name}": 0.25 * 2**index for index, name in enumerate(_NAMES)}
 
 
 class _Slider(QSlider):
@@ -27,7 +23,6 @@ class _Slider(QSlider):
     marked: frozenset[int] = frozenset()
 
     def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Paint the slider and its marks."""
         super().paintEvent(event)
         painter, style = QPainter(self), self.style()
         handle = 0 if style is None else style.pixelMetric(QStyle.PixelMetric.PM_SliderLength, None, self)
@@ -68,7 +63,7 @@ class ReplayBar(QFrame):
         steps = self.back, self.play, self.forth
         parts = self.badge, *steps, (self.slider, 1), self.text, label("Speed", "dim"), self.speed
         row(*parts, parent=self).setContentsMargins(10, 4, 6, 4)
-        self._timer = timer(self, _POLL_MS, self.refresh)
+        self._timer = timer(self, 40, self.refresh)
         self.use(None)
 
     @property

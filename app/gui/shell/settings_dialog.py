@@ -31,8 +31,6 @@ from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberLine, TextLine
 from drivers.device import DiscoveredDevice
 
-_POLL_MS = 100
-_SIZE = QSize(52, 34)  # heights of a line
 _DETAIL = re.compile(r" \(.*?\)(?=:)")  # of an error, before the advice: a system's words, in its language
 _NO_DEVICE = "Other, or simulated: choose the driver below"
 
@@ -44,7 +42,7 @@ class SettingsDialog(QDialog):
         self, use: Callable[[Bench, Bench | None], object], opened: Callable[[str], object], parent: QWidget
     ) -> None:
         super().__init__(parent)
-        self.resize(within_screen(self, _SIZE * self.fontMetrics().height()))
+        self.resize(within_screen(self, QSize(52, 34) * self.fontMetrics().height()))
         self._use, self._opened = use, opened
         self._form = SettingsForm({})
         self._before: Bench | None = None  # the edited bench; None for a new one
@@ -56,29 +54,25 @@ class SettingsDialog(QDialog):
         self.sections.setFixedWidth(170)
         self.sections.currentRowChanged.connect(self.pages.setCurrentIndex)
         self.camera, self.light = Choice(), Choice()
-        for kind, choice in (("camera", self.camera), ("light", self.light)):
-            choice.textActivated.connect(partial(self._choose_device, kind))
+        self._choices = {"camera": self.camera, "light": self.light}
         self.devices = QWidget()
         connected = QFormLayout(self.devices)
-        connected.addRow("Connected camera", self.camera)
-        connected.addRow("Connected light", self.light)
-        self.failed = label("", "dim")
-        self.failed.setWordWrap(True)
+        for kind, choice in self._choices.items():
+            choice.textActivated.connect(partial(self._choose_device, kind))
+            connected.addRow(f"Connected {kind}", choice)
+        self.failed = label("", "dim", wraps=True)
         connected.addRow(self.failed)
         self.problem = ElidedLabel(lines=2)
         self.apply = Button("Open", "", self._apply)
-        self.save = Button(
-            "Save \N{HORIZONTAL ELLIPSIS}", "Save these settings as a bench file, and open it", self._save
-        )
+        about = "Save these settings as a bench file, and open it"
+        self.save = Button("Save \N{HORIZONTAL ELLIPSIS}", about, self._save)
         close = Button("Close", "Change nothing (Esc)", self.close)
         ends = row((self.problem, 1), self.apply, self.save, close)
-        column(self.devices, (row(self.sections, (self.pages, 1)), 1), ends, spacing=8, parent=self).setContentsMargins(
-            12, 12, 12, 12
-        )
-        self._timer = timer(self, _POLL_MS, self._poll)
+        parts = self.devices, (row(self.sections, (self.pages, 1)), 1), ends
+        column(*parts, spacing=8, parent=self).setContentsMargins(12, 12, 12, 12)
+        self._timer = timer(self, 100, self._poll)
 
     def edit(self, bench: Bench) -> None:
-        """Edit the settings of a bench."""
         self.setWindowTitle("Settings of the bench")
         self.devices.hide()
         self.apply.setText("Apply")
@@ -90,7 +84,7 @@ class SettingsDialog(QDialog):
         """Make a bench after the example of another, with devices that are searched for."""
         self.setWindowTitle("New bench from my camera")
         self.devices.show()
-        for choice in (self.camera, self.light):
+        for choice in self._choices.values():
             choice.clear()
             choice.addItem("Searching \N{HORIZONTAL ELLIPSIS}")
             choice.setEnabled(False)
@@ -122,7 +116,7 @@ class SettingsDialog(QDialog):
         self._timer.stop()
         self.failed.setText("\n".join(_DETAIL.sub("", failed).replace("`", "") for failed in self._failed))
         self.failed.setToolTip("\n".join(self._failed))
-        for kind, choice in (("camera", self.camera), ("light", self.light)):
+        for kind, choice in self._choices.items():
             names = [device.name for device in self._found if device.kind == kind]
             choice.clear()
             choice.addItems([_NO_DEVICE if names else "None found: choose the driver below", *names])
@@ -151,9 +145,7 @@ class SettingsDialog(QDialog):
         for section in self._form.sections():
             inner = QWidget()
             layout = QFormLayout(inner)
-            about = label(section.help, "dim")
-            about.setWordWrap(True)
-            layout.addRow(about)
+            layout.addRow(label(section.help, "dim", wraps=True))
             for field in section.fields:
                 editor = self._editor(field)
                 editor.setToolTip(f"<p>{_in_names(field.help or field.label)}</p>")
@@ -216,9 +208,8 @@ class SettingsDialog(QDialog):
             bench = self._form.bench()
         except InputError as error:
             _, faulty = self.editors.get(fault_path(error), (None, None))
-            self._show_problem(
-                fault_in_words(error, {path: field for path, (field, _) in self.editors.items()}), faulty
-            )
+            fields = {path: field for path, (field, _) in self.editors.items()}
+            self._show_problem(fault_in_words(error, fields), faulty)
             return None
         self._show_problem("", None)
         return bench

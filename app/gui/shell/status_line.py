@@ -73,7 +73,6 @@ class StatusLine(QWidget):
         column(self.timing_row, line, spacing=2, parent=self).setContentsMargins(10, 0, 10, 2)
 
     def count(self, measurement: Measurement) -> None:
-        """Count a shown measurement."""
         self.shown += 1
         self._newest, time_s = measurement, measurement.frame.host_time_s
         counts = measurement.counts
@@ -82,7 +81,6 @@ class StatusLine(QWidget):
             self._recent.popleft()
 
     def restart(self) -> None:
-        """Forget the frames of the previous acquisition."""
         self._newest = None
         self._recent.clear()
         self.shown = 0
@@ -211,11 +209,9 @@ class TimingRow(QWidget):
         self.hide()
 
     def toggle(self) -> None:
-        """Show or hide the row."""
         self.setVisible(self.isHidden())
 
     def update_text(self, summaries: Mapping[Stage, StageTimes]) -> None:
-        """Update the numbers."""
         for stage, values in self.values.items():
             for value, number in zip(values, _numbers(summaries[stage]), strict=True):
                 value.setText(number)

@@ -46,10 +46,11 @@ NAMES = {  # human names of settings' values; the others are their word
 }
 
 
-def label(text: str, role: str = "", parent: QWidget | None = None) -> QLabel:
+def label(text: str, role: str = "", parent: QWidget | None = None, *, wraps: bool = False) -> QLabel:
     """Make a label; its role ("title", "dim", "badge") selects the style."""
     made = QLabel(text, parent)
     made.setProperty("role", role)
+    made.setWordWrap(wraps)
     return made
 
 
@@ -91,7 +92,6 @@ class ElidedLabel(QLabel):
         self.setText(text)
 
     def setText(self, text: str | None) -> None:  # noqa: N802 - Qt's name
-        """Show a text, also in the tool tip."""
         self._text = text or ""
         self.setToolTip(text)
         self.setAccessibleName(text)
@@ -99,7 +99,6 @@ class ElidedLabel(QLabel):
         self.update()
 
     def text(self) -> str:
-        """Return the whole text."""
         return self._text
 
     @property
@@ -111,7 +110,6 @@ class ElidedLabel(QLabel):
         return "\n".join([*first, "" if fitting == "\N{HORIZONTAL ELLIPSIS}" else fitting]).rstrip("\n")
 
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Paint the text, elided to the width."""
         painter, style = QPainter(self), self.style()
         if isinstance(style, QStyle):
             style.drawItemText(
@@ -119,7 +117,6 @@ class ElidedLabel(QLabel):
             )
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Take the lines that the text needs at this width."""
         super().resizeEvent(event)
         if event is not None and event.size().width() != event.oldSize().width():
             self._taken = 1
@@ -135,7 +132,6 @@ class ElidedLabel(QLabel):
         self.setMinimumHeight(self._taken * self.fontMetrics().height())  # also when empty, so that nothing moves
 
     def _wrapped(self) -> list[str]:
-        """Return the lines of the text at this width."""
         layout, lines = QTextLayout(self._text, self.font()), []
         layout.beginLayout()
         while (line := layout.createLine()).isValid():
@@ -153,6 +149,14 @@ def keeps_key(event: QEvent | None, *keys: Qt.Key) -> bool:
     return is_offered
 
 
+def scrolls_past(event: QEvent | None, widget: QWidget) -> bool:
+    """Return whether the wheel turns over a widget without the focus, which must not change a setting."""
+    is_past = isinstance(event, QWheelEvent) and not widget.hasFocus()
+    if event is not None and is_past:
+        event.ignore()
+    return is_past
+
+
 class Button(QPushButton):
     """A button that does not take the focus when clicked.
 
@@ -168,7 +172,6 @@ class Button(QPushButton):
             self.clicked.connect(clicked)
 
     def event(self, event: QEvent | None) -> bool:
-        """Keep both keys from the shortcuts."""
         if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.KeyPress and event.key() in ENTER:
             self.click()
             return True
@@ -235,15 +238,9 @@ class Choice(QComboBox):
         return size
 
     def event(self, event: QEvent | None) -> bool:
-        """Keep Space from the shortcuts."""
+        if scrolls_past(event, self):
+            return False
         return keeps_key(event, Qt.Key.Key_Space) or super().event(event)
-
-    def wheelEvent(self, event: QWheelEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Ignore the wheel without the focus: scrolling past must not change a setting."""
-        if event is not None and not self.hasFocus():
-            event.ignore()
-        else:
-            super().wheelEvent(event)
 
 
 def timer(parent: QObject, interval_ms: int, act: Slot, *, is_single: bool = False) -> QTimer:

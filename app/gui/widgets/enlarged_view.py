@@ -1,11 +1,12 @@
 """The selected view enlarged: map with contours and cursor, two cross-sections, and the surface."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
-from PyQt6.QtCore import QPoint, QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF, QShowEvent
-from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QWidget
 
 from app.gui.widgets import theme
 from app.gui.widgets.basics import ElidedLabel, Toggle, column, row, within_screen
@@ -18,7 +19,6 @@ from reconstruction.arrays import Floats
 _CONTOUR, _CURSOR = QColor(0, 0, 0, 150), QColor(0, 0, 0)  # on the map, in every theme
 _TURN_RAD = 0.01  # for each pixel of a drag
 _LINED = 41  # rows or columns; finer surfaces have no lines
-_EDGE = QColor(0, 0, 0, 60)
 
 
 class EnlargedMap(ViewGrid):
@@ -44,11 +44,10 @@ class EnlargedMap(ViewGrid):
         return min(row, rows - 1), min(column, columns - 1)
 
     def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Paint map, contours and cursor."""
         super().paintEvent(event)
         if self.maps is None:
             return
-        tile, (rows, columns) = self.tile(0, 0), self.values.shape
+        tile, (rows, columns) = self.places.tile(0, 0), self.values.shape
         painter = QPainter(self)
         painter.setClipRect(tile)
         painter.translate(tile.topLeft().toPointF())
@@ -66,28 +65,21 @@ class EnlargedMap(ViewGrid):
         painter.drawLine(0, y, tile.width(), y)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Move the cursor to the pointer."""
         if event is not None and event.button() == Qt.MouseButton.LeftButton:
-            self._move(event.pos())
+            self.mouseMoveEvent(event)
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Move the cursor with the pointer."""
-        if event is not None:
-            self._move(event.pos())
+        tile, (rows, columns) = self.places.tile(0, 0), self.values.shape
+        if event is not None and self.maps is not None and tile.isValid():
+            inside = event.pos() - tile.topLeft()
+            self._set_cursor(inside.y() * rows // tile.height(), inside.x() * columns // tile.width())
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Move the cursor by one row or column."""
         step = None if event is None else STEPS.get(Qt.Key(event.key()))
         if step is None or self.maps is None:
             super().keyPressEvent(event)
             return
         self._set_cursor(self.at[0] + step[0], self.at[1] + step[1])
-
-    def _move(self, position: QPoint) -> None:
-        tile, (rows, columns) = self.tile(0, 0), self.values.shape
-        if self.maps is not None and tile.isValid():
-            inside = position - tile.topLeft()
-            self._set_cursor(inside.y() * rows // tile.height(), inside.x() * columns // tile.width())
 
     def _set_cursor(self, row: int, column: int) -> None:
         rows, columns = self.values.shape
@@ -103,21 +95,20 @@ class SurfaceView(QWidget):
         super().__init__()
         self.azimuth_rad, self.elevation_rad = 0.6, 0.6
         self._maps: Maps | None = None
-        self._values: Floats = np.zeros((0, 0))
         self._from = QPointF()
         self.setMinimumSize(160, 140)
         self.setToolTip("Drag to turn the surface")
 
-    def show_map(self, maps: Maps | None, values: Floats) -> None:
-        """Show the map (row, column) of one view, or nothing."""
-        self._maps, self._values = maps, values
+    def show_map(self, maps: Maps | None) -> None:
+        """Show the map of one view, or nothing."""
+        self._maps = maps
         self.update()
 
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Paint the faces, the farthest first."""
-        maps, values = self._maps, self._values
-        if maps is None or min(values.shape) < 2:
+        maps = self._maps
+        if maps is None or min(maps.values.shape[2:]) < 2:
             return
+        values = maps.values[0, 0]
         limit = max(abs(maps.scale.low), abs(maps.scale.high))
         surface = project_surface(values, limit, azimuth_rad=self.azimuth_rad, elevation_rad=self.elevation_rad)
         colours = maps.scale.pixels(surface.values)
@@ -130,7 +121,7 @@ class SurfaceView(QWidget):
             red, green, blue = ((int(colour) >> shift & 255) * brightness for shift in (16, 8, 0))
             shaded = QColor(int(red), int(green), int(blue))
             painter.setBrush(shaded)
-            painter.setPen(QPen(_EDGE if is_lined else shaded, 1))
+            painter.setPen(QPen(QColor(0, 0, 0, 60) if is_lined else shaded, 1))
             painter.drawPolygon(QPolygonF([QPointF(x, y) for x, y in face]))
 
     def _on_widget(self, projected: Floats) -> Floats:
@@ -140,7 +131,7 @@ class SurfaceView(QWidget):
 
     def _paint_axes(self, painter: QPainter, maps: Maps) -> None:
         """Paint the base, which lies at the low end of the scale, and the scale at its leftmost corner."""
-        rows, columns = self._values.shape
+        rows, columns = maps.values.shape[2:]
         half_x, half_y = ((count - 1) / (2 * (max(rows, columns) - 1)) for count in (columns, rows))
         limit = max(abs(maps.scale.low), abs(maps.scale.high))
         low, high = maps.scale.low / (4 * limit), maps.scale.high / (4 * limit)
@@ -175,12 +166,10 @@ class SurfaceView(QWidget):
         painter.drawText(place, Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextDontClip, text)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Begin to turn."""
         if event is not None:
             self._from = event.position()
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Turn the surface."""
         if event is None:
             return
         step, self._from = event.position() - self._from, event.position()
@@ -205,16 +194,10 @@ class EnlargedView(QDialog):
         self._curves = [plot.add_curve(theme.ACCENT) for plot in (self.across, self.down)]
         self.surface = SurfaceView()
         self.text = ElidedLabel()
-        self.contour_toggle = Toggle("Contours", "Lines of equal value", self._toggle_contours, is_on=True)
-        grid_layout = QGridLayout()
-        grid_layout.setSpacing(12)
-        grid_layout.addWidget(self.map, 0, 0, 2, 1)
-        grid_layout.addWidget(self.across, 0, 1)
-        grid_layout.addWidget(self.down, 1, 1)
-        grid_layout.addWidget(self.surface, 0, 2, 2, 1)
-        for index, stretch in enumerate((5, 3, 4)):
-            grid_layout.setColumnStretch(index, stretch)
-        layout = column(row((self.text, 1), self.contour_toggle), (grid_layout, 1), parent=self)
+        self.contour_toggle = Toggle("Contours", "Lines of equal value", self.refresh, is_on=True)
+        sections = column((self.across, 1), (self.down, 1), spacing=12)
+        parts = row((self.map, 5), (sections, 3), (self.surface, 4), spacing=12)
+        layout = column(row((self.text, 1), self.contour_toggle), (parts, 1), parent=self)
         layout.setContentsMargins(10, 8, 10, 8)
         self.resize(within_screen(parent, QSize(1180, 480)))
         self.refresh()
@@ -228,21 +211,16 @@ class EnlargedView(QDialog):
         if maps is not None and maps.values.size:
             rows, columns = maps.values.shape[:2]
             i, j = view if view is not None and view[0] < rows and view[1] < columns else (rows // 2, columns // 2)
-            values = maps.values[i : i + 1, j : j + 1]
-            one = Maps(values, maps.scale, maps.describe, maps.is_smooth, maps.reach, maps.reach_unit)
+            one = replace(maps, values=maps.values[i : i + 1, j : j + 1])
             self.map.set_captions({(0, 0): self._grid.captions[i, j]} if (i, j) in self._grid.captions else {})
+        self.map.has_contours = self.contour_toggle.isChecked()
         self.map.show_maps(one)
-        self.surface.show_map(one, self.map.values)
+        self.surface.show_map(one)
         self._show_sections()
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Show the present map."""
         super().showEvent(event)
         self.refresh()
-
-    def _toggle_contours(self) -> None:
-        self.map.has_contours = self.contour_toggle.isChecked()
-        self.map.update()
 
     def _show_sections(self) -> None:
         maps, values = self.map.maps, self.map.values

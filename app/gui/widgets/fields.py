@@ -3,11 +3,11 @@
 import math
 
 from PyQt6.QtCore import QEvent, QLocale, QObject, QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QFocusEvent, QKeyEvent, QValidator, QWheelEvent
+from PyQt6.QtGui import QFocusEvent, QKeyEvent, QValidator
 from PyQt6.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QLineEdit, QWidget
 
 from app.bench.settings_form import typed_number
-from app.gui.widgets.basics import ENTER, keeps_key, mark_refused
+from app.gui.widgets.basics import ENTER, keeps_key, mark_refused, scrolls_past
 from drivers.interface import Range
 
 BUTTONS_WIDTH = 26  # px, with the frame
@@ -92,7 +92,6 @@ class NumberField(Field, QDoubleSpinBox):
         self.setSuffix(f" {unit}" if unit else "")
 
     def edit(self) -> None:
-        """Take the focus and select the value, so that typing replaces it."""
         self.setFocus()
         self.selectAll()
 
@@ -110,13 +109,12 @@ class NumberField(Field, QDoubleSpinBox):
         return state, text or "", position
 
     def valueFromText(self, text: str | None) -> float:  # noqa: N802 - Qt's name
-        """Return the typed value in the shown unit."""
         value = self._parse(text or "")
         return self.value() if value is None else value
 
     def event(self, event: QEvent | None) -> bool:
         """Keep typed keys from the shortcuts; Return enters, Esc restores, and both leave the field."""
-        if self.leaves_light_key(event):
+        if self.leaves_light_key(event) or scrolls_past(event, self):
             return False
         if not isinstance(event, QKeyEvent):
             return super().event(event)
@@ -142,13 +140,6 @@ class NumberField(Field, QDoubleSpinBox):
             self._restore()
             self.refused.emit(problem)
         super().focusOutEvent(event)
-
-    def wheelEvent(self, event: QWheelEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Ignore the wheel without the focus: scrolling past must not change a device."""
-        if event is not None and not self.hasFocus():
-            event.ignore()
-        else:
-            super().wheelEvent(event)
 
     def _parse(self, text: str) -> float | None:
         """Return a typed value in the shown unit; None if it is no number with this unit."""
@@ -192,7 +183,6 @@ class NumberField(Field, QDoubleSpinBox):
         return f"{round(value, self.decimals()):.12g}"
 
     def _restore(self) -> None:
-        """Show the value in force again."""
         if (line := self.lineEdit()) is not None:
             word = self.specialValueText() if self.value() == self.minimum() else ""
             line.setText(word or self.textFromValue(self.value()) + self.suffix())
@@ -216,7 +206,6 @@ class NumberLine(Field, QLineEdit):
     """A line for a number."""
 
     def event(self, event: QEvent | None) -> bool:
-        """Leave L to the window."""
         return not self.leaves_light_key(event) and super().event(event)
 
 
@@ -244,7 +233,6 @@ class TextField(TextLine):
         self.setPlaceholderText(hint)
 
     def show_text(self, text: str) -> None:
-        """Show a text without emitting it."""
         self._in_force = text
         self.setText(text)
 
@@ -259,7 +247,6 @@ class TextField(TextLine):
         return keeps_key(event, *ends) or super().event(event)
 
     def focusInEvent(self, event: QFocusEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Watch for clicks elsewhere."""
         super().focusInEvent(event)
         if (application := QApplication.instance()) is not None:
             application.installEventFilter(self)
@@ -272,7 +259,6 @@ class TextField(TextLine):
         return False
 
     def focusOutEvent(self, event: QFocusEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Enter the text."""
         super().focusOutEvent(event)
         if (application := QApplication.instance()) is not None:
             application.removeEventFilter(self)

@@ -91,12 +91,10 @@ class Plot(QWidget):
         add_copy_menu(self, lambda _: self._numbers())
 
     def _numbers(self) -> str:
-        """Return x and y of each curve as a table."""
         known = [(x, y) for x, y in (curve.getData() for curve in self.curves) if x is not None and len(x)]
         return "\n\n".join(as_table(("x", "y"), np.c_[x, y]) for x, y in known)
 
     def add_curve(self, colour: QColor, width: int = 2, style: Qt.PenStyle = Qt.PenStyle.SolidLine) -> pg.PlotCurveItem:
-        """Add an empty curve."""
         curve = pg.PlotCurveItem(antialias=True)
         theme.follow(self, lambda: curve.setPen(pg.mkPen(colour, width=width, style=style)))
         self.view.addItem(curve)
@@ -125,7 +123,6 @@ class Plot(QWidget):
         self._is_clear = True
 
     def set_ranges(self, x: tuple[float, float], y: tuple[float, float]) -> None:
-        """Set what both axes span."""
         if self._is_clear:
             self._is_clear = False
             for axis in self.axes.values():

@@ -13,7 +13,6 @@ from reconstruction.wavefront import peak_to_valley, rms
 
 NOTHING = "\N{EN DASH}"
 _MOST_DECIMALS = 6
-_MOST_PLAIN = 1e12
 
 
 def _phase_captions(phases: Floats) -> list[tuple[str, ...]]:
@@ -63,7 +62,7 @@ def number(value: float, digits: int = 3) -> str:
         return "0"
     rounded = float(f"{value:.{digits - 1}e}")
     decimals = digits - 1 - math.floor(math.log10(abs(rounded)))
-    is_plain = decimals <= _MOST_DECIMALS and abs(rounded) < _MOST_PLAIN
+    is_plain = decimals <= _MOST_DECIMALS and abs(rounded) < 1e12
     text = f"{rounded:.{max(decimals, 0)}f}" if is_plain else f"{rounded:.1e}"
     return text.replace("-", "\N{MINUS SIGN}")
 

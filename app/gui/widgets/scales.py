@@ -1,9 +1,8 @@
 """Scales of a display: colours of values with the numbers beside their bar; limits that follow the data in steps."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Self
 
 import numpy as np
 import pyqtgraph as pg
@@ -31,22 +30,12 @@ class ColourScale:
     power: float = 1.0  # of the fraction: 0.5 is a square-root scale
     is_signed: bool = False
 
-    @property
-    def in_grey(self) -> Self:
-        """The same scale from black to white: a sign stays visible."""
-        return replace(self, colours="CET-L1")
-
     def pixels(self, values: Floats) -> Pixels:
         """Return the colours of values, the same shape; NaN is transparent."""
         known = np.isfinite(values)
         fraction = np.clip((np.where(known, values, self.low) - self.low) / (self.high - self.low), 0, 1) ** self.power
         table = colour_table(self.colours)
         return np.where(known, table[np.rint(fraction * (len(table) - 1)).astype(np.intp)], np.uint32(0))
-
-    @property
-    def bar(self) -> Pixels:
-        """The colours from low to high, (colour,)."""
-        return colour_table(self.colours)
 
     @property
     def ticks(self) -> tuple[tuple[float, str], ...]:

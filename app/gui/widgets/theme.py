@@ -1,5 +1,6 @@
 """Colours, style sheet and icons of the window: dark for a dark room, or light as the desktop."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -70,6 +71,16 @@ QProgressBar {{ border: 1px solid {LINE.name()}; border-radius: 3px; text-align:
                background: {BACKGROUND.name()}; }}
 QProgressBar::chunk {{ background: #2f6f9f; }}
 """
+
+
+def styled_application() -> QApplication:
+    """Return the application with its name and theme, made if there is none."""
+    application = QApplication.instance()
+    if not isinstance(application, QApplication):
+        application = QApplication(sys.argv[:1])
+    application.setApplicationName("svwfs")
+    apply_theme(application)
+    return application
 
 
 def apply_theme(application: QApplication) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -24,7 +24,7 @@ from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui.widgets import theme
 from app.gui.widgets.copies import add_copy_menu, as_table
-from app.gui.widgets.scales import ColourScale
+from app.gui.widgets.scales import ColourScale, colour_table
 from app.results.pictures import Pixels, enlarged
 from reconstruction.arrays import Floats
 
@@ -35,7 +35,6 @@ _CAPTION = 100  # px: small views stand apart, if there is room, so that their c
 MARGIN = 3  # px around all views, for the selection frame
 _BETWEEN = 4  # px between the captions of neighbours
 _CAPTIONED = ((2, 50), (1, 40))  # lines and least px: of narrower views only the tool tips have the numbers
-_STALE_OPACITY = 0.5
 STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
 
 Caption = tuple[tuple[str, ...], tuple[str, ...]]  # two lines, each with its wordings, longest first
@@ -65,7 +64,6 @@ class Places:
     tiles: QRegion  # of all views
 
     def tile(self, view_row: int, view_column: int) -> QRect:
-        """Return the rectangle of a view without its caption."""
         return QRect(self.first + QPoint(view_column * self.step.width(), view_row * self.step.height()), self.size)
 
 
@@ -133,7 +131,6 @@ class ViewGrid(QWidget):
         add_copy_menu(self, self._numbers_at)
 
     def show_maps(self, maps: Maps | None) -> None:
-        """Show a map of every view, or that there is no wavefront."""
         self.maps = maps
         scale = None if maps is None else self._scale(maps)
         before, self._shown_scale = self._shown_scale, scale
@@ -151,7 +148,6 @@ class ViewGrid(QWidget):
         self.update()
 
     def show_stale(self, *, is_stale: bool) -> None:
-        """Show the maps in grey, or in colours."""
         if is_stale != self.is_stale:
             self.is_stale = is_stale
             self.show_maps(self.maps)
@@ -168,12 +164,7 @@ class ViewGrid(QWidget):
             self.captions = captions
             self.update(QRegion(self.rect()).subtracted(self.places.tiles))
 
-    def tile(self, view_row: int, view_column: int) -> QRect:
-        """Return the rectangle of a view without its caption."""
-        return self.places.tile(view_row, view_column)
-
     def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Paint all views, and what is around them if it must be painted."""
         painter = QPainter(self)
         maps = self.maps
         if maps is None:
@@ -183,7 +174,10 @@ class ViewGrid(QWidget):
         places, painted = self.places, QRegion(self.rect()) if event is None else event.region()
         if painted.intersects(places.tiles):
             self._paint_maps(painter, maps)
-        self._paint_selection(painter)
+        if self.selection is not None:
+            painter.setPen(QPen(theme.ACCENT, 2))
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            painter.drawRect(places.tile(*self.selection).adjusted(-1, -1, 1, 1))
         if painted.subtracted(places.tiles).isEmpty():
             return
         if places.caption_lines:
@@ -192,25 +186,21 @@ class ViewGrid(QWidget):
             self._paint_color_bar(painter, maps)
 
     def event(self, event: QEvent | None) -> bool:
-        """Show the value under the pointer as a tool tip."""
         if isinstance(event, QHelpEvent) and event.type() == QEvent.Type.ToolTip:
             QToolTip.showText(event.globalPos(), self._value_at(event.pos()), self)
             return True
         return super().event(event)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Request to select the view under the pointer."""
         is_left = event is not None and event.button() == Qt.MouseButton.LeftButton
         if event is not None and is_left and (view := self._view_at(event.pos())) is not None:
             self.selected.emit(*view)
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Request to enlarge the view under the pointer."""
         if event is not None and self._view_at(event.pos()) is not None:
             self.opened.emit()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Request to select a neighbour of the selected view."""
         if event is None:
             return
         step = STEPS.get(Qt.Key(event.key()))
@@ -222,19 +212,20 @@ class ViewGrid(QWidget):
             self.selected.emit(row, column)
 
     def _scale(self, maps: Maps) -> ColourScale:
-        return maps.scale.in_grey if self.is_stale else maps.scale
+        """From black to white while the maps are stale: a sign stays visible."""
+        return replace(maps.scale, colours="CET-L1") if self.is_stale else maps.scale
 
     def _view_at(self, position: QPoint) -> tuple[int, int] | None:
         if self.maps is None:
             return None
         views = np.ndindex(self.maps.values.shape[:2])
-        return next(((row, column) for row, column in views if self.tile(row, column).contains(position)), None)
+        return next(((row, column) for row, column in views if self.places.tile(row, column).contains(position)), None)
 
     def _value_at(self, position: QPoint) -> str:
         view = self._view_at(position)
         if self.maps is None or view is None:
             return ""
-        tile, values = self.tile(*view), self.maps.values[view]
+        tile, values = self.places.tile(*view), self.maps.values[view]
         inside = position - tile.topLeft()
         row = inside.y() * values.shape[0] // tile.height()
         column = inside.x() * values.shape[1] // tile.width()
@@ -252,7 +243,8 @@ class ViewGrid(QWidget):
         """Return the places of the views, computed again when something that they depend on has changed."""
         if self._is_moved:
             self._laid_out_for = self._layout_key
-            shape, line = self._shape, self.fontMetrics().height()
+            shape = (0, 0, 0, 0) if self.maps is None else self.maps.values.shape
+            line = self.fontMetrics().height()
             space, has_bar = self.bar_space, self.has_bar
             if has_bar is None:
                 has_bar = self.width() >= 2 * space + line and self.height() >= LEAST_LINES * line
@@ -271,13 +263,9 @@ class ViewGrid(QWidget):
         return _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
 
     @property
-    def _shape(self) -> tuple[int, ...]:
-        return (0, 0, 0, 0) if self.maps is None else self.maps.values.shape
-
-    @property
     def _layout_key(self) -> tuple[int, ...]:
-        line = self.fontMetrics().height()
-        return (self.width(), self.height(), line, self._number_width, self.has_bar is not False, *self._shape)
+        shape, line = () if self.maps is None else self.maps.values.shape, self.fontMetrics().height()
+        return (self.width(), self.height(), line, self._number_width, self.has_bar is not False, *shape)
 
     @property
     def _is_moved(self) -> bool:
@@ -312,7 +300,7 @@ class ViewGrid(QWidget):
                 continue
             painter.setPen(colour)
             for (row, column), lines in self.captions.items():
-                tile = self.tile(row, column)
+                tile = self.places.tile(row, column)
                 place = QRect(tile.center().x() - width // 2, tile.bottom() + 3 + index * line, width, line)
                 painter.drawText(place, Qt.AlignmentFlag.AlignCenter, lines[index][wording])
 
@@ -327,16 +315,9 @@ class ViewGrid(QWidget):
         by_wording = zip(*(lines[line] for lines in self.captions.values()), strict=True)
         return next((index for index, texts in enumerate(by_wording) if max(map(advance, texts)) <= width), None)
 
-    def _paint_selection(self, painter: QPainter) -> None:
-        if self.selection is None:
-            return
-        painter.setPen(QPen(theme.ACCENT, 2))
-        painter.setBrush(Qt.BrushStyle.NoBrush)
-        painter.drawRect(self.tile(*self.selection).adjusted(-1, -1, 1, 1))
-
     def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
         line, bar = self.fontMetrics().height(), self._bar(maps)
-        painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
+        painter.setOpacity(0.5 if self.is_stale else 1.0)
         painter.drawPixmap(bar.topLeft(), self._colour_bar(self._scale(maps), bar.size()))
         painter.setOpacity(1.0)
         painter.setPen(theme.TEXT)
@@ -353,15 +334,16 @@ class ViewGrid(QWidget):
         """Return the bar without its numbers; scaling an image in every frame took longer than all maps."""
         key = (scale.colours, size)
         if key != self._bar_key:
-            at = np.linspace(len(scale.bar) - 1, 0, size.height()).round().astype(np.intp)
+            bar = colour_table(scale.colours)
+            at = np.linspace(len(bar) - 1, 0, size.height()).round().astype(np.intp)
             self._bar_key = key
-            self._bar_pixmap = QPixmap.fromImage(_image(np.repeat(scale.bar[at, None], size.width(), axis=1)).copy())
+            self._bar_pixmap = QPixmap.fromImage(_image(np.repeat(bar[at, None], size.width(), axis=1)).copy())
         return self._bar_pixmap
 
     def _bar(self, maps: Maps) -> QRect:
         """Return the place of the colour bar, below its title."""
         view_rows, view_columns = maps.values.shape[:2]
-        top, bottom = self.tile(0, view_columns - 1), self.tile(view_rows - 1, view_columns - 1)
+        top, bottom = self.places.tile(0, view_columns - 1), self.places.tile(view_rows - 1, view_columns - 1)
         first = top.top() + self.fontMetrics().height() + 4
         return QRect(top.right() + _BAR_MARGIN, first, _BAR_WIDTH, bottom.bottom() - first + 1)
 

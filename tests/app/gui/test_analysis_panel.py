@@ -18,7 +18,7 @@ from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, p
 
 from app.gui.panels.quality import verdict
 from app.gui.shell.main_window import MainWindow
-from app.gui.widgets.scales import bright, diverging, uncertain
+from app.gui.widgets.scales import bright, colour_table, diverging, uncertain
 from app.results.view_analysis import Quantity, QuantityMaps, quantity_maps
 from reconstruction.arrays import Floats
 from reconstruction.quality.isoplanatism import Isoplanatism, StructureCurve
@@ -71,7 +71,7 @@ def test_keys_choose_the_quantity(live: tuple[MainWindow, FakeCamera], qtbot: Qt
 
 def test_psf_peaks_in_the_middle_and_caption_states_strehl(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
-    window.panels.wavefronts.choose(Quantity.PSF)
+    window.panels.wavefronts.choice.setCurrentText(Quantity.PSF)
     flat = bowl()
     flat.views[:] = 0.0
     flat.views[2, 0] = np.nan
@@ -86,11 +86,11 @@ def test_psf_peaks_in_the_middle_and_caption_states_strehl(make_window: MakeWind
     assert captions[2, 0][0][1] == "Strehl \N{EN DASH}"
     grid = window.panels.wavefronts.grid
     seen = picture(grid).astype(int)
-    bright_tile, lost_tile = part(seen, grid.tile(1, 1)), part(seen, grid.tile(2, 0))
+    bright_tile, lost_tile = part(seen, grid.places.tile(1, 1)), part(seen, grid.places.tile(2, 0))
     assert bright_tile[bright_tile.shape[0] // 2, bright_tile.shape[1] // 2].min() > 130
     assert bright_tile[:5, :5].max() < 60
     assert 30 < lost_tile.mean() < 80  # hatched
-    assert "of the peak without aberration" in grid._value_at(grid.tile(1, 1).center())
+    assert "of the peak without aberration" in grid._value_at(grid.places.tile(1, 1).center())
 
 
 def test_clicks_and_arrow_keys_select_the_view_of_the_mtf(make_window: MakeWindow, qtbot: QtBot) -> None:
@@ -98,7 +98,7 @@ def test_clicks_and_arrow_keys_select_the_view_of_the_mtf(make_window: MakeWindo
     show(window, bowl())
     grid, mtf = window.panels.wavefronts.grid, window.panels.quality.mtf
     qtbot.waitUntil(lambda: mtf.title.text() == "MTF at 0, 0 mm")
-    click(qtbot, grid, grid.tile(0, 2).center())
+    click(qtbot, grid, grid.places.tile(0, 2).center())
     qtbot.waitUntil(lambda: mtf.title.text() == "MTF at +0.50, \N{MINUS SIGN}0.50 mm")
     for key in (Qt.Key.Key_Up, Qt.Key.Key_Right, Qt.Key.Key_Down, Qt.Key.Key_Left):  # the first two have no effect
         press(qtbot, grid, key)
@@ -108,7 +108,7 @@ def test_clicks_and_arrow_keys_select_the_view_of_the_mtf(make_window: MakeWindo
     assert x[-1] == pytest.approx(13 * 500e-6 / 462e-9 / 1e3)  # cycles per mrad
     assert mtf._limits[1].getData()[0][-1] == pytest.approx(9 * 500e-6 / 462e-9 / 1e3)
     blue = picture(grid).astype(int)
-    frame = grid.tile(1, 1).adjusted(-1, -1, 1, 1)
+    frame = grid.places.tile(1, 1).adjusted(-1, -1, 1, 1)
     assert blue[frame.top(), frame.center().x(), 2] > blue[frame.top(), frame.center().x(), 0] + 60
 
 
@@ -143,7 +143,7 @@ def test_isoplanatism_is_that_of_the_growth_over_the_field(make_window: MakeWind
 def test_lost_wavefront_clears_maps_and_plots(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     show(window, bowl())
-    window.panels.wavefronts.choose(Quantity.PSF)
+    window.panels.wavefronts.choice.setCurrentText(Quantity.PSF)
     panel = window.panels.quality
     qtbot.waitUntil(lambda: window.panels.wavefronts._maps is not None and bool(panel.sentence.text()))
     show(window, None)
@@ -171,7 +171,7 @@ def test_views_without_values_are_shown_for_every_quantity(make_window: MakeWind
         return panel in thread.requests and thread.requests[panel].choice[0] is quantity  # type: ignore[index] # a tuple
 
     for quantity in Quantity:
-        window.panels.wavefronts.choose(quantity)
+        window.panels.wavefronts.choice.setCurrentText(quantity)
         qtbot.waitUntil(partial(is_analysed, quantity))
         picture(window)
     assert window.panels.quality.sentence.text() == "No lenslet is valid over the whole field"
@@ -192,7 +192,7 @@ def test_redraw_continues_while_analysis_hangs_and_thread_ends_with_window(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, _ = live
-    window.panels.wavefronts.choose(Quantity.PSF)
+    window.panels.wavefronts.choice.setCurrentText(Quantity.PSF)
     qtbot.waitUntil(lambda: window.panels.wavefronts._maps is not None and bool(window.panels.quality.sentence.text()))
     hangs, may_go_on = threading.Event(), threading.Event()
 
@@ -214,7 +214,7 @@ def test_redraw_continues_while_analysis_hangs_and_thread_ends_with_window(
 def test_frozen_scale_keeps_colours_and_reach(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     panel = window.panels.wavefronts
-    panel.choose(Quantity.PSF)
+    panel.choice.setCurrentText(Quantity.PSF)
     show(window, bowl())
     qtbot.waitUntil(lambda: panel.grid.maps is not None)
     panel.freeze_scale.setChecked(True)
@@ -259,7 +259,7 @@ def test_captions_shorten_in_narrow_tiles(make_window: MakeWindow) -> None:
     narrow = [grid._wording(line) for line in (0, 1)]
     assert all(a is not None for a in wide)
     assert all(b is None or (a is not None and b > a) for a, b in zip(wide, narrow, strict=True))
-    assert grid._value_at(grid.tile(0, 0).topLeft() + QPoint(1, 1)).count("RMS") == 1
+    assert grid._value_at(grid.places.tile(0, 0).topLeft() + QPoint(1, 1)).count("RMS") == 1
 
 
 def curve(*rms_rad: float) -> StructureCurve:
@@ -277,7 +277,7 @@ def test_verdict_states_error_and_patch() -> None:
 def test_colours_run_from_low_to_high_and_nan_is_transparent() -> None:
     for scale, middle in ((diverging(2.0), 0.0), (uncertain(2.0), 1.0), (bright(2.0), 0.5)):
         pixels = scale.pixels(np.array([scale.low - 1, scale.low, middle, 2.0, 3.0, np.nan]))
-        bar = scale.bar
+        bar = colour_table(scale.colours)
         np.testing.assert_array_equal(pixels, [bar[0], bar[0], bar[len(bar) // 2], bar[-1], bar[-1], 0])
     assert [text for _, text in bright(0.2).ticks] == ["0", "0.02", "0.05", "0.1", "0.2"]
     np.testing.assert_allclose([at for at, _ in bright(0.2).ticks], np.sqrt([0, 0.1, 0.25, 0.5, 1]))

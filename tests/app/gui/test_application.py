@@ -20,7 +20,7 @@ from support.patience import HANG_S, wait_until
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition, Measurement
 from app.errors import Interrupted, RunError
-from app.gui.application import run_window
+from app.gui.application import Unattended, run_window
 from app.gui.shell.main_window import MainWindow
 from drivers.interface import Disconnected
 
@@ -52,7 +52,7 @@ def opening(camera: FakeCamera) -> Callable[[MainWindow], object]:
 def test_unattended_run_saves_screenshot_and_result(qapp: QApplication, tmp_path: Path) -> None:
     camera = FakeCamera()
     finished: list[Measurement] = []
-    status = run_window(opening(camera), offscreen_s=0.3, screenshot=tmp_path / "window.png", on_finish=finished.append)
+    status = run_window(opening(camera), unattended=Unattended(0.3, tmp_path / "window.png", finished.append))
     assert status == 0
     assert finished[0].wavefront is not None
     image = QImage(str(tmp_path / "window.png"))
@@ -74,7 +74,7 @@ def test_full_disk_leaves_no_screenshot(qapp: QApplication, tmp_path: Path, monk
     monkeypatch.setattr(os, "fsync", fill_up)
     camera = FakeCamera()
     with pytest.raises(RunError, match=r"window\.png: cannot be written"):
-        run_window(opening(camera), offscreen_s=0.1, screenshot=tmp_path / "window.png")
+        run_window(opening(camera), unattended=Unattended(0.1, tmp_path / "window.png"))
     assert not list(tmp_path.iterdir())
 
 
@@ -82,7 +82,7 @@ def test_unattended_run_raises_device_error(qapp: QApplication) -> None:
     camera = FakeCamera()
     camera.fault = Disconnected("no camera was found")
     with pytest.raises(RunError, match=r"^no camera was found"):
-        run_window(opening(camera), offscreen_s=0.3)
+        run_window(opening(camera), unattended=Unattended(0.3))
     assert qapp is QApplication.instance()
 
 
@@ -116,15 +116,15 @@ def test_slow_computation_raises_no_false_alarm_about_the_light(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("offscreen_s", [None, HANG_S])
+@pytest.mark.parametrize("unattended", [None, Unattended(HANG_S)])
 def test_signal_closes_window_and_turns_light_off(
-    qapp: QApplication, number: signal.Signals, offscreen_s: float | None
+    qapp: QApplication, number: signal.Signals, unattended: Unattended | None
 ) -> None:
     assert qapp is QApplication.instance()
     camera = FakeCamera()
     before = signal.getsignal(number)
     with when_lit(camera, lambda: os.kill(os.getpid(), number)), pytest.raises(Interrupted):
-        run_window(opening(camera), offscreen_s=offscreen_s)
+        run_window(opening(camera), unattended=unattended)
     assert camera.is_closed
     assert not camera.light.shines
     assert signal.getsignal(number) == before
@@ -134,7 +134,7 @@ def test_unattended_run_closed_early_raises_and_saves_nothing(qapp: QApplication
     camera = FakeCamera()
     finished: list[Measurement] = []
     with when_lit(camera, qapp.closeAllWindows), pytest.raises(RunError, match="closed before the run had finished"):
-        run_window(opening(camera), offscreen_s=HANG_S, screenshot=tmp_path / "window.png", on_finish=finished.append)
+        run_window(opening(camera), unattended=Unattended(HANG_S, tmp_path / "window.png", finished.append))
     assert not finished
     assert not list(tmp_path.iterdir())
     assert camera.is_closed

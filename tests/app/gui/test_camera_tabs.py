@@ -209,7 +209,7 @@ def test_context_menus_copy_picture_and_numbers(window: MainWindow) -> None:
     QApplication.processEvents()
     grid, clipboard = window.panels.wavefronts.grid, QApplication.clipboard()
     assert clipboard is not None
-    entries = menu_at(grid, grid.tile(1, 2).center())
+    entries = menu_at(grid, grid.places.tile(1, 2).center())
     entries["Copy numbers"].trigger()
     np.testing.assert_allclose(np.loadtxt(StringIO(clipboard.text()), delimiter="\t"), views(3)[1, 2], rtol=1e-6)
     entries["Copy picture"].trigger()
@@ -231,7 +231,7 @@ def test_right_click_on_a_view_selects_nothing(window: MainWindow) -> None:
     QApplication.processEvents()
     selected: list[tuple[int, int]] = []
     grid.selected.connect(lambda *view: selected.append(view))
-    QtBot.mouseClick(grid, Qt.MouseButton.RightButton, pos=grid.tile(0, 0).center())  # type: ignore[no-untyped-call] # pytest-qt declares no types
+    QtBot.mouseClick(grid, Qt.MouseButton.RightButton, pos=grid.places.tile(0, 0).center())  # type: ignore[no-untyped-call] # pytest-qt declares no types
     assert not selected
 
 
@@ -240,7 +240,7 @@ def test_right_click_on_a_view_selects_nothing(window: MainWindow) -> None:
 def test_lenslet_is_excluded_by_hand_and_used_again(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     camera, lenslet = window.panels.camera, window.panels.lenslet
-    camera._view.setRange(camera._area(window.shown.measurement.frame))  # type: ignore[union-attr] # live
+    camera._view.setRange(camera._image.boundingRect())
     x, y = LATTICE.lenslet_centers_px(*LENSLETS)[3, 5]
     at = camera._graphics.mapFromScene(camera._view.mapViewToScene(QPointF(x, y)))
     menu_at(camera._graphics, at)["Exclude lenslet row 3, column 5, or use it again"].trigger()

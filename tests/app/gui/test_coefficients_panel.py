@@ -60,7 +60,7 @@ def test_bars_are_the_coefficients_of_the_selected_view(window: MainWindow, qtbo
     np.testing.assert_allclose(ends.mean(axis=1), height, atol=1e-9)
     assert (np.ptp(ends, axis=1)[:5] > 1e-3).all()  # the modes of the reconstruction
     grid = window.panels.wavefronts.grid
-    click(qtbot, grid, grid.tile(1, 2).center())  # x = +0.5 mm of 0.6
+    click(qtbot, grid, grid.places.tile(1, 2).center())  # x = +0.5 mm of 0.6
     qtbot.waitUntil(lambda: panel._found is not None and panel._found.choice.view == (1, 2))
     np.testing.assert_allclose(panel._bars.opts["height"][1], 0.4 * 0.5 / 0.6, atol=1e-4)
     panel.of.setCurrentIndex(2)

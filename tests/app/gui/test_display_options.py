@@ -107,7 +107,7 @@ def test_options_apply_to_analysed_quantities(window: MainWindow, qtbot: QtBot) 
     panel = window.panels.wavefronts
     panel.menu.tilt.setChecked(True)
     panel.menu.defocus.setChecked(True)
-    panel.choose(Quantity.PSF)
+    panel.choice.setCurrentText(Quantity.PSF)
     qtbot.waitUntil(lambda: panel.grid.maps is not None)
     maps = shown(window)
     assert maps[1, 1, maps.shape[2] // 2, maps.shape[3] // 2] == pytest.approx(1)  # nothing is left of the bowl
@@ -115,14 +115,14 @@ def test_options_apply_to_analysed_quantities(window: MainWindow, qtbot: QtBot) 
 
 def test_double_click_opens_the_enlarged_view(window: MainWindow, qtbot: QtBot) -> None:
     panel = window.panels.wavefronts
-    corner = panel.grid.tile(2, 0).center()
+    corner = panel.grid.places.tile(2, 0).center()
     click(qtbot, panel.grid, corner)
     qtbot.mouseDClick(panel.grid, Qt.MouseButton.LeftButton, pos=corner)  # type: ignore[no-untyped-call] # pytest-qt declares no types
     enlarged = window.findChild(EnlargedView)
     assert enlarged is not None
     assert enlarged.isVisible()
     np.testing.assert_array_equal(enlarged.map.values, shown(window)[2, 0])
-    tile = enlarged.map.tile(0, 0)
+    tile = enlarged.map.places.tile(0, 0)
     click(qtbot, enlarged.map, tile.topLeft() + QPoint(tile.width() * 5 // 26, tile.height() * 3 // 18))
     assert enlarged.map.at == (1, 2)
     for key in (Qt.Key.Key_Down, Qt.Key.Key_Right):
@@ -149,9 +149,9 @@ def test_enlarged_view_paints_contours_and_a_surface_that_turns(window: MainWind
     enlarged = window.findChild(EnlargedView)
     assert enlarged is not None
     QApplication.processEvents()
-    with_contours = part(picture(enlarged.map), enlarged.map.tile(0, 0)).astype(int)
+    with_contours = part(picture(enlarged.map), enlarged.map.places.tile(0, 0)).astype(int)
     click(qtbot, enlarged.contour_toggle, enlarged.contour_toggle.rect().center())
-    without = part(picture(enlarged.map), enlarged.map.tile(0, 0)).astype(int)
+    without = part(picture(enlarged.map), enlarged.map.places.tile(0, 0)).astype(int)
     changed = np.abs(with_contours - without).max(axis=2) > 30
     assert 0.01 < changed.mean() < 0.3
     before = picture(enlarged.surface).astype(int)
@@ -226,7 +226,7 @@ def test_limit_of_the_colours_has_the_unit(window: MainWindow, qtbot: QtBot) -> 
     QTest.keyClicks(panel.limit, "250 nm\r")  # type: ignore[call-arg, arg-type] # PyQt's stub lacks staticmethod
     assert panel.grid.maps is not None
     assert panel.grid.maps.scale.high == 250
-    panel.choose(Quantity.PSF)
+    panel.choice.setCurrentText(Quantity.PSF)
     assert "nm" not in panel.limit.text()
 
 

@@ -80,7 +80,7 @@ def test_layer_is_found_with_curve_and_map(window: MainWindow, qtbot: QtBot) -> 
     true = make_sample(bench.simulation, bench.sensor, bench.field).screen.at(x_m, y_m[:, None])
     inner = slice(8, -8)
     assert np.std((maps.values[0, 0] - true)[inner, inner]) < 0.05 * np.std(true)
-    assert "mm on the layer: " in panel.map._value_at(panel.map.tile(0, 0).center())
+    assert "mm on the layer: " in panel.map._value_at(panel.map.places.tile(0, 0).center())
     window.panels.wavefronts.menu.units[2].trigger()  # nm
     panel.mode.setCurrentIndex(2)  # the layer as found
     qtbot.waitUntil(lambda: panel.map.maps is not None and panel.map.maps.scale.title == "nm")

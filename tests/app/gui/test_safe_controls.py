@@ -476,7 +476,7 @@ def test_stale_calibration_greys_the_wavefronts_and_says_why(live: tuple[MainWin
 
     def colourfulness() -> int:
         seen = picture(panel.grid).astype(int)
-        tile = part(seen, panel.grid.tile(0, 0).adjusted(3, 3, -3, -3))
+        tile = part(seen, panel.grid.places.tile(0, 0).adjusted(3, 3, -3, -3))
         return int(np.ptp(tile, axis=-1).max())
 
     def lamp() -> bytes:

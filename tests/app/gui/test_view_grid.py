@@ -33,7 +33,7 @@ def test_views_lie_as_in_the_field_and_lenslets_as_in_the_pupil(make_window: Mak
     grid = window.panels.wavefronts.grid
     show(grid, shown, 5.0)
     seen = picture(grid).astype(int)
-    tiles = grid.tile(0, 0).united(grid.tile(2, 2))
+    tiles = grid.places.tile(0, 0).united(grid.places.tile(2, 2))
     red = (seen[..., 0] - seen[..., 2] > 120)[:, : tiles.right() + 1]
     row, column = np.nonzero(red)
     assert row.size > 20
@@ -50,7 +50,7 @@ def test_stale_map_is_grey_and_keeps_its_sign(make_window: MakeWindow) -> None:
     show(grid, shown, 2.0)
     grid.show_stale(is_stale=True)
     seen = picture(grid).astype(int)
-    tiles = [part(seen, grid.tile(1, column).adjusted(2, 2, -2, -2)) for column in range(3)]
+    tiles = [part(seen, grid.places.tile(1, column).adjusted(2, 2, -2, -2)) for column in range(3)]
     assert max(np.ptp(tile, axis=-1).max() for tile in tiles) < 10
     left, middle, right = (tile.mean() for tile in tiles)
     assert left + 30 < middle < right - 30
@@ -58,7 +58,7 @@ def test_stale_map_is_grey_and_keeps_its_sign(make_window: MakeWindow) -> None:
     bar = part(seen, grid._bar(grid.maps)).mean(axis=(1, 2))
     assert [bar[-2], bar[1]] == pytest.approx([left, right], abs=3)  # the colours of the maps
     grid.show_stale(is_stale=False)
-    assert np.ptp(part(picture(grid).astype(int), grid.tile(1, 2)).mean(axis=(0, 1))) > 100
+    assert np.ptp(part(picture(grid).astype(int), grid.places.tile(1, 2)).mean(axis=(0, 1))) > 100
 
 
 def test_positive_is_red_and_negative_is_blue(make_window: MakeWindow) -> None:
@@ -68,7 +68,7 @@ def test_positive_is_red_and_negative_is_blue(make_window: MakeWindow) -> None:
     grid = window.panels.wavefronts.grid
     show(grid, shown, 2.0)
     seen = picture(grid).astype(int)
-    left, middle, right = (part(seen, grid.tile(1, column)).mean(axis=(0, 1)) for column in range(3))
+    left, middle, right = (part(seen, grid.places.tile(1, column)).mean(axis=(0, 1)) for column in range(3))
     assert left[2] > left[0] + 100
     assert right[0] > right[2] + 100
     assert abs(middle[0] - middle[2]) < 20
@@ -121,13 +121,13 @@ def test_lost_lenslet_is_hatched_not_zero(make_window: MakeWindow) -> None:
     shown[1, 1, 2, 3] = np.nan
     window.show_measurement(make_measurement(dim_frame(), shown))
     grid = window.panels.wavefronts.grid
-    tile = part(picture(grid).astype(int), grid.tile(1, 1))
+    tile = part(picture(grid).astype(int), grid.places.tile(1, 1))
     step_y, step_x = tile.shape[0] / LENSLETS[0], tile.shape[1] / LENSLETS[1]
     lost = tile[int(2.25 * step_y) : int(2.75 * step_y), int(3.25 * step_x) : int(3.75 * step_x)]
     zero = tile[int(5.25 * step_y) : int(5.75 * step_y), int(3.25 * step_x) : int(3.75 * step_x)]
     assert zero.min() > 200  # the middle of the colours is nearly white
     assert lost.max() < 150
-    assert "lost" in grid._value_at(grid.tile(1, 1).topLeft() + QPoint(int(3.5 * step_x), int(2.5 * step_y)))
+    assert "lost" in grid._value_at(grid.places.tile(1, 1).topLeft() + QPoint(int(3.5 * step_x), int(2.5 * step_y)))
 
 
 def test_captions_ignore_lenslets_without_value(make_window: MakeWindow) -> None:
@@ -172,7 +172,7 @@ def test_color_bar_gives_way_to_small_maps(qtbot: QtBot) -> None:
     grid.show_maps(maps)
     for width, height in ((90, 4 * line), (90, 150), (300, 4 * line)):
         grid.resize(width, height)
-        assert grid.tile(0, 0).width() >= min(width, height) - 6  # all but the margins
+        assert grid.places.tile(0, 0).width() >= min(width, height) - 6  # all but the margins
     for height in range(5 * line, 12 * line):  # no two numbers overlap
         grid.resize(300, height)
         bar = grid._bar(maps)
@@ -191,8 +191,8 @@ def test_small_views_stand_apart_so_that_positions_fit(make_window: MakeWindow) 
     grid = window.panels.wavefronts.grid
     assert grid.places.size.width() < 80
     assert grid._wording(1) is not None
-    assert grid.tile(0, 5).right() + grid.places.bar_space < grid.width()
-    right = grid.tile(0, 5).center().x() + grid._caption_width // 2
+    assert grid.places.tile(0, 5).right() + grid.places.bar_space < grid.width()
+    right = grid.places.tile(0, 5).center().x() + grid._caption_width // 2
     assert grid.maps is not None
     assert right < grid._bar(grid.maps).left()
 
@@ -212,9 +212,9 @@ def test_colour_bar_stays_while_its_numbers_change(qtbot: QtBot) -> None:
     phase = np.zeros((1, 1, 9, 9))
     grid.resize(150, 120)
     show(grid, phase, 1000)
-    with_long_numbers = grid.places.bar_space, grid.tile(0, 0)
+    with_long_numbers = grid.places.bar_space, grid.places.tile(0, 0)
     show(grid, phase, 2)
-    assert (grid.places.bar_space, grid.tile(0, 0)) == with_long_numbers
+    assert (grid.places.bar_space, grid.places.tile(0, 0)) == with_long_numbers
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings
     first = make_window(settings=settings)
     first.resize(1100, 700)  # wider than the screen of the tests
     first.status_line.timing_row.show()
-    first.panels.wavefronts.choose(Quantity.UNCERTAINTY)
+    first.panels.wavefronts.choice.setCurrentText(Quantity.UNCERTAINTY)
     first.panels.camera.arrows_toggle.setChecked(False)
     first.panels.camera.colours.setCurrentText("inferno")
     first.panels.camera.contrast.setCurrentText("full range")
