@@ -1,11 +1,18 @@
 """The corrector panel: what one corrector would leave, over its distance."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from app.gui.panels.layers import DistancePlot, origin_choice
 from app.gui.panels.panel import Panel, Request, Shown
 from app.gui.widgets import theme
 from app.gui.widgets.basics import Choice, ElidedLabel, column, row
-from app.results.corrector import FoundCorrectors, correction_sentence, find_shown_correctors
+from app.results.corrector import correction_sentence, find_shown_correctors
 from reconstruction.layers.corrector import Corrector
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _CORRECTORS = (
     *(Corrector("zernike", count) for count in (10, 21, 45, 66)),
@@ -56,11 +63,10 @@ class CorrectorPanel(Panel):
             _INTERVAL_S,
         )
 
-    def show_result(self, made: FoundCorrectors) -> None:
+    def show_result(self, found: xr.Dataset | str) -> None:
         """Show residuals, or why there are none."""
-        found = made.found
-        if found is None:
-            self.sentence.setText(f"No residual: {made.problem}")
+        if isinstance(found, str):
+            self.sentence.setText(f"No residual: {found}")
             return
         at_m, without_rad = found["corrector_distance_m"].values, float(found["uncorrected"])
         distance_m, residual_rad = found["distance"].values, found["residual"].values
