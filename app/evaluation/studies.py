@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -104,31 +105,13 @@ class StudyResult:
 _Measured = Iterator[tuple[Study, Sequence[CaseResult]]]
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """One seed of a study, which a worker measures."""
-
-    study: Study
-    bench: Bench
-    seed: int
-
-    def measure(self) -> list[CaseResult]:
-        return list(self.study.measure(self.bench, range(self.seed, self.seed + 1), lambda *_: None))
-
-
 def run_studies(
     bench: Bench, studies: Sequence[Study], seeds: int, out: Path, progress: Progress, evaluate: Evaluate | None = None
 ) -> list[StudyResult]:
     """Run studies and write the results into the folder `out` after each; see `write_newest` for the files.
 
-    With `evaluate`, each seed of each study is a task; the results do not depend on that.
-
-    Raises
-    ------
-    InputError
-        If the lattice is hexagonal.
-    Interrupted
-        On Ctrl-C; its text says how many studies are finished.
+    With `evaluate`, each seed of each study is a task; the results do not depend on that. `InputError` if the lattice
+    is hexagonal, `Interrupted` on Ctrl-C, with how many studies are finished.
     """
     if bench.sensor.arrangement != "square":
         raise InputError("studies and tables are made for square lattices: leave out lattice.arrangement")
@@ -155,17 +138,23 @@ def _in_turn(bench: Bench, studies: Sequence[Study], seeds: int, progress: Progr
         yield study, list(study.measure(bench, range(seeds), step))
 
 
+def _one_seed(bench: Bench, of: tuple[Study, int]) -> list[CaseResult]:
+    """Measure one seed of a study, on a worker."""
+    study, seed = of
+    return list(study.measure(bench, range(seed, seed + 1), lambda *_: None))
+
+
 def _shared(bench: Bench, studies: Sequence[Study], seeds: int, progress: Progress, evaluate: Evaluate) -> _Measured:
     """Measure all seeds of all studies on workers; yield the studies in their order."""
     total = seeds * len(studies)
     found: dict[tuple[str, int], Sequence[CaseResult]] = {}
     remaining = list(studies)
     progress(f"0 of {total} parts", 0.0)
-    parts = (_Part(study, bench, seed) for study in studies for seed in range(seeds))
-    for done, (each, cases) in enumerate(evaluate(_Part.measure, parts), 1):
+    parts = ((study, seed) for study in studies for seed in range(seeds))
+    for done, ((of_study, of_seed), cases) in enumerate(evaluate(partial(_one_seed, bench), parts), 1):
         if isinstance(cases, Exception):
             raise cases
-        found[each.study.name, each.seed] = cases
+        found[of_study.name, of_seed] = cases
         progress(f"{done} of {total} parts", done / total)
         while remaining and all((remaining[0].name, seed) in found for seed in range(seeds)):
             study = remaining.pop(0)

@@ -240,49 +240,42 @@ def sources() -> ComparisonTable:
 
 
 def _in_both_lights(
-    measure: Callable[[Bench, range, Progress], Iterator[CaseResult]], bench: Bench, seeds: range, progress: Progress
+    measure: Callable[[Bench, Progress], Iterator[CaseResult]], bench: Bench, seeds: range, progress: Progress
 ) -> Iterator[CaseResult]:
-    """Measure with propagation neglected, as the paper simulates it, and in real light."""
+    """Measure all screens with propagation neglected, as the paper simulates it, and in real light."""
     for index, (light, neglect) in enumerate(LIGHTS.items()):
         lit = replace(bench, field=replace(bench.field, neglect_propagation=neglect))
-        for case in measure(lit, seeds, part(progress, index, len(LIGHTS))):
-            yield replace(case, at={**case.at, "light": light})
+        for done, screen in enumerate(seeded(lit, seeds)):
+            for case in measure(screen, part(part(progress, index, len(LIGHTS)), done, len(seeds))):
+                yield replace(case, at={**case.at, "light": light})
 
 
-def _table1(methods: Mapping[str, Method], bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
-    for index, screen in enumerate(seeded(bench, seeds)):
-        step = part(progress, index, len(seeds))
-        step("rendering", 0.0)
-        frames, truth = noise_free_frames(screen, ("square", "stars"))
-        yield from _all_compared(screen, frames, truth, methods, step)
+def _table1(methods: Mapping[str, Method], bench: Bench, progress: Progress) -> Iterator[CaseResult]:
+    progress("rendering", 0.0)
+    frames, truth = noise_free_frames(bench, ("square", "stars"))
+    yield from _all_compared(bench, frames, truth, methods, progress)
 
 
-def _table2(methods: Mapping[str, Method], bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
-    for index, screen in enumerate(seeded(bench, seeds)):
-        step = part(progress, index, len(seeds))
-        step("rendering and exposing", 0.0)
-        frames, truth = exposed_frames(screen, EXPOSURES_S, lambda _: None)
-        small_bench, small_frames = resized(screen, frames)
-        halves = (("", screen, frames), ("_resized", small_bench, small_frames))
-        for half, (suffix, each, its_frames) in enumerate(halves):
-            try:  # what the experiment takes for the truth
-                stars = reconstructed(each, its_frames, METHODS["stars_zonal"])
-            except ReconstructionError as error:
-                raise InputError(f"the stars cannot be measured on this bench: {error}") from error
-            yield _compared(f"stars_zonal{suffix}_against_truth", bench, stars, truth)
-            named = {f"{name}{suffix}": method for name, method in methods.items()}
-            yield from _all_compared(each, its_frames, stars["views"], named, part(step, half, 2))
+def _table2(methods: Mapping[str, Method], bench: Bench, progress: Progress) -> Iterator[CaseResult]:
+    progress("rendering and exposing", 0.0)
+    frames, truth = exposed_frames(bench, EXPOSURES_S, lambda _: None)
+    for half, (suffix, each, its_frames) in enumerate((("", bench, frames), ("_resized", *resized(bench, frames)))):
+        try:  # what the experiment takes for the truth
+            stars = reconstructed(each, its_frames, METHODS["stars_zonal"])
+        except ReconstructionError as error:
+            raise InputError(f"the stars cannot be measured on this bench: {error}") from error
+        yield _compared(f"stars_zonal{suffix}_against_truth", bench, stars, truth)
+        named = {f"{name}{suffix}": method for name, method in methods.items()}
+        yield from _all_compared(each, its_frames, stars["views"], named, part(progress, half, 2))
 
 
-def _sources(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+def _sources(bench: Bench, progress: Progress) -> Iterator[CaseResult]:
+    progress("rendering", 0.0)
+    frames, truth = noise_free_frames(bench, SOURCES)
     kinds = [f"{warp}_{solve}" for warp in ("affine", "affine_gradient", "quadratic") for solve in ("zonal", "modal")]
-    for index, screen in enumerate(seeded(bench, seeds)):
-        step = part(progress, index, len(seeds))
-        step("rendering", 0.0)
-        frames, truth = noise_free_frames(screen, SOURCES)
-        for source in SOURCES:
-            methods = {f"{source}_{kind}": METHODS[kind] for kind in kinds}
-            yield from _all_compared(screen, {"square": frames[source]}, truth, methods, step)
+    for source in SOURCES:
+        methods = {f"{source}_{kind}": METHODS[kind] for kind in kinds}
+        yield from _all_compared(bench, {"square": frames[source]}, truth, methods, progress)
 
 
 def _all_compared(
