@@ -28,11 +28,10 @@ from numpy.typing import NDArray
 from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, seeded, with_screen, with_source
-from app.evaluation.studies import CaseResult, Output, Printed, Study, StudyResult, known_rows
+from app.evaluation.studies import CaseResult, Output, Printed, Study, StudyResult, Sweep, known_rows
 from app.evaluation.study.estimators import WarpEstimator, compared, mean_rms, with_rms
 from app.evaluation.study.noise import bound_rad, camera, error_bar_rad, scatter_of, true_lenslet, without_prior
 from app.evaluation.study.sweeps import NEAR_SOURCE, lit_views
-from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.evaluation.frames import NoiseFreeFrame, NoiseFreeFrames, exposure_of, seeded
-from app.evaluation.studies import CaseResult
+from app.evaluation.studies import CaseResult, Sweep
 from app.evaluation.study.estimators import WarpEstimator, WarpEstimators, compared, with_rms
-from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
 from reconstruction.frame.linearity import Exposures, Linearity
