@@ -104,8 +104,6 @@ def psf(wavefront: Wavefront, x_m: float, y_m: float) -> xr.DataArray:
 
     Parameters
     ----------
-    wavefront
-        A reconstructed wavefront.
     x_m, y_m
         Field position, m.
 
@@ -195,8 +193,6 @@ def find_corrector(
     ----------
     source
         A wavefront, a file of results, or the folder of a recording, whose frames are averaged.
-    bench
-        The bench of the wavefront.
     modes
         Shapes that the corrector can take over its footprint.
     count
@@ -225,18 +221,15 @@ def find_corrector(
     """
     from app.bench.config import as_bench
     from app.errors import InputError
-    from app.results.corrector import compare_correctors, correction_dataset
-    from app.results.layers import ratio_at
+    from app.results.corrector import compare_correctors
     from reconstruction.layers.corrector import Corrector
 
     bench = as_bench(bench)
-    ratio = None if distance_m is None else ratio_at(distance_m, "lenslets", bench)
     phase_at = _phase_at(source, bench)
     try:
-        made = compare_correctors(phase_at, bench.sensor, bench.field, Corrector(modes, count), ratio)
+        return compare_correctors(phase_at, bench, Corrector(modes, count), distance_m)[0]
     except ValueError as error:
         raise InputError(str(error)) from error
-    return correction_dataset(made, bench)
 
 
 def field_coefficients(
@@ -343,11 +336,6 @@ def deconvolve(
 def to_dataset(wavefront: Wavefront) -> xr.Dataset:
     """Turn a wavefront into a dataset with names and units (docs/results.md).
 
-    Parameters
-    ----------
-    wavefront
-        A reconstructed wavefront.
-
     Returns
     -------
     xarray.Dataset
@@ -371,8 +359,6 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     ----------
     path
         The file, ending in .nc; it appears under its name only when it is complete.
-    wavefront
-        A reconstructed wavefront.
     bench
         The bench it was reconstructed with; `reconstructor.bench` includes the lattice.
 

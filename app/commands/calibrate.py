@@ -71,7 +71,7 @@ def calibrate(
         with terminal.progress_bar() as progress:
             measured = find_linearity(loaded, average, progress)
         if out is not None:
-            _write(dataclasses.replace(loaded, linearity=measured.linearity), "linearity", bench, out)
+            write_found(dataclasses.replace(loaded, linearity=measured.linearity), "linearity", bench, out)
         typer.echo(json.dumps(dataclasses.asdict(measured)) if as_json else "\n".join(linearity_summary(measured)))
         return
     if reference is None:
@@ -88,7 +88,7 @@ def calibrate(
 
         save_figure(lattice_figure(calibrated.reference, calibrated.survey), plot)
     if out is not None:
-        write_calibrated(calibrated, bench, out)
+        write_found(calibrated.bench, "lattice", bench, out)
     if as_json:
         typer.echo(json.dumps(as_numbers(calibrated)))
         return
@@ -236,12 +236,8 @@ def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | str | lis
     }
 
 
-def write_calibrated(calibrated: CalibratedBench, source: str, path: Path) -> None:
-    """Write the bench with its lattice, keeping the comments of `source`, a TOML file or preset."""
-    _write(calibrated.bench, "lattice", source, path)
-
-
-def _write(bench: Bench, name: str, source: str, path: Path) -> None:
+def write_found(bench: Bench, name: str, source: str, path: Path) -> None:
+    """Write a bench with its section `name`, keeping the comments of `source`, a TOML file or preset."""
     from app.bench.bench_files import bench_file, read_bench_text
 
     text = bench_text(read_bench_text(bench_file(source)), bench, name)

@@ -63,8 +63,9 @@ def measure(
     """
     if attach:
         options.refuse_with_attach(bench=bench, mask=mask, average=average, auto_expose=auto_expose, set=setting)
+        _check_out(out, (), overwrite=overwrite)  # before another program loses control
         with terminal.progress_bar() as progress:
-            measured = measure_attached(name, frames, out, progress, overwrite=overwrite, takes_control=take_control)
+            measured = measure_attached(name, frames, out, progress, takes_control=take_control)
     elif take_control:
         raise InputError("--take-control is for an instrument that runs: add --attach")
     elif bench is None:
@@ -73,20 +74,16 @@ def measure(
         mask_setting = [] if mask is None else [f"simulation.source.mask={mask}"]
         loaded = options.load(bench, [*(setting or []), *mask_setting])
         terminal.confirm_libraries(loaded, trust=trust_library)
+        _check_out(out, loaded.files, overwrite=overwrite)
         with terminal.progress_bar() as progress:
-            measured = measure_bench(
-                loaded, frames, out, progress, average=average, auto_expose=auto_expose, overwrite=overwrite
-            )
+            measured = measure_bench(loaded, frames, out, progress, average=average, auto_expose=auto_expose)
     print_measurement(measured, out)
 
 
-def measure_attached(
-    name: str, frames: int, out: Path, progress: Progress, *, overwrite: bool = False, takes_control: bool = False
-) -> Measured:
+def measure_attached(name: str, frames: int, out: Path, progress: Progress, *, takes_control: bool = False) -> Measured:
     """Let the instrument of a name record `frames` frames, and write their results; see `measure_bench`."""
     from app.acquisition.session import ConnectedBench
 
-    _check_out(out, (), overwrite=overwrite)  # before another program loses control
     live = ConnectedBench("measure", name, progress=progress)
 
     def begin() -> None:
@@ -95,25 +92,17 @@ def measure_attached(
         elif live.controller and not live.has_control:
             raise RunError(f"{live.controller} has control of the instrument: add --take-control to take it over")
 
-    return _measured(live, live.bench, frames, out, progress, begin, overwrite=overwrite)
+    return _measured(live, live.bench, frames, out, progress, begin)
 
 
 def measure_bench(
-    bench: Bench,
-    frames: int,
-    out: Path,
-    progress: Progress,
-    *,
-    average: int | None = None,
-    auto_expose: bool = False,
-    overwrite: bool = False,
+    bench: Bench, frames: int, out: Path, progress: Progress, *, average: int | None = None, auto_expose: bool = False
 ) -> Measured:
     """Record `frames` frames into the folder `out`, with the results, the dark and the reference.
 
     Dark and reference are means of `average` frames each, by default 20; with `auto_expose` the exposure is found
     first. If it ends early, also by Ctrl-C, the results so far are written. `RunError` for a failed device or an
-    unusable reference, `InputError` for an impossible bench, a folder that holds a recording, or results that exist
-    without `overwrite`.
+    unusable reference, `InputError` for an impossible bench.
     """
     from app.acquisition.session import LiveBench
     from app.acquisition.start_up import FRAMES
@@ -124,29 +113,21 @@ def measure_bench(
         live.calibrate(terminal.ask, average or FRAMES, auto_expose=auto_expose)
 
     try:
-        return _measured(live, bench, frames, out, progress, calibrate, overwrite=overwrite)
+        return _measured(live, bench, frames, out, progress, calibrate)
     finally:
         if bench.has_manual_light:
             terminal.remind(terminal.LIGHT_BY_HAND)
 
 
 def _measured(
-    live: LiveBench,
-    bench: Bench,
-    frames: int,
-    out: Path,
-    progress: Progress,
-    calibrate: Callable[[], object],
-    *,
-    overwrite: bool,
+    live: LiveBench, bench: Bench, frames: int, out: Path, progress: Progress, begin: Callable[[], object]
 ) -> Measured:
     """Record with a live bench, and write the results."""
     from app.recording.folder import RUN, remove_empty
     from app.recording.reader import Recording
     from app.results.frame_tallies import write_measured
 
-    _check_out(out, bench.files, overwrite=overwrite)
-    is_stopped, fault = _record(live, frames, out, calibrate)
+    is_stopped, fault = _record(live, frames, out, begin)
     recording = Recording(out) if (out / RUN).exists() else None
     if not recording:
         remove_empty(out)

@@ -35,19 +35,20 @@ def replay(
     Example: svwfs replay run1 --set reconstruction.method=zonal
     """
     options.check_recordings(recording)
+    from app.recording.reader import Recording
+    from app.results.replay import change_of, changed_bench
     from app.results.replay import replay as run
 
+    settings, other = tuple(setting or ()), None if bench is None else options.load(bench, setting)
+    reads = options.files_of_sources(recording)
+    if bench is not None and other is not None:
+        reads += options.files_of_bench(bench, other)
+    elif settings:
+        reads += changed_bench(Recording(recording).bench, settings).files
+    options.check_files(out, ".nc", reads=reads, overwrite=overwrite)
     with terminal.progress_bar() as progress:
-        made = run(
-            recording,
-            bench=bench,
-            settings=tuple(setting or ()),
-            frames=frames,
-            out=out,
-            overwrite=overwrite,
-            verify=verify,
-            progress=progress,
-        )
+        change = change_of(other, settings)
+        made = run(recording, change, frames=frames, out=out, verify=verify, progress=progress)
     print_replay(made)
     terminal.print_notes(recording, setting, is_own=bench is None)
 

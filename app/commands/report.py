@@ -35,15 +35,11 @@ def report(
     options.check_recordings(recording)
     from app.results.report import report_pages
 
+    settings, sources = tuple(setting or ()), filter(None, (recording, beside))
+    options.check_files(out, reads=options.files_of_sources(*sources), overwrite=overwrite)
     with terminal.progress_bar() as progress:
         summary, residual = report_pages(
-            recording,
-            out,
-            beside=beside,
-            settings=tuple(setting or ()),
-            frames=frames,
-            overwrite=overwrite,
-            progress=progress,
+            recording, out, beside=beside, settings=settings, frames=frames, progress=progress
         )
     if residual is not None:
         title = f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames"

@@ -19,7 +19,7 @@ from simulated_devices.bench import PHOTONS_PER_S_M2_A
 from simulated_devices.detector import Detector, Exposure
 from simulated_devices.rendering import Renderer, Scene
 from simulated_devices.sample import Sample
-from simulated_devices.settings import Screen
+from simulated_devices.settings import Screen, SimulatedCameraSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +97,17 @@ def seeded(bench: Bench, seeds: range, first: int | None = None) -> list[Bench]:
     return [simulating(bench, seed=start + index) for index in seeds]
 
 
+def exposure_of(camera: SimulatedCameraSettings, index: int) -> Exposure:
+    """Return the settings of a camera for its frame at an index; the normal amplifier has one read-out speed."""
+    return Exposure(
+        index=index,
+        exposure_s=camera.exposure_s,
+        amplifier=camera.amplifier,
+        em_gain=camera.em_gain,
+        readout_speed=camera.readout_speed if camera.amplifier == "em" else 1,
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFrames:
     """Images of a simulated bench, in counts, or in mean photons where noise-free."""
@@ -154,17 +165,10 @@ def simulate(bench: Bench, frames: int = 1, *, noise_free: bool = False) -> Simu
     truth = np.stack([state.truth for state in states]) if is_moving else states[0].truth
     if noise_free:
         return SimulatedFrames(reference, np.zeros_like(reference), np.stack(light), truth)
-    settings = Exposure(
-        index=0,
-        exposure_s=camera.exposure_s,
-        amplifier=camera.amplifier,
-        em_gain=camera.em_gain,
-        readout_speed=camera.readout_speed if camera.amplifier == "em" else 1,
-    )
     with closing(Detector(camera, seed=bench.simulation.seed)) as detector:
 
         def counts(photons: Image, index: int) -> NDArray[np.uint16]:
-            return detector.counts(photons, replace(settings, index=index))
+            return detector.counts(photons, exposure_of(camera, index))
 
         def mean(photons: Image, first: int) -> Image:
             total = sum(counts(photons, first + index).astype(np.float64) for index in range(FRAMES))

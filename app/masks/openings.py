@@ -71,21 +71,11 @@ def _round(half_x_m: float, half_y_m: float) -> Floats:
 
 
 def openings(name: str, source: Source, size_m: float) -> Openings:
-    """Return the openings of a mask.
+    """Return the openings of a mask of the simulator, or of a file with a black-and-white picture of openings.
 
-    Parameters
-    ----------
-    name
-        A mask of the simulator, or a file with a black-and-white picture of openings.
-    source
-        Proportions of the simulator's masks; the file of its mask "image".
-    size_m
-        Side of the square that holds the field, instead of the source's.
-
-    Raises
-    ------
-    InputError
-        If the mask is grey or unknown, or cannot be made in this size.
+    `source` has the proportions of the simulator's masks, and the file of its mask "image"; `size_m` is the side of the
+    square that holds the field, instead of the source's. `InputError` if the mask is grey or unknown, or cannot be made
+    in this size.
     """
     if not _LEAST_SIZE_M <= size_m <= _MOST_SIZE_M:
         raise InputError(f"a mask of {size_m * 1e3:g} mm cannot be drawn: choose a size from 2 um to 200 mm")

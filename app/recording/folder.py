@@ -137,12 +137,8 @@ def describe(folder: Path, *, name: str, note: str) -> Path:
     """Write a note into `run.json` and append a name to that of the folder; return the folder.
 
     An empty name removes the one given before; the time in the folder's name stays. The note is written first, so that
-    an impossible name does not lose it.
-
-    Raises
-    ------
-    InputError
-        The recording is not finished, the name is impossible or taken, or the disk refuses.
+    an impossible name does not lose it. `InputError` if the recording is not finished, the name is impossible or taken,
+    or the disk refuses.
     """
     run = read_run(folder)
     if not run["complete"]:

@@ -24,7 +24,6 @@ from app.results.analysis import Analysis, Frames, From
 from app.results.result_file import about
 from app.results.sources import mean_wavefront, read_bench_of
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Field, Sensor
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
 from reconstruction.wavefront import rms
 
@@ -85,15 +84,16 @@ class BestCorrector(Analysis):
     def compute(self, source: Path, progress: Progress) -> tuple[Bench, xr.Dataset]:
         """Return residuals over the distance, and the command of the chosen corrector."""
         bench = read_bench_of(source)
-        ratio = None if self.distance is None else layers.ratio_at(self.distance, self.origin, bench)
+        if self.distance is not None:
+            layers.ratio_at(self.distance, self.origin, bench)  # refuses a wrong one before the frames are read
         phase_at = mean_wavefront(source, bench, self.frames, between(progress, 0, _READING))
+        corrector = Corrector(self.modes, self.count)
         try:
-            made = compare_correctors(phase_at, bench.sensor, bench.field, Corrector(self.modes, self.count), ratio)
+            found, chosen = compare_correctors(phase_at, bench, corrector, self.distance, self.origin)
         except ValueError as error:
             raise InputError(f"{source}: {error}") from error
-        found = correction_dataset(made, bench, self.origin)
         if self.command is not None:  # for `write`
-            found = found.assign(map=(("row", "column"), made.chosen.phase_map(self.pixels)[2]))
+            found = found.assign(map=(("row", "column"), chosen.phase_map(self.pixels)[2]))
         return bench, found
 
     def draw(self, found: xr.Dataset) -> Figure:
@@ -138,66 +138,52 @@ class BestCorrector(Analysis):
             write_phase(self.command, found["map"].values)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CorrectorComparison:
-    """Correctors at every distance, the chosen one, and the wavefronts that they correct."""
-
-    curve: tuple[Correction, ...]  # over the distance, the chosen one among them
-    chosen: Correction
-    positions_m: Floats  # in the field, (position, xy)
-    uncorrected_rad: float  # RMS over field and pupil
-
-
 def compare_correctors(
     phase_at: Callable[[float, float], Floats],
-    sensor: Sensor,
-    field: Field,
+    bench: Bench,
     corrector: Corrector,
-    ratio: float | None = None,
-) -> CorrectorComparison:
-    """Find the best command of correctors at every distance, and choose the best of them, or the one at `ratio`.
+    at_m: float | None = None,
+    origin: layers.Origin = "lenslets",
+) -> tuple[xr.Dataset, Correction]:
+    """Find the best command of correctors at every distance, and choose the best of them, or that at `at_m`.
 
     `phase_at` returns the wavefront at a field position (x_m, y_m), rad, (lenslet_row, lenslet_column); `ValueError` if
-    no lenslet is known.
+    no lenslet is known. Returns residual and Strehl ratio over the distance, those of the chosen corrector over the
+    field, and this corrector. Distances are from the lenslets if it lies behind them, see `possible_origin`.
     """
-    positions_m = field_positions_m(field)
+    import xarray as xr
+
+    ratio = None if at_m is None else layers.ratio_at(at_m, origin, bench)
+    positions_m = field_positions_m(bench.field)
     wavefronts = np.array([phase_at(x_m, y_m) for x_m, y_m in positions_m])
     if np.array_equal(wavefronts, np.broadcast_to(wavefronts[0], wavefronts.shape), equal_nan=True):
         raise ValueError("the wavefront is the same at every field position: correctors at all distances are alike")
 
-    def at(share: float) -> Correction:
-        return best_correction(wavefronts, positions_m, sensor, field, float(share / (1 - abs(share))), corrector)
+    def made_at(ratio: float) -> Correction:
+        return best_correction(wavefronts, positions_m, bench.sensor, bench.field, ratio, corrector)
 
-    curve = [at(share) for share in _SHARES]
+    def at_share(share: float) -> Correction:
+        return made_at(float(share / (1 - abs(share))))
+
+    curve = [at_share(share) for share in _SHARES]
     if ratio is None:
         best = _SHARES[int(np.argmin([made.mean_residual_rad for made in curve]))]
-        curve += [at(share) for share in best + np.linspace(-_REFINED, _REFINED, 21) if abs(share) < _SHARES[-1]]
-        chosen = min(curve, key=lambda made: made.mean_residual_rad)
+        curve += [at_share(share) for share in best + np.linspace(-_REFINED, _REFINED, 21) if abs(share) < _SHARES[-1]]
+        made = min(curve, key=lambda made: made.mean_residual_rad)
     else:
-        chosen = best_correction(wavefronts, positions_m, sensor, field, ratio, corrector)
-        curve.append(chosen)
-    different = {made.ratio: made for made in sorted(curve, key=lambda made: made.ratio)}
+        made = made_at(ratio)
+        curve.append(made)
+    curve = list({made.ratio: made for made in sorted(curve, key=lambda made: made.ratio)}.values())
     uncorrected_rad = float(np.sqrt(np.nanmean(rms(wavefronts) ** 2)))
-    return CorrectorComparison(tuple(different.values()), chosen, positions_m, uncorrected_rad)
-
-
-def correction_dataset(found: CorrectorComparison, bench: Bench, origin: layers.Origin = "lenslets") -> xr.Dataset:
-    """Return residual and Strehl ratio over the distance, and those of the chosen corrector over the field.
-
-    Distances are from the lenslets if the corrector lies behind them, see `possible_origin`.
-    """
-    import xarray as xr
-
-    curve, made = found.curve, found.chosen
     origin = layers.possible_origin(origin, [made.ratio])
     distances_m = layers.distance_m(np.array([each.ratio for each in curve]), origin, bench)
     order = np.argsort(distances_m)[: np.count_nonzero(np.isfinite(distances_m))]  # NaN comes last
     residual, strehl = np.array([(each.mean_residual_rad, np.nanmean(each.strehl)) for each in curve])[order].T
     of_distance = f"of the corrector; {layers.from_where(origin)}"
     x_m, y_m, phase = made.phase_map(layers.MAP_POINTS)
-    return xr.Dataset(
+    found = xr.Dataset(
         {
-            "uncorrected": ((), found.uncorrected_rad, about("rad", "RMS over field and pupil without a corrector")),
+            "uncorrected": ((), uncorrected_rad, about("rad", "RMS over field and pupil without a corrector")),
             "residual": ("distance", residual, about("rad", "RMS over field and pupil after the best command")),
             "strehl": ("distance", strehl, about("1", "mean over the field")),
             "corrector_distance_m": ((), layers.distance_m(made.ratio, origin, bench), about("m", of_distance)),
@@ -209,8 +195,8 @@ def correction_dataset(found: CorrectorComparison, bench: Bench, origin: layers.
         },
         coords={
             "distance": ("distance", distances_m[order], about("m", of_distance)),
-            "field_x": ("position", found.positions_m[:, 0], about("m", "field position")),
-            "field_y": ("position", found.positions_m[:, 1], about("m", "field position")),
+            "field_x": ("position", positions_m[:, 0], about("m", "field position")),
+            "field_y": ("position", positions_m[:, 1], about("m", "field position")),
             "x": ("x", x_m, about("m", "on the plane s = u + r x")),
             "y": ("y", y_m, about("m", "on the plane s = u + r x")),
         },
@@ -221,6 +207,7 @@ def correction_dataset(found: CorrectorComparison, bench: Bench, origin: layers.
             "shapes": made.corrector.count,
         },
     )
+    return found, made
 
 
 def correction_sentence(found: xr.Dataset) -> str:
@@ -251,21 +238,12 @@ def wrapped(phase_rad: Floats) -> NDArray[np.uint8]:
     return np.asarray(np.rint(np.mod(phase_rad, 2 * math.pi) / (2 * math.pi) * _GREY) % _GREY, np.uint8)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FoundCorrectors:
-    """Correctors at every distance, see `correction_dataset`, or the problem."""
-
-    problem: str = ""
-    found: xr.Dataset | None = None
-
-
-def find_shown_correctors(measurement: Measurement, origin: layers.Origin, corrector: Corrector) -> FoundCorrectors:
-    """Compare correctors at every distance."""
+def find_shown_correctors(measurement: Measurement, origin: layers.Origin, corrector: Corrector) -> xr.Dataset | str:
+    """Compare correctors at every distance; return the problem if there are none."""
     calibration, wavefront = measurement.calibration, measurement.wavefront
     if calibration is None or wavefront is None:
-        return FoundCorrectors(layers.NO_WAVEFRONT)
+        return layers.NO_WAVEFRONT
     try:
-        made = compare_correctors(wavefront.at, wavefront.sensor, wavefront.field, corrector)
+        return compare_correctors(wavefront.at, calibration.bench, corrector, origin=origin)[0]
     except ValueError as error:
-        return FoundCorrectors(str(error))
-    return FoundCorrectors(found=correction_dataset(made, calibration.bench, origin))
+        return str(error)

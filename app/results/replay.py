@@ -9,14 +9,11 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from app.bench.bench_files import bench_file
-from app.bench.config import Bench, load_bench, parse_bench, write_bench
+from app.bench.config import Bench, parse_bench, write_bench
 from app.errors import InputError, RunError
-from app.files import check_outputs, check_suffix
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import SKIPPED, Measurement
 from app.progress import Progress, counted
-from app.recording.folder import parts_of
 from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, reprocess
@@ -145,31 +142,15 @@ class Replay(FrameTally):
 
 
 def replay(
-    folder: Path,
-    *,
-    bench: str | None,
-    settings: tuple[str, ...],
-    frames: str | None,
-    out: Path | None,
-    overwrite: bool,
-    verify: bool,
-    progress: Progress,
+    folder: Path, change: Change | None, *, frames: str | None, out: Path | None, verify: bool, progress: Progress
 ) -> Replay:
     """Reconstruct the recorded frames FIRST:END again and write the results to `out`, if given.
 
-    With another `bench`, or changed `settings` of the recorded one, both are made and compared, unless the recorded
-    registration method is no longer offered. With `verify`, raise
-    `RunError` if a result differs from the recorded one in any bit.
+    With a `change` of the bench, see `change_of`, both are made and compared, unless the recorded registration method
+    is no longer offered. With `verify`, raise `RunError` if a result differs from the recorded one in any bit.
     """
-    other = None if bench is None else load_bench(bench, settings)
-    bench_read = () if bench is None or other is None else (bench_file(bench), *other.files)
-    check_outputs([out], inputs=[*parts_of(folder), *bench_read], overwrite=overwrite)
     recording = Recording(folder)
-    if other is None and settings:
-        check_outputs([out], inputs=changed_bench(recording.bench, settings).files, overwrite=overwrite)
-    check_suffix(out, ".nc")
     chosen = recording.select(frames)
-    change = change_of(other, settings)
     if verify and change is not None:
         raise InputError("--verify compares with the recorded bench: leave --bench and --set out")
     is_known = recording.bench.registration.method in get_args(Method)  # earlier versions had others

@@ -16,9 +16,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from app.errors import InputError
-from app.files import atomic_write, check_outputs
+from app.files import atomic_write
 from app.progress import Progress, between, part
-from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.results.coefficients import coefficient_maps, draw_field, evenly_spread, strongest
 from app.results.figures import draw_maps, draw_structure, draw_transfer, place_of_view
@@ -286,14 +285,7 @@ _RECONSTRUCTED = 0.8  # share of the work that comes before the pages
 
 
 def report_pages(
-    folder: Path,
-    out: Path,
-    *,
-    beside: Path | None,
-    settings: tuple[str, ...],
-    frames: str | None,
-    overwrite: bool,
-    progress: Progress,
+    folder: Path, out: Path, *, beside: Path | None, settings: tuple[str, ...], frames: str | None, progress: Progress
 ) -> tuple[Summary, Residual | None]:
     """Write the report of a recording as PDF, or as one PNG.
 
@@ -302,9 +294,7 @@ def report_pages(
     """
     if out.suffix.lower() not in {".pdf", ".png"}:
         raise InputError(f"{out}: a report is a PDF or a PNG: give a name that ends in .pdf or .png")
-    folders = [folder, *([] if beside is None else [beside])]
-    check_outputs([out], inputs=[file for each in folders for file in parts_of(each)], overwrite=overwrite)
-    recordings = [Recording(each) for each in folders]
+    recordings = [Recording(each) for each in filter(None, (folder, beside))]
     parts = [part(between(progress, 0, _RECONSTRUCTED), index, len(recordings)) for index in range(len(recordings))]
     summary = summarise(recordings[0], frames, parts[0], change=change_of(None, settings))
     residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, parts[1]))

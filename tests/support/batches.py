@@ -16,7 +16,7 @@ from app.batch.store import Job
 from app.progress import Evaluate
 from app.recording import reprocess
 from app.recording.reader import Recording
-from app.results.replay import replay
+from app.results.replay import change_of, replay
 
 QUICK = ("registration.warp=affine", "reconstruction.response=false")  # a reconstructor is prepared at once
 
@@ -64,16 +64,8 @@ class Counting:
 def assert_equals_replay(out: Path, recording: Recording, folder: Path, *settings: str) -> None:
     """Compare the results of a recording in a store, bit by bit, with the file that `svwfs replay --out` writes."""
     file = folder / f"{recording.folder.name}.nc"
-    replay(
-        recording.folder,
-        bench=None,
-        settings=settings,
-        frames=None,
-        out=file,
-        overwrite=True,
-        verify=False,
-        progress=lambda *_: None,
-    )
+    change = change_of(None, settings)
+    replay(recording.folder, change, frames=None, out=file, verify=False, progress=lambda *_: None)
     added = {"recording_index", "recorded_rms", "difference_rms"}
     with xr.open_dataset(file) as replayed, xr.open_zarr(out) as stored:
         mine = stored.sel(recording=recording.folder.name).isel(frame=replayed["recording_index"].to_numpy())

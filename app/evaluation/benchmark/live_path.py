@@ -77,10 +77,7 @@ class LivePlan:
 def recording_folder(plan: LivePlan, progress: Progress) -> Iterator[Path | None]:
     """Give a new folder for the recording and remove it at the end; None without a recording.
 
-    Raises
-    ------
-    InputError
-        If the plan's folder is missing, not writable or too small.
+    `InputError` if the plan's folder is missing, not writable or too small.
     """
     where = plan.record_in
     if where is None:

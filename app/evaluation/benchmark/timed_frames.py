@@ -88,10 +88,7 @@ def noisy(frames: TimedFrames, rng: np.random.Generator) -> TimedFrames:
 def tiled(frames: TimedFrames, lenslets: int, *, margin_px: int = 0) -> TimedFrames:
     """Return frames of `lenslets` x `lenslets`, made of copies side by side, with a dark margin and without a truth.
 
-    Raises
-    ------
-    ValueError
-        If lenslets of whole pixels do not fill the frame.
+    `ValueError` if lenslets of whole pixels do not fill the frame.
     """
     sensor, pitch_px = frames.bench.sensor, round(frames.lattice.pitch_px)
     rows, columns = frames.reference.shape

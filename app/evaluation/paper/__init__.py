@@ -2,15 +2,19 @@
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import cv2
 import numpy as np
+import pandas as pd
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 
 import reconstruction
 from app.acquisition.devices import simulated_bench
@@ -19,8 +23,7 @@ from app.cache import Arrays, cached
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, seeded
 from app.evaluation.paper import nonrigid_methods
-from app.evaluation.studies import CaseResult
-from app.evaluation.study_kinds import LIGHTS, ComparisonTable
+from app.evaluation.studies import CaseResult, Output, Printed, Row, Study, StudyResult, known_rows
 from app.measurement.calibration import Calibration
 from app.progress import Progress, part
 from drivers.interface import BadValue
@@ -29,7 +32,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import nominal_lattice
 from reconstruction.pipeline import OwnMethods, OwnRegistration
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
-from reconstruction.wavefront import rms
+from reconstruction.wavefront import rms, without_piston
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
 
@@ -196,6 +199,100 @@ def _source_code() -> bytes:
     return b"".join(path.read_bytes() for path in (*sorted(folder.rglob("*.py")), Path(nonrigid_methods.__file__)))
 
 
+PAPER_NUMBERS = ("min_rad", "max_rad", "mean_rad")
+LIGHTS = {"neglected": True, "real": False}  # ways of the light to the lenslets, and `Field.neglect_propagation`
+_HEADINGS = {"neglected": "ours: min, max, mean", "real": "in real light"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComparisonTable(Study):
+    """Residuals of several methods on the same frames, in both lights, beside the numbers of the paper.
+
+    The cases have `views` and `truth`, rad, (view_row, view_column, lenslet_row, lenslet_column).
+    """
+
+    paper: Mapping[str, tuple[float, float, float]]  # by method, see PAPER_NUMBERS, rad; with neglected propagation
+    compared_to: str  # where the true wavefronts are from
+
+    dims: ClassVar = ("method", "light")
+
+    def summary(self, data: pd.DataFrame) -> pd.DataFrame:
+        """Minimum, maximum and mean over the views, averaged over the seeds, and the spread of the means."""
+        known = data[data["views"].notna()]
+        residuals = [rms(views - truth) for views, truth in zip(known["views"], known["truth"], strict=True)]
+        least, most = ([over(each) for each in residuals] for over in (np.nanmin, np.nanmax))
+        known = known.assign(min_rad=least, max_rad=most, mean_rad=[np.nanmean(each) for each in residuals])
+        seeds = known.groupby([*self.dims], observed=True)
+        summary = seeds[[*PAPER_NUMBERS]].mean()
+        summary["spread_rad"] = seeds["mean_rad"].std().fillna(0.0)
+        summary["lost_lenslets"], summary["seconds"] = seeds["lost"].mean(), seeds["seconds"].mean()
+        return summary.assign(seeds=seeds.size()).reset_index()
+
+    @staticmethod
+    def problems(data: pd.DataFrame) -> dict[str, str]:
+        """Return the last problem of each method that had one; real light is named."""
+        told = data[data["problem"] != ""]
+        names = told["method"].astype(str) + np.where(told["light"] == "real", " in real light", "")
+        return dict(zip(names, told["problem"], strict=True))
+
+    def output(self, results: Sequence[StudyResult]) -> Output:
+        """Return the paper's numbers beside ours in both lights."""
+        data = results[-1].data
+        problems = self.problems(data)
+        if "views" not in data:
+            raise InputError("; ".join(f"{method}: {problem}" for method, problem in problems.items()))
+        paper = {method: dict(zip(PAPER_NUMBERS, numbers, strict=True)) for method, numbers in self.paper.items()}
+        ours: dict[str, dict[str, Row]] = {light: {} for light in LIGHTS}
+        for row in known_rows(self.summary(data)):
+            ours[row["light"]][row["method"]] = row
+        tree = {"paper": paper, "ours": ours["neglected"], "in_real_light": ours["real"], "problems": problems}
+        lines = [
+            {"method": method}
+            | {f"paper_{name}": value for name, value in paper.get(method, {}).items()}
+            | ours["neglected"].get(method, {})
+            | {f"real_{name}": value for name, value in ours["real"].get(method, {}).items()}
+            for method in dict.fromkeys([*ours["neglected"], *ours["real"]])
+        ]
+        return Output(tree, lines, self.figure(data))
+
+    def printed(self, data: pd.DataFrame) -> Printed:
+        """Return a line for each method."""
+        lines: dict[str, list[str]] = {}
+        lights = data["light"].cat.categories.tolist()
+        for row in known_rows(self.summary(data)):
+            method = row["method"]
+            paper = " ".join(f"{value:6.3f}" for value in self.paper.get(method, ()))
+            cells = lines.setdefault(method, [method, paper, *("",) * 2 * len(lights)])
+            ours = " ".join(f"{row[number]:6.3f}" for number in PAPER_NUMBERS)
+            spread = f" +- {row['spread_rad']:.3f}" if row["seeds"] > 1 else ""
+            place = 2 + 2 * lights.index(row["light"])
+            cells[place : place + 2] = ours + spread, f"{row['lost_lenslets']:.0f}"
+        of_lights = [heading for light in lights for heading in (_HEADINGS[light], "lost")]
+        notes = [f"{method}: {problem}" for method, problem in self.problems(data).items()]
+        return Printed(self.title, ("method", "paper: min, max, mean", *of_lights), lines.values(), notes)
+
+    def figure(self, data: pd.DataFrame) -> Figure:
+        """Draw truth, reconstruction and residual of every method and light for its last seed, on one colour scale."""
+        shown = data[data["views"].notna()].drop_duplicates([*self.dims], keep="last")
+        means = self.summary(data)["mean_rad"]
+        limit = max(float(np.nanmax(abs(truth))) for truth in shown["truth"])
+        scale = Normalize(-limit, limit)
+        figure = Figure(figsize=(8.6, 2.4 * len(shown) + 0.6), layout="constrained")
+        axes = figure.subplots(len(shown), 3, squeeze=False)
+        for row, mean_rad, of_row in zip(axes, means, shown.itertuples(), strict=True):
+            name = of_row.method + ", real light" * (of_row.light == "real")
+            residual = f"residual, mean RMS {mean_rad:.3f} rad"
+            titled = {self.compared_to: of_row.truth, name: of_row.views, residual: of_row.views - of_row.truth}
+            for axis, (title, values) in zip(row, titled.items(), strict=True):
+                framed = np.pad(without_piston(values), ((0, 0), (0, 0), (1, 1), (1, 1)), constant_values=np.nan)
+                mosaic = np.block([list(each) for each in framed])  # views as they lie in the field, with gaps
+                axis.imshow(mosaic, cmap="RdBu_r", norm=scale, interpolation="nearest")
+                axis.set_title(title, fontsize=8)
+                axis.set_axis_off()
+        figure.colorbar(ScalarMappable(scale, "RdBu_r"), ax=axes, label="wavefront (rad)", shrink=0.6)
+        return figure
+
+
 EXPOSURES_S: dict[TableMask, float] = {"stars": 3.8, "square": 0.15}  # the paper's
 SOURCES = ("square", "circle", "ellipse", "octagon", "peaks")
 
@@ -240,49 +337,42 @@ def sources() -> ComparisonTable:
 
 
 def _in_both_lights(
-    measure: Callable[[Bench, range, Progress], Iterator[CaseResult]], bench: Bench, seeds: range, progress: Progress
+    measure: Callable[[Bench, Progress], Iterator[CaseResult]], bench: Bench, seeds: range, progress: Progress
 ) -> Iterator[CaseResult]:
-    """Measure with propagation neglected, as the paper simulates it, and in real light."""
+    """Measure all screens with propagation neglected, as the paper simulates it, and in real light."""
     for index, (light, neglect) in enumerate(LIGHTS.items()):
         lit = replace(bench, field=replace(bench.field, neglect_propagation=neglect))
-        for case in measure(lit, seeds, part(progress, index, len(LIGHTS))):
-            yield replace(case, at={**case.at, "light": light})
+        for done, screen in enumerate(seeded(lit, seeds)):
+            for case in measure(screen, part(part(progress, index, len(LIGHTS)), done, len(seeds))):
+                yield replace(case, at={**case.at, "light": light})
 
 
-def _table1(methods: Mapping[str, Method], bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
-    for index, screen in enumerate(seeded(bench, seeds)):
-        step = part(progress, index, len(seeds))
-        step("rendering", 0.0)
-        frames, truth = noise_free_frames(screen, ("square", "stars"))
-        yield from _all_compared(screen, frames, truth, methods, step)
+def _table1(methods: Mapping[str, Method], bench: Bench, progress: Progress) -> Iterator[CaseResult]:
+    progress("rendering", 0.0)
+    frames, truth = noise_free_frames(bench, ("square", "stars"))
+    yield from _all_compared(bench, frames, truth, methods, progress)
 
 
-def _table2(methods: Mapping[str, Method], bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
-    for index, screen in enumerate(seeded(bench, seeds)):
-        step = part(progress, index, len(seeds))
-        step("rendering and exposing", 0.0)
-        frames, truth = exposed_frames(screen, EXPOSURES_S, lambda _: None)
-        small_bench, small_frames = resized(screen, frames)
-        halves = (("", screen, frames), ("_resized", small_bench, small_frames))
-        for half, (suffix, each, its_frames) in enumerate(halves):
-            try:  # what the experiment takes for the truth
-                stars = reconstructed(each, its_frames, METHODS["stars_zonal"])
-            except ReconstructionError as error:
-                raise InputError(f"the stars cannot be measured on this bench: {error}") from error
-            yield _compared(f"stars_zonal{suffix}_against_truth", bench, stars, truth)
-            named = {f"{name}{suffix}": method for name, method in methods.items()}
-            yield from _all_compared(each, its_frames, stars["views"], named, part(step, half, 2))
+def _table2(methods: Mapping[str, Method], bench: Bench, progress: Progress) -> Iterator[CaseResult]:
+    progress("rendering and exposing", 0.0)
+    frames, truth = exposed_frames(bench, EXPOSURES_S, lambda _: None)
+    for half, (suffix, each, its_frames) in enumerate((("", bench, frames), ("_resized", *resized(bench, frames)))):
+        try:  # what the experiment takes for the truth
+            stars = reconstructed(each, its_frames, METHODS["stars_zonal"])
+        except ReconstructionError as error:
+            raise InputError(f"the stars cannot be measured on this bench: {error}") from error
+        yield _compared(f"stars_zonal{suffix}_against_truth", bench, stars, truth)
+        named = {f"{name}{suffix}": method for name, method in methods.items()}
+        yield from _all_compared(each, its_frames, stars["views"], named, part(progress, half, 2))
 
 
-def _sources(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+def _sources(bench: Bench, progress: Progress) -> Iterator[CaseResult]:
+    progress("rendering", 0.0)
+    frames, truth = noise_free_frames(bench, SOURCES)
     kinds = [f"{warp}_{solve}" for warp in ("affine", "affine_gradient", "quadratic") for solve in ("zonal", "modal")]
-    for index, screen in enumerate(seeded(bench, seeds)):
-        step = part(progress, index, len(seeds))
-        step("rendering", 0.0)
-        frames, truth = noise_free_frames(screen, SOURCES)
-        for source in SOURCES:
-            methods = {f"{source}_{kind}": METHODS[kind] for kind in kinds}
-            yield from _all_compared(screen, {"square": frames[source]}, truth, methods, step)
+    for source in SOURCES:
+        methods = {f"{source}_{kind}": METHODS[kind] for kind in kinds}
+        yield from _all_compared(bench, {"square": frames[source]}, truth, methods, progress)
 
 
 def _all_compared(

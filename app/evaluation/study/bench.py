@@ -16,10 +16,9 @@ from scipy import ndimage
 from app.acquisition.devices import scene_of
 from app.bench.config import Bench
 from app.evaluation.frames import seeded, with_screen, with_source
-from app.evaluation.studies import CaseResult
+from app.evaluation.studies import CaseResult, Sweep
 from app.evaluation.study.estimators import WarpEstimator, compared, with_rms
 from app.evaluation.study.noise import EmCamera, camera, error_bar_rad
-from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError

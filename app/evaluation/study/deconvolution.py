@@ -1,16 +1,17 @@
 """Corrected images beside the truth: photographs through a strongly space-variant screen, restored in several ways."""
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
 
 from app.bench.config import Bench
 from app.evaluation.frames import NoiseFreeFrames, seeded, simulate, with_screen
-from app.evaluation.studies import CaseResult
-from app.evaluation.study_kinds import PhotographStudy
+from app.evaluation.studies import CaseResult, Output, Printed, Study, StudyResult, known_rows
 from app.measurement.bench_reconstructor import BenchReconstructor
 from app.progress import Progress
 from reconstruction.arrays import Floats
@@ -132,6 +133,45 @@ def pupil_field(sample: Sample, x_m: float, y_m: float) -> PupilField:
 
 def _constant(phase: Floats) -> PhaseAt:
     return lambda _x_m, _y_m: phase
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotographStudy(Study):
+    """Restored photographs of several objects: `image` (row, column) over the object's peak, and `psnr_db`."""
+
+    dims: ClassVar = ("object", "way")
+
+    def output(self, results: Sequence[StudyResult]) -> Output:
+        """Return mean, lowest and highest peak signal-to-noise ratio over the repeats, dB, and the pictures."""
+        data = results[-1].data
+        psnr_db = data.groupby([*self.dims], observed=True)["psnr_db"]
+        summary = pd.DataFrame({"mean_db": psnr_db.mean(), "least_db": psnr_db.min(), "most_db": psnr_db.max()})
+        lines = known_rows(summary.dropna().reset_index())
+        return Output({"seeds": results[-1].seeds, "title": self.title, "photographs": lines}, lines, self.figure(data))
+
+    def printed(self, data: pd.DataFrame) -> Printed:
+        """Return a line for each object."""
+        means = self._means(data).dropna(axis="columns", how="all")
+        rows = zip(means.index, means.to_numpy(), strict=True)
+        lines = [[name, *(f"{each:.1f}" for each in row)] for name, row in rows]
+        return Printed(self.title, ("object", *means.columns), lines)
+
+    def figure(self, data: pd.DataFrame) -> Figure:
+        """Draw the pictures of the first repeat, a row per object, a column per way; brightness has a gamma of 1/2."""
+        means = self._means(data)
+        figure = Figure(figsize=(2.4 * means.shape[1], 2.65 * means.shape[0]), layout="constrained")
+        axes = figure.subplots(*means.shape, squeeze=False)
+        first = data.drop_duplicates([*self.dims])
+        shown = zip(axes.flat, first["way"], means.to_numpy().flat, first["image"], strict=True)
+        for axis, way, mean_db, image in shown:
+            axis.imshow(np.sqrt(np.clip(image, 0, 1)), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+            known = f", {mean_db:.1f} dB" if np.isfinite(mean_db) else ""
+            axis.set_title(f"{way}{known}", fontsize=8)
+            axis.set_axis_off()
+        return figure
+
+    def _means(self, data: pd.DataFrame) -> pd.DataFrame:
+        return data.pivot_table("psnr_db", *self.dims, observed=True, dropna=False)
 
 
 DECONVOLUTION = PhotographStudy(

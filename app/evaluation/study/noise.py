@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
-from app.evaluation.frames import NoiseFreeFrame, NoiseFreeFrames, seeded
-from app.evaluation.studies import CaseResult
+from app.evaluation.frames import NoiseFreeFrame, NoiseFreeFrames, exposure_of, seeded
+from app.evaluation.studies import CaseResult, Sweep
 from app.evaluation.study.estimators import WarpEstimator, WarpEstimators, compared, with_rms
-from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
 from reconstruction.frame.linearity import Exposures, Linearity
@@ -26,7 +25,7 @@ from reconstruction.quality.information import layered_information, wavefront_bo
 from reconstruction.registration.response import mean_subimage
 from reconstruction.settings import ReconstructionSettings, Warp
 from reconstruction.wavefront import Wavefront, without_piston
-from simulated_devices.detector import Detector, Exposure
+from simulated_devices.detector import Detector
 from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import source_points
 from simulated_devices.settings import SimulatedCameraSettings
@@ -85,15 +84,9 @@ class EmCamera:
     def exposed(self, electrons: Image, seed: int, index: int) -> Image:
         """Counts above the offset of one noisy frame."""
         settings = self.settings
-        exposure = Exposure(
-            index=index,
-            exposure_s=settings.exposure_s,
-            amplifier=settings.amplifier,
-            readout_speed=settings.readout_speed,
-            em_gain=settings.em_gain,
-        )
         with closing(Detector(settings, seed=seed)) as detector:
-            counts = detector.counts(electrons / np.float32(settings.quantum_efficiency), exposure)
+            photons = electrons / np.float32(settings.quantum_efficiency)
+            counts = detector.counts(photons, exposure_of(settings, index))
         return np.asarray(counts - np.float32(settings.offset_counts), np.float32)
 
     def reconstructor(self, bench: Bench, electrons: Image, warp: Warp | None = None, **more: Any) -> Reconstructor:

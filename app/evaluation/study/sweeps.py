@@ -15,9 +15,8 @@ from app.bench.config import Bench
 from app.bench.imaging_model import by_pixel
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrame, NoiseFreeFrames, seeded, simulating, with_screen, with_source
-from app.evaluation.studies import CaseResult
+from app.evaluation.studies import CaseResult, Sweep
 from app.evaluation.study.estimators import AUTOMATIC, REFINED, ROUNDS, WARPS, WarpEstimator, WarpEstimators, compared
-from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice

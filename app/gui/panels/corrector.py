@@ -1,11 +1,18 @@
 """The corrector panel: what one corrector would leave, over its distance."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from app.gui.panels.layers import DistancePlot, origin_choice
 from app.gui.panels.panel import Panel, Request, Shown
 from app.gui.widgets import theme
 from app.gui.widgets.basics import Choice, ElidedLabel, column, row
-from app.results.corrector import FoundCorrectors, correction_sentence, find_shown_correctors
+from app.results.corrector import correction_sentence, find_shown_correctors
 from reconstruction.layers.corrector import Corrector
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _CORRECTORS = (
     *(Corrector("zernike", count) for count in (10, 21, 45, 66)),
@@ -47,10 +54,9 @@ class CorrectorPanel(Panel):
         find = find_shown_correctors
         return Request(measurement, (origin, corrector), lambda _: find(measurement, origin, corrector), interval_s=5.0)
 
-    def show_result(self, made: FoundCorrectors) -> None:
-        found = made.found
-        if found is None:
-            self.sentence.setText(f"No residual: {made.problem}")
+    def show_result(self, found: xr.Dataset | str) -> None:
+        if isinstance(found, str):
+            self.sentence.setText(f"No residual: {found}")
             return
         at_m, without_rad = found["corrector_distance_m"].values, float(found["uncorrected"])
         distance_m, residual_rad = found["distance"].values, found["residual"].values

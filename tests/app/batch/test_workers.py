@@ -29,7 +29,7 @@ from app.batch.workers import Workers, workers
 from app.bench.config import load_bench
 from app.errors import InputError, RunError
 from app.evaluation.studies import run_studies
-from app.evaluation.study.lattice_trials import calibration_trials
+from app.evaluation.study.trials import calibration_trials
 from app.recording.reader import Recording
 
 BLOCK, FRAMES = 4, 40

@@ -16,7 +16,7 @@ from support.pictures import assert_drawn
 
 from app.bench.config import load_bench, parse_bench
 from app.bench.presets import PRESETS
-from app.commands.calibrate import bench_text, differences, find_lattice, summary, write_calibrated
+from app.commands.calibrate import bench_text, differences, find_lattice, summary, write_found
 from app.results.figures import lattice_figure
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.cells import cell_index
@@ -191,7 +191,7 @@ def test_unusual_lattice_notation_is_rewritten() -> None:
 
 def test_preset_is_written_with_lattice(tmp_path: Path) -> None:
     found = find_lattice(FRAMES / "square_reference.tif", dark=None, bench=load_bench("live_demo"))
-    write_calibrated(found, "live_demo", tmp_path / "b.toml")
+    write_found(found.bench, "lattice", "live_demo", tmp_path / "b.toml")
     assert load_bench(tmp_path / "b.toml") == found.bench
     (said,) = differences(found)
     assert said.startswith("the bench's own lattice lies 0.000 px away")

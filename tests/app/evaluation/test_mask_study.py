@@ -17,8 +17,7 @@ from app.bench.config import load_bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, with_source
 from app.evaluation.study.estimators import WarpEstimator, mean_rms
-from app.evaluation.study.many_masks import many_masks_study
-from app.evaluation.study.mask import LinearPass, local_screen, mask_study
+from app.evaluation.study.masks import LinearPass, local_screen, many_masks_study, mask_study
 from app.evaluation.study.sweeps import lit_views
 from reconstruction.modes.field_modes import LegendreModes
 from simulated_devices.optics.phase_screen import PhaseScreen

@@ -14,11 +14,10 @@ from support.batches import one_by_one
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
 from app.evaluation.frames import seeded
-from app.evaluation.studies import CaseResult, Study, run_studies
+from app.evaluation.studies import CaseResult, Study, Sweep, run_studies
 from app.evaluation.study import noise
-from app.evaluation.study.lattice_trials import calibration_trials
 from app.evaluation.study.noise import PHOTONS
-from app.evaluation.study_kinds import Sweep
+from app.evaluation.study.trials import calibration_trials
 from app.progress import Progress
 
 

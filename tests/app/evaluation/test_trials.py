@@ -18,10 +18,9 @@ from support.paths import FOREIGN_FRAMES
 
 from app.bench.config import Bench, load_bench
 from app.evaluation import study
-from app.evaluation.studies import CaseResult, collect
-from app.evaluation.study import exposure_trials, lattice_trials
-from app.evaluation.study.lattice_trials import calibration_trials
-from app.evaluation.study_kinds import TrialStudy, trial
+from app.evaluation.studies import CaseResult, TrialStudy, collect, trial
+from app.evaluation.study import trials as module
+from app.evaluation.study.trials import calibration_trials
 from app.progress import Progress
 from drivers.interface import Range
 from reconstruction.geometry import Lattice
@@ -117,7 +116,7 @@ def test_calibration_measures_wrong_results(monkeypatch: pytest.MonkeyPatch, sma
         )
         return replace(found, lattice=moved, rows=found.rows + 1, illuminated=lit)
 
-    monkeypatch.setattr(lattice_trials, "survey", wrong)
+    monkeypatch.setattr(module, "survey", wrong)
     results = calibration_trials().measure(load_bench(small_toml), range(1), lambda *_: None)
     (first,) = TrialStudy.trials(collect(TrialStudy.dims, itertools.islice(results, 1)))
     expected = {
@@ -133,16 +132,16 @@ def test_calibration_measures_wrong_results(monkeypatch: pytest.MonkeyPatch, sma
 
 @pytest.mark.slow
 def test_exposure_meets_its_limits_or_reports_the_problem(monkeypatch: pytest.MonkeyPatch, small_toml: Path) -> None:
-    camera = exposure_trials._Camera("8 bits", Range(1e-5, 7200.0), exposure_trials._EIGHT)
-    monkeypatch.setattr(exposure_trials, "_CAMERAS", (camera,))
-    monkeypatch.setattr(exposure_trials, "_IMAGES", {"squares": exposure_trials._IMAGES["squares"]})
-    _, trials = trials_of(exposure_trials.EXPOSURE, small_toml)
-    assert len(trials) == 3 * exposure_trials._STARTS * exposure_trials._RIGHT
+    camera = module._Camera("8 bits", Range(1e-5, 7200.0), module._EIGHT)
+    monkeypatch.setattr(module, "_CAMERAS", (camera,))
+    monkeypatch.setattr(module, "_IMAGES", {"squares": module._IMAGES["squares"]})
+    _, trials = trials_of(module.EXPOSURE, small_toml)
+    assert len(trials) == 3 * module._STARTS * module._RIGHT
     assert all(each["as_asked"] for each in trials)
     assert {each["frames"] for each in trials} >= {1, 3, 4}
-    monkeypatch.setattr(exposure_trials, "_RIGHT", 1)
-    dark = {**exposure_trials._EIGHT, "well_counts": 100.0}
-    monkeypatch.setattr(exposure_trials, "_CAMERAS", (exposure_trials._Camera("full", Range(0.01, 1.0), dark),))
-    _, (first, *_) = trials_of(exposure_trials.EXPOSURE, small_toml)
+    monkeypatch.setattr(module, "_RIGHT", 1)
+    dark = {**module._EIGHT, "well_counts": 100.0}
+    monkeypatch.setattr(module, "_CAMERAS", (module._Camera("full", Range(0.01, 1.0), dark),))
+    _, (first, *_) = trials_of(module.EXPOSURE, small_toml)
     assert not first["as_asked"]
     assert "do not follow" in str(first["refusal"])

@@ -19,14 +19,7 @@ from app.errors import InputError
 from app.evaluation.frames import simulate
 from app.measurement.bench_reconstructor import BenchReconstructor
 from app.results.analysis import ANALYSES, load
-from app.results.corrector import (
-    BestCorrector,
-    compare_correctors,
-    correction_dataset,
-    correction_sentence,
-    wrapped,
-    write_phase,
-)
+from app.results.corrector import BestCorrector, compare_correctors, correction_sentence, wrapped, write_phase
 from app.results.layers import (
     Layers,
     Origin,
@@ -146,8 +139,7 @@ def test_layer_behind_the_lenslets_has_no_distance_from_the_mask() -> None:
     assert layers_sentences(found)[0].endswith(" mm behind the lenslets")
     low_mm, high_mm = Layers().draw(found).axes[0].get_xlim()
     assert (low_mm, high_mm) == pytest.approx((-300, 150))
-    made = compare_correctors(wavefront.at, bench.sensor, bench.field, Corrector("zernike", 45))
-    corrector = correction_dataset(made, bench, "mask")
+    corrector, _ = compare_correctors(wavefront.at, bench, Corrector("zernike", 45), origin="mask")
     assert corrector["corrector_distance_m"].item() == pytest.approx(-0.1, rel=0.2)
     assert " mm behind the lenslets, " in correction_sentence(corrector)
 
@@ -317,7 +309,7 @@ def test_corrector_needs_a_wavefront_that_changes_over_the_field() -> None:
     bench = load_bench("small_demo")
     same = np.add.outer(np.arange(bench.sensor.lenslet_rows), np.arange(bench.sensor.lenslet_columns)) ** 2.0
     with pytest.raises(ValueError, match="the same at every field position"):
-        compare_correctors(lambda _x, _y: same, bench.sensor, bench.field, Corrector("zernike", 10))
+        compare_correctors(lambda _x, _y: same, bench, Corrector("zernike", 10))
 
 
 def test_first_sentence_of_the_help_is_that_of_the_file() -> None:

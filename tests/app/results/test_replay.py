@@ -61,15 +61,8 @@ def mine(plain: Recording, tmp_path: Path) -> Recording:
 
 
 def replayed(folder: Path, *settings: str, **options: Any) -> Replay:
-    given: dict[str, Any] = {
-        "bench": None,
-        "frames": None,
-        "out": None,
-        "overwrite": False,
-        "verify": False,
-        "progress": lambda *_: None,
-    }
-    return replay(folder, settings=settings, **{**given, **options})
+    given: dict[str, Any] = {"frames": None, "out": None, "verify": False, "progress": lambda *_: None}
+    return replay(folder, change_of(None, settings), **{**given, **options})
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from support.command_line import run
 from support.pictures import assert_drawn
 from support.recordings import edit_line, record, replace_pixels
 
-from app.errors import InputError, RunError
+from app.errors import InputError
 from app.recording.folder import RUN
 from app.recording.reader import Recording
 from app.results.export import export
@@ -61,7 +61,7 @@ def mine(recording: Recording, tmp_path: Path) -> Recording:
 
 
 def reported(folder: Path, out: Path, **options: Any) -> tuple[Summary, object]:
-    given: dict[str, Any] = {"beside": None, "settings": (), "frames": None, "overwrite": False}
+    given: dict[str, Any] = {"beside": None, "settings": (), "frames": None}
     return report_pages(folder, out, progress=lambda *_: None, **{**given, **options})
 
 
@@ -318,22 +318,22 @@ def test_folder_that_is_no_recording_is_refused(mine: Recording, tmp_path: Path)
 @pytest.mark.slow
 @pytest.mark.long
 def test_report_is_written_atomically_and_replaces_only_on_request(
-    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "new" / "r.PDF"
     reported(recording.folder, out)
     first = out.read_bytes()
     assert first.startswith(b"%PDF")
     assert first.count(b"/Type /Page ") == 3
-    with pytest.raises(InputError, match="exists already"):
-        reported(recording.folder, out)
+    assert run(monkeypatch, "report", recording.folder, "--out", out) == 2
+    assert "exists already" in capsys.readouterr().err
 
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("app.results.report.draw_certainty", fail)
-    with pytest.raises(RunError, match="No space left"):
-        reported(recording.folder, out, overwrite=True)
+    assert run(monkeypatch, "report", recording.folder, "--out", out, "--overwrite") == 1
+    assert "No space left" in capsys.readouterr().err
     assert out.read_bytes() == first
     assert [path.name for path in out.parent.iterdir()] == ["r.PDF"]
 

@@ -1,14 +1,19 @@
-"""Trials of lattice calibration: the bench's lattice, random lattices, and reference frames from a folder.
+"""Trials of the routines before a measurement: lattices found in a reference, and auto-exposure from any start.
 
-A faint frame has 200 electrons in its brightest pixel, dead lenslets and uneven light; the camera is the bench's.
+Lattices are the bench's, random ones, and those of reference frames from a folder; a faint frame has 200 electrons in
+its brightest pixel, dead lenslets and uneven light. Auto-exposure runs on `simulated_devices.exposure_bench`, which
+takes no time. The right exposures cover the camera's whole range with both ends, where the routine must change the
+light instead.
 """
 
+import itertools
 import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,18 +21,21 @@ from app.bench.config import Bench, load_bench
 from app.bench.imaging_model import by_pixel
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, simulating
-from app.evaluation.studies import CaseResult
+from app.evaluation.studies import CaseResult, TrialStudy, trial
 from app.evaluation.study.noise import camera
-from app.evaluation.study_kinds import TrialStudy, trial
 from app.images import read_image
+from app.measurement.auto_exposure import FILL, MOST_FRAMES, TOLERANCE, auto_expose
+from app.measurement.routines import RoutineError
 from app.progress import Progress
+from drivers.interface import Range
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey, survey
-from simulated_devices.settings import Mask
+from simulated_devices.exposure_bench import PITCH_PX, Scene, exposure_bench, spots, squares
+from simulated_devices.settings import Mask, exposure_range_s
 
-_LIMITS = {"centre (px)": 0.1, "pitch (px)": 0.02, "rotation (mrad)": 0.2}
+_LATTICE_LIMITS = {"centre (px)": 0.1, "pitch (px)": 0.02, "rotation (mrad)": 0.2}
 _FAINT_FACTOR = 2.0  # on the limits
 _LONGEST_S, _TIMED_PIXELS = 2.0, 512 * 512
 _CLEAN_PEAK, _FAINT_PEAK_E, _DEAD_SHARE = 1e4, 200.0, 0.1
@@ -54,17 +62,17 @@ class _Reference:
 def calibration_trials(frames: Path | None = None) -> TrialStudy:
     """Return the study; `frames` is a folder with a bench.toml and reference frames *_reference.tif of its lattice."""
     title = "Lattices found: how far from the truth"
-    return TrialStudy(name="calibration", title=title, measure=partial(_measure, frames))
+    return TrialStudy(name="calibration", title=title, measure=partial(_calibrate, frames))
 
 
-def _measure(folder: Path | None, bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+def _calibrate(folder: Path | None, bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     for done, seed in enumerate(seeds):
         references = [*_from_folder(folder, seed), *_unchanged(bench, seed), *_random(bench, seed)]
         for index, reference in enumerate(references):
             progress(f"{reference.case}, {reference.name}", (done + index / len(references)) / len(seeds))
             if seed == 0 or "random" in reference.case:  # without noise the others never change
-                yield _trial(reference, reference.light * (_CLEAN_PEAK / reference.light.max()), None)
-            yield _trial(reference, *_faint(reference))
+                yield _lattice_trial(reference, reference.light * (_CLEAN_PEAK / reference.light.max()), None)
+            yield _lattice_trial(reference, *_faint(reference))
 
 
 def _from_folder(folder: Path | None, seed: int) -> Iterator[_Reference]:
@@ -115,8 +123,8 @@ def _faint(reference: _Reference) -> tuple[Image, Floats]:
     return camera(reference.bench).exposed(electrons, reference.seed, 0), alive[ring:-ring, ring:-ring]
 
 
-def _trial(reference: _Reference, light: Image, alive: Floats | None) -> CaseResult:
-    limits = {name: most * (1.0 if alive is None else _FAINT_FACTOR) for name, most in _LIMITS.items()}
+def _lattice_trial(reference: _Reference, light: Image, alive: Floats | None) -> CaseResult:
+    limits = {name: most * (1.0 if alive is None else _FAINT_FACTOR) for name, most in _LATTICE_LIMITS.items()}
     limits |= {"whole, wrong by": 0.0, "lit, wrong": 0.0}
     if light.size <= _TIMED_PIXELS:
         limits["CPU time (s)"] = _LONGEST_S
@@ -126,7 +134,7 @@ def _trial(reference: _Reference, light: Image, alive: Floats | None) -> CaseRes
         measured = _errors(found, reference.lattice, reference.bench.sensor, alive)
         measured["CPU time (s)"] = time.thread_time() - begun_s
     except ReconstructionError as error:
-        measured = dict.fromkeys([*_LIMITS, "whole, wrong by", "lit, wrong", "CPU time (s)"], math.nan)
+        measured = dict.fromkeys([*_LATTICE_LIMITS, "whole, wrong by", "lit, wrong", "CPU time (s)"], math.nan)
         problem = str(error)
     case = f"{reference.case}, {'clean' if alive is None else 'faint'}"
     return trial(case=case, name=reference.name, measured=measured, limits=limits, problem=problem)
@@ -143,3 +151,75 @@ def _errors(found: Survey, truth: Lattice, sensor: Sensor, alive: Floats | None)
         "whole, wrong by": float(whole),
         "lit, wrong": float(np.count_nonzero(found.illuminated != is_lit)),
     }
+
+
+_STARTS, _RIGHT = 9, 7  # log-spaced first and right exposures
+_CURRENTS_A = (0.0, 0.35, 1.0)  # at the start; the highest is 1 A
+_USUAL_A = 0.35
+_IMAGES: dict[str, Floats] = {"squares": squares(), "broad": squares(13.0), "haze": squares(8.0, 0.2), "spots": spots()}
+_EXPOSURE_LIMITS = {"frames": MOST_FRAMES, "fill beside 70 % (%)": 100 * TOLERANCE, "light left on": 0.0}
+
+
+@dataclass(frozen=True, slots=True)
+class _Camera:
+    name: str
+    exposures_s: Range
+    detector: dict[str, Any]  # settings of the scene
+
+
+_SIXTEEN = {"bits": 16, "offset_counts": 500.0, "read_noise_counts": 6.4, "counts_per_electron": 1 / 5.8}
+_TWELVE = {"bits": 12, "offset_counts": 100.0, "read_noise_counts": 2.0, "counts_per_electron": 0.2}
+_EIGHT = {"bits": 8, "offset_counts": 4.0, "read_noise_counts": 0.8, "counts_per_electron": 0.02}
+_CUT_OFF = {**_EIGHT, "offset_counts": 0.0}  # half of the noise lies below 0
+_WIDEST = Range(1e-5, 7200.0)
+_CAMERAS = (
+    _Camera("C9100, EM, speed 3", exposure_range_s("em", 3), _SIXTEEN),
+    _Camera("C9100, EM, speed 2", exposure_range_s("em", 2), _SIXTEEN),
+    _Camera("C9100, normal", exposure_range_s("normal", 1), _SIXTEEN),
+    _Camera("16 bits", _WIDEST, _SIXTEEN),
+    _Camera("12 bits", _WIDEST, _TWELVE),
+    _Camera("8 bits", _WIDEST, _EIGHT),
+    _Camera("8 bits, no offset", _WIDEST, _CUT_OFF),
+)
+
+
+def _expose(_bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+    cases = list(itertools.product(_CAMERAS, _CURRENTS_A))
+    for done, (tried, current_a) in enumerate(cases):
+        progress(f"{tried.name}, {current_a:g} A", done / len(cases))
+        allowed = tried.exposures_s
+        rights_s, starts_s = (np.geomspace(allowed.minimum, allowed.maximum, count) for count in (_RIGHT, _STARTS))
+        for image, right_s, start_s, seed in itertools.product(_IMAGES, rights_s, starts_s, seeds):
+            first_s = min(max(float(start_s), allowed.minimum), allowed.maximum)  # geomspace rounds
+            yield _exposure_trial(tried, current_a, image, float(right_s), first_s, seed)
+
+
+def _exposure_trial(
+    tried: _Camera, current_a: float, image: str, right_s: float, first_s: float, seed: int
+) -> CaseResult:
+    full_scale = 2 ** tried.detector["bits"] - 1
+    scene = Scene(
+        counts_per_a_s=(FILL * full_scale - tried.detector["offset_counts"]) / (_USUAL_A * right_s),
+        exposure_range_s=tried.exposures_s,
+        image=_IMAGES[image],
+        seed=seed,
+        **tried.detector,
+    )
+    devices, instrument, lamp = exposure_bench(scene, exposure_s=first_s, current_a=current_a)
+    problem, fill, frames = "", math.nan, math.nan
+    try:
+        fill = auto_expose(devices, PITCH_PX, progress=lambda *_: None, should_stop=lambda: False).fill
+        frames = len(instrument.exposed_s)
+    except RoutineError as error:
+        problem = str(error)
+    values = (frames, 100 * abs(fill - FILL), float(lamp.is_on))
+    return trial(
+        case=f"{tried.name}, {current_a:g} A",
+        name=f"{image}, {right_s:.3g} s wanted, from {first_s:.3g} s, seed {seed}",
+        measured=dict(zip(_EXPOSURE_LIMITS, values, strict=True)),
+        limits=_EXPOSURE_LIMITS,
+        problem=problem,
+    )
+
+
+EXPOSURE = TrialStudy(name="exposure", title="Auto-exposure from any start", measure=_expose)
