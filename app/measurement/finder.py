@@ -17,7 +17,7 @@ from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.refinement import Bias, Refinement
-from reconstruction.runtime.background import BackgroundProcess
+from reconstruction.runtime.background import BackgroundProcess, give_way
 
 _HARM = 1.2  # rise of the misfit by a harmful correction; noise stays below
 _HARM_PX = 0.003  # added, for a misfit of nearly 0
@@ -143,6 +143,8 @@ def _work(messages: Iterator[Any], answer: Callable[[object], None]) -> None:
         answer(str(error))
         return
     answer("")
+    answer(finder.find(next(messages)))  # frames wait for the first finding, and not for the others
+    give_way()
     for newest in messages:
         answer(finder.find(newest))
 

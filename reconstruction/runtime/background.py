@@ -7,12 +7,12 @@ import os
 import pickle
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from queue import SimpleQueue
-from threading import Thread
 from typing import IO, Any, TypeAlias, cast
 
 _NICENESS = 10
@@ -48,7 +48,10 @@ class BackgroundProcess:
 
     def receive(self) -> Any:
         """Wait for an answer; `EOFError` if the process has ended."""
-        return pickle.load(self._answers)  # noqa: S301 - our own child wrote it
+        try:
+            return pickle.load(self._answers)  # noqa: S301 - our own child wrote it
+        except pickle.UnpicklingError as error:  # it ended amid the answer
+            raise EOFError from error
 
     def kill(self) -> None:
         """End the process at once; a thread that waits for an answer is woken."""
@@ -63,11 +66,19 @@ class BackgroundProcess:
             self._messages.close()
 
 
+def give_way() -> None:
+    """In the child: from now on use only processors that nothing else wants, where the system has such a priority.
+
+    What is merely nicer keeps a processor for milliseconds when a frame comes.
+    """
+    if sys.platform == "linux":
+        for thread in threading.enumerate():
+            os.sched_setscheduler(cast("int", thread.native_id), os.SCHED_IDLE, os.sched_param(0))
+
+
 def _run(module: str, name: str) -> None:
     """Be the child process: lower the priority, do the work, and end."""
-    if sys.platform == "linux":  # what is merely nicer keeps a processor for milliseconds when a frame comes
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    elif hasattr(os, "nice"):
+    if hasattr(os, "nice"):
         os.nice(_NICENESS)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
@@ -86,6 +97,6 @@ def _run(module: str, name: str) -> None:
         pickle.dump(result, answers, pickle.HIGHEST_PROTOCOL)
         answers.flush()
 
-    Thread(target=read, daemon=True).start()
+    threading.Thread(target=read, daemon=True).start()
     getattr(import_module(module), name)(iter(arrived.get, None), answer)
     os._exit(0)

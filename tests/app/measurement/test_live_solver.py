@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -367,6 +368,7 @@ def test_process_finds_what_a_finder_in_this_process_finds(
     try:
         _, (sample, refinement) = until_ratio(solver, displacement, -0.8)
         later = solver.solve(displacement, time.monotonic())[1].sample
+        wait_until(lambda: os.sched_getscheduler(apart[0]._process._process.pid) == os.SCHED_IDLE)
     finally:
         solver.close()
     here = Finder()
