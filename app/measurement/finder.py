@@ -5,8 +5,10 @@ and are replaced together. A correction that made the misfit of the modelled dis
 """
 
 import math
+import pickle
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +19,8 @@ from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.refinement import Bias, Refinement
-from reconstruction.runtime.background import BackgroundProcess, give_way
+from reconstruction.runtime.background import BackgroundProcess
+from reconstruction.runtime.threads import one_blas_thread
 
 _HARM = 1.2  # rise of the misfit by a harmful correction; noise stays below
 _HARM_PX = 0.003  # added, for a misfit of nearly 0
@@ -42,26 +45,30 @@ class Found(NamedTuple):
     time_s: float = math.nan  # of the frame that gave the bias
     helps: bool = True  # whether corrections near it help
     problem: str = ""  # why nothing new was found
+    idle_s: float = 0.0  # time until there is something to find, unless the wavefront changes
 
 
 class Finder:
     """Finds sample and bias for the frames of one estimator, one frame after the other."""
 
-    def prepare(self, estimator: Estimator) -> None:
-        """Prepare the refinement; `ReconstructionError` if it is impossible and there are no layers to find."""
-        self._reconstructor = estimator.reconstructor
+    def __init__(self, estimator: Estimator) -> None:
+        self._estimator, self._reconstructor = estimator, estimator.reconstructor
         searches = self._reconstructor.may_be_layered
         self._refinement: Refinement | None = None
         self._found = Found(None if searches else FREE)
+        self._search_due_s = -math.inf if searches else math.inf
+        self._uncorrected_px = math.inf  # misfit of the last uncorrected wavefront
+
+    def prepare(self) -> None:
+        """Prepare the refinement; `ReconstructionError` if it is impossible and there are no layers to find."""
+        estimator = self._estimator
         if estimator.calibration.bench.reconstruction.refine:
             try:
                 self._refinement = estimator.refinement
             except ReconstructionError as error:  # the reference does not allow one
-                if not searches:
+                if not self._reconstructor.may_be_layered:
                     raise
                 self._found = self._found._replace(problem=str(error))
-        self._search_due_s = -math.inf if searches else math.inf
-        self._uncorrected_px = math.inf  # misfit of the last uncorrected wavefront
 
     def find(self, newest: Solved) -> Found:
         """Search for layers in a frame if that is due, and find the bias; both as before where that is impossible."""
@@ -90,9 +97,9 @@ class Finder:
                 end_s = time.monotonic()
                 self._search_due_s = end_s + min(rest * (end_s - begin_s), _LONGEST_REST_S)
         elif correction.stage == "worse":  # until the wavefront changes
-            return before
+            return before._replace(idle_s=self._search_due_s - begin_s)
         if self._refinement is None:
-            return before._replace(sample=sample)
+            return before._replace(sample=sample, idle_s=self._search_due_s - time.monotonic())
         applied = correction.bias
         if sample is not None and len(sample.ratios) != len((newest.assumed.sample or FREE).ratios):
             applied = None  # of quite another wavefront
@@ -107,21 +114,24 @@ class Finder:
 class FinderProcess:
     """A finder in a process of its own, with which it shares its interface."""
 
-    def __init__(self) -> None:
+    def __init__(self, estimator: Estimator) -> None:
+        """Start the process; later, frames may change what the estimator remembers while it is pickled."""
+        self._estimator = pickle.dumps(estimator, pickle.HIGHEST_PROTOCOL)
         self._process = BackgroundProcess(_work)
-        self._sample: AssumedSample | None = None
+        self._sample: AssumedSample | None = FREE
 
-    def prepare(self, estimator: Estimator) -> None:
+    def prepare(self) -> None:
         """See `Finder.prepare`; `EOFError` or `OSError` if the process has ended."""
-        self._process.send(estimator)
+        self._process.send(self._estimator)
+        self._estimator = b""
         if problem := self._process.receive():
             raise ReconstructionError(problem)
 
     def find(self, newest: Solved) -> Found:
         """See `Finder.find`; `EOFError` or `OSError` if the process has ended."""
-        self._process.send(newest)
+        self._process.send(newest._replace(measured=replace(newest.measured, transmission=None)))  # costly, not used
         found: Found = self._process.receive()
-        if self._sample is None or found.sample is None or not _are_the_same(found.sample, self._sample):
+        if found.sample is None or self._sample is None or not _are_the_same(found.sample, self._sample):
             self._sample = found.sample
         return found._replace(sample=self._sample)  # a copy would count as another sample
 
@@ -136,17 +146,16 @@ class FinderProcess:
 
 def _work(messages: Iterator[Any], answer: Callable[[object], None]) -> None:
     """Be the process of a `FinderProcess`."""
-    finder = Finder()
-    try:
-        finder.prepare(next(messages))
-    except ReconstructionError as error:
-        answer(str(error))
-        return
-    answer("")
-    answer(finder.find(next(messages)))  # frames wait for the first finding, and not for the others
-    give_way()
-    for newest in messages:
-        answer(finder.find(newest))
+    finder = Finder(pickle.loads(next(messages)))  # noqa: S301 - our own parent wrote it
+    with one_blas_thread():
+        try:
+            finder.prepare()
+        except ReconstructionError as error:
+            answer(str(error))
+            return
+        answer("")
+        for newest in messages:
+            answer(finder.find(newest))
 
 
 def _are_the_same(one: AssumedSample, other: AssumedSample) -> bool:

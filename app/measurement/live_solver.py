@@ -4,8 +4,11 @@ If the wavefront has changed much since the bias was found, the old bias would d
 the next one is found.
 """
 
+import os
+import sys
 import threading
 import time
+from contextlib import suppress
 from dataclasses import replace
 
 from app.measurement.estimator import Estimator
@@ -19,7 +22,10 @@ from reconstruction.wavefront import Wavefront
 
 _MOVED_FRACTION = 0.5  # of the RMS of the bias's wavefront; after a larger change the bias is useless
 _MOVED_RAD = 0.1  # limit for a nearly flat wavefront
+_LONGEST_REST_S = 5.0
+_NICENESS = 10
 _WAIT_S = 0.2
+_ENDED = "the process that finds layers and corrections has ended: take the reference again"
 
 
 class LiveSolver:
@@ -27,14 +33,14 @@ class LiveSolver:
 
     def __init__(self, estimator: Estimator) -> None:
         """Start finder and thread if there is anything to find."""
-        self._estimator, self._reconstructor = estimator, estimator.reconstructor
+        self._reconstructor = estimator.reconstructor
         searches = self._reconstructor.may_be_layered
         self._refines = estimator.calibration.bench.reconstruction.refine
         self._newest: Solved | None = None  # one slot each way, written by one thread
         self._found = Found(None if searches else FREE)
         self._something_new, self._closing = threading.Event(), threading.Event()
         self.prepares = searches or self._refines
-        self._finder = FinderProcess() if self.prepares else None
+        self._finder = FinderProcess(estimator) if self.prepares else None
         if self._finder is not None:
             threading.Thread(target=self._work, args=(self._finder,), name="live-solver", daemon=True).start()
 
@@ -83,36 +89,46 @@ class LiveSolver:
         return RefinementState("failed" if problem else "preparing", problem=problem)
 
     def _work(self, finder: Finder | FinderProcess) -> None:
-        """Let the finder look at the newest frame again and again; it rests as long as it worked."""
+        """Let the finder look at the newest frame again and again; it rests at least as long as it worked."""
+        if sys.platform == "linux":  # threads have their own priority only here
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         try:
-            finder.prepare(self._estimator)
+            finder.prepare()
             while not self._closing.is_set():
-                newest = self._newest if self._something_new.wait(_WAIT_S) else None
-                if newest is not None:
+                if self._something_new.wait(_WAIT_S) and self._newest is not None:
                     self._something_new.clear()
-                    begin_s = time.monotonic()
-                    self._use(finder.find(newest), newest)
-                    self._rest(time.monotonic() - begin_s)
+                    newest, begin_s = self._newest, time.monotonic()
+                    found = finder.find(newest)
+                    self._use(found, newest)
+                    self._rest(max(time.monotonic() - begin_s, min(found.idle_s, _LONGEST_REST_S)))
         except ReconstructionError as error:
-            self._found = Found(self._found.sample, problem=str(error))
+            self._give_up(str(error))
         except (EOFError, OSError) as error:
-            if not self._closing.is_set():
-                problem = "the process that finds layers and corrections has ended: take the reference again"
-                self._found = Found(self._found.sample, problem=problem)
-                raise RuntimeError(problem) from error
+            self._give_up(_ENDED)
+            if not self._closing.is_set():  # else it was killed
+                raise RuntimeError(_ENDED) from error
+        except Exception as error:
+            self._give_up(str(error))
+            if not self._closing.is_set():  # else Python may end
+                raise
         finally:
             finder.close()
+
+    def _give_up(self, problem: str) -> None:
+        """Let frames go on with the sample found last, or with any wavefront: nobody is to wait for more."""
+        self._found = Found(self._found.sample or FREE, problem=problem)
 
     def _use(self, found: Found, newest: Solved) -> None:
         """Use what was found for the frames that follow, after what depends on the layers is prepared."""
         if found.sample is not None and found.sample is not self._found.sample:
-            self._reconstructor.solve(newest.measured, sample=found.sample).sigma()
+            with suppress(ReconstructionError):  # of this frame
+                self._reconstructor.solve(newest.measured, sample=found.sample).sigma()
         self._found = found
 
     def _rest(self, seconds: float) -> None:
-        """Wait, unless frames lack a correction."""
+        """Wait, unless frames lack a correction that could be found."""
         end_s = time.monotonic() + seconds
         while (left_s := end_s - time.monotonic()) > 0 and not self._closing.is_set():
-            if self._newest is not None and self._newest.assumed.refinement.stage not in {"off", "applied"}:
+            if self._newest is not None and self._newest.assumed.refinement.stage in {"preparing", "moved"}:
                 return
             self._closing.wait(min(left_s, _WAIT_S))

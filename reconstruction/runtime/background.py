@@ -7,12 +7,13 @@ import os
 import pickle
 import subprocess
 import sys
-import threading
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from queue import SimpleQueue
+from threading import Thread
 from typing import IO, Any, TypeAlias, cast
 
 _NICENESS = 10
@@ -37,7 +38,7 @@ class BackgroundProcess:
             stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": search_path, "OPENBLAS_NUM_THREADS": "1"},
             creationflags=getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),  # exists on Windows only
-            start_new_session=True,  # Ctrl-C ends the parent, and that ends this process
+            process_group=0,  # Ctrl-C ends the parent, and that this process; in a new session Linux ignores niceness
         )
         self._messages, self._answers = cast("IO[bytes]", self._process.stdin), cast("IO[bytes]", self._process.stdout)
 
@@ -66,16 +67,6 @@ class BackgroundProcess:
             self._messages.close()
 
 
-def give_way() -> None:
-    """In the child: from now on use only processors that nothing else wants, where the system has such a priority.
-
-    What is merely nicer keeps a processor for milliseconds when a frame comes.
-    """
-    if sys.platform == "linux":
-        for thread in threading.enumerate():
-            os.sched_setscheduler(cast("int", thread.native_id), os.SCHED_IDLE, os.sched_param(0))
-
-
 def _run(module: str, name: str) -> None:
     """Be the child process: lower the priority, do the work, and end."""
     if hasattr(os, "nice"):
@@ -92,11 +83,14 @@ def _run(module: str, name: str) -> None:
                     arrived.put(pickle.load(messages))  # noqa: S301 - our own parent wrote it
                 except (EOFError, pickle.UnpicklingError):  # closed, perhaps amid a message
                     os._exit(0)
+                except Exception:  # noqa: BLE001 - the parent would wait for an answer
+                    traceback.print_exc()
+                    os._exit(1)
 
     def answer(result: object) -> None:
         pickle.dump(result, answers, pickle.HIGHEST_PROTOCOL)
         answers.flush()
 
-    threading.Thread(target=read, daemon=True).start()
+    Thread(target=read, daemon=True).start()
     getattr(import_module(module), name)(iter(arrived.get, None), answer)
     os._exit(0)

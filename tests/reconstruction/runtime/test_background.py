@@ -1,0 +1,91 @@
+"""Background processes: they answer, and none outlives its parent or keeps it waiting."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.paths import ROOT
+from support.patience import wait_until
+
+from reconstruction.runtime.background import BackgroundProcess
+
+_PLACES = [str(Path(__file__).parent), str(ROOT / "tests")]
+_PARENT = """
+import time
+from reconstruction.runtime.background import BackgroundProcess
+from test_background import square
+process = BackgroundProcess(square)
+process.send(3)
+print(process._process.pid, process.receive(), flush=True)
+time.sleep(600)
+"""
+
+
+def square(messages: Iterator[Any], answer: Callable[[object], None]) -> None:
+    """Work of the child."""
+    for message in messages:
+        print("what is printed is no answer")  # noqa: T201 - the test is about it
+        answer(message**2)
+
+
+class Unreadable:
+    """Cannot be read in the child."""
+
+    def __reduce__(self) -> tuple[Callable[[str], int], tuple[str]]:
+        return int, ("no number",)
+
+
+@pytest.fixture(autouse=True)
+def _finds_this_module(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(_PLACES))
+    monkeypatch.setattr(square, "__module__", "test_background")
+
+
+def test_process_answers_at_low_priority(capfd: pytest.CaptureFixture[str]) -> None:
+    with closing(BackgroundProcess(square)) as process:
+        for number in (3, 5):
+            process.send(number)
+            assert process.receive() == number**2
+        if sys.platform != "win32":
+            pid = process._process.pid
+            assert os.getpriority(os.PRIO_PROCESS, pid) >= os.getpriority(os.PRIO_PROCESS, 0) + 5
+            assert os.getsid(pid) == os.getsid(0)  # niceness counts only there
+            assert os.getpgid(pid) != os.getpgid(0)  # Ctrl-C does not reach it
+    assert capfd.readouterr().err.count("no answer") == 2
+
+
+@pytest.mark.parametrize("kills", [True, False], ids=["killed", "unreadable message"])
+def test_end_of_the_process_wakes_its_parent(capfd: pytest.CaptureFixture[str], *, kills: bool) -> None:
+    with closing(BackgroundProcess(square)) as process:
+        if kills:
+            process.kill()
+        else:
+            process.send(Unreadable())
+        with pytest.raises(EOFError):
+            process.receive()
+    assert ("no number" in capfd.readouterr().err) != kills
+
+
+def test_process_ends_with_a_killed_parent() -> None:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*_PLACES, str(ROOT)])}
+    parent = subprocess.Popen([sys.executable, "-c", _PARENT], stdout=subprocess.PIPE, env=environment)  # noqa: S603 - this interpreter
+    with parent:
+        assert parent.stdout is not None
+        pid, answer = map(int, parent.stdout.readline().split())
+        parent.kill()
+    assert answer == 9
+    wait_until(lambda: not _exists(pid))
+
+
+def _exists(pid: int) -> bool:
+    with suppress(ProcessLookupError):
+        os.kill(pid, 0)
+        return True
+    return False
