@@ -1,4 +1,4 @@
-"""What live frames do not tell at once: the layers of the sample, and the estimator's bias, found in a child process.
+"""The layers of the sample and the estimator's bias, found in live frames by a child process.
 
 A search for layers takes a second or more, a round of refinement some tenths of one. Sample and bias belong together
 and are replaced together. A correction that made the misfit of the modelled displacements worse is not used nearby.
@@ -38,7 +38,7 @@ class Solved(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What is assumed of the frames that follow."""
+    """Sample and bias for the frames that follow."""
 
     sample: AssumedSample | None  # None: not found yet
     bias: Bias | None = None  # of a wavefront of that sample
@@ -75,7 +75,7 @@ class Finder:
         try:
             self._found = self._find(newest, self._found)
         except ReconstructionError as error:  # the next wavefront may succeed
-            self._found = self._found._replace(problem=str(error))
+            self._found = self._found._replace(problem=str(error), idle_s=0.0)
         return self._found
 
     def stop(self) -> None:
@@ -97,9 +97,9 @@ class Finder:
                 end_s = time.monotonic()
                 self._search_due_s = end_s + min(rest * (end_s - begin_s), _LONGEST_REST_S)
         elif correction.stage == "worse":  # until the wavefront changes
-            return before._replace(idle_s=self._search_due_s - begin_s)
+            return before._replace(idle_s=self._idle_s())
         if self._refinement is None:
-            return before._replace(sample=sample, idle_s=self._search_due_s - time.monotonic())
+            return before._replace(sample=sample, idle_s=self._idle_s())
         applied = correction.bias
         if sample is not None and len(sample.ratios) != len((newest.assumed.sample or FREE).ratios):
             applied = None  # of quite another wavefront
@@ -109,6 +109,10 @@ class Finder:
         if applied is None:
             self._uncorrected_px = misfit_px
         return Found(sample, bias, newest.time_s, misfit_px <= _HARM * self._uncorrected_px + _HARM_PX)
+
+    def _idle_s(self) -> float:
+        """Time until the next search is due, or the longest rest if there is none."""
+        return min(self._search_due_s - time.monotonic(), _LONGEST_REST_S)
 
 
 class FinderProcess:

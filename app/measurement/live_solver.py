@@ -22,7 +22,6 @@ from reconstruction.wavefront import Wavefront
 
 _MOVED_FRACTION = 0.5  # of the RMS of the bias's wavefront; after a larger change the bias is useless
 _MOVED_RAD = 0.1  # limit for a nearly flat wavefront
-_LONGEST_REST_S = 5.0
 _NICENESS = 10
 _WAIT_S = 0.2
 _ENDED = "the process that finds layers and corrections has ended: take the reference again"
@@ -100,7 +99,7 @@ class LiveSolver:
                     newest, begin_s = self._newest, time.monotonic()
                     found = finder.find(newest)
                     self._use(found, newest)
-                    self._rest(max(time.monotonic() - begin_s, min(found.idle_s, _LONGEST_REST_S)))
+                    self._rest(max(time.monotonic() - begin_s, found.idle_s))
         except ReconstructionError as error:
             self._give_up(str(error))
         except (EOFError, OSError) as error:

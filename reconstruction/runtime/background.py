@@ -28,7 +28,7 @@ class BackgroundProcess:
     """Runs `work` in a process of its own."""
 
     def __init__(self, work: Work) -> None:
-        """What `work` prints goes to the standard error."""
+        """The standard output of `work` goes to the standard error."""
         given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
         search_path = os.pathsep.join([_ROOT, *filter(None, given)])  # an empty part is the working directory
         self._process = subprocess.Popen(  # noqa: S603 - this interpreter

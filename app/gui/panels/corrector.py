@@ -51,8 +51,12 @@ class CorrectorPanel(Panel):
         measurement, origin, corrector = self.shown.measurement, self.origin.currentData(), self.corrector.currentData()
         if not self.isVisible() or measurement is None or measurement.wavefront is None:
             return None
-        find = find_shown_correctors
-        return Request(measurement, (origin, corrector), lambda _: find(measurement, origin, corrector), interval_s=5.0)
+        return Request(
+            measurement,
+            (origin, corrector),
+            lambda _: find_shown_correctors(measurement, origin, corrector),
+            interval_s=5.0,
+        )
 
     def show_result(self, found: xr.Dataset | str) -> None:
         if isinstance(found, str):

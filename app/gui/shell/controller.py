@@ -269,7 +269,7 @@ class Attachment:
 
     @property
     def place(self) -> str:
-        """Which process has the devices, and who else is connected; empty if this one has them."""
+        """Process that has the devices, and its clients; empty if it is this one."""
         connection = self.connection
         if connection is None:
             return ""

@@ -27,6 +27,8 @@ from drivers.interface import Range
 
 _WIDEST = "000000 frames   00:00   disk space for 000 min"  # of more, only the tool tip has the disk space
 _STOP = "Stop recording"
+_BEHIND = 70  # waiting frames from which the number is shown
+_DISK_INTERVAL_S = 2.0  # between two queries of the free disk space
 _NAME_TIP = "Appended to the name of the folder when the recording is finished"
 _EXPORTS = {  # suffix and what is written
     "tiff": ("tif", "Frames as TIFF"),
@@ -86,7 +88,7 @@ def _progress(state: RecordingState | None) -> tuple[str, ...]:
     if state is None:
         return ()
     minutes, seconds = divmod(round(state.seconds), 60)
-    behind = (f"{state.waiting} waiting for the disk",) if state.waiting > 70 else ()  # a few always wait
+    behind = (f"{state.waiting} waiting for the disk",) if state.waiting > _BEHIND else ()
     gap = (gaps_in_words(state.gaps),) if state.gaps else ()
     return (counted(state.frames), f"{minutes}:{seconds:02d}", *gap, *behind)
 
@@ -100,9 +102,7 @@ class RecordingBar(QFrame):
         self.setProperty("role", "strip")
         self._controller, self._messages, self._panel = controller, controller.messages, panel
         panel.record.clicked.connect(self._record)
-        panel.keep.clicked.connect(
-            lambda: controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
-        )
+        panel.keep.clicked.connect(self._keep)
         controller.connected.connect(self._restart)
         documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
         self.recordings_folder = Path(documents or ".") / "svwfs"
@@ -185,7 +185,7 @@ class RecordingBar(QFrame):
             self._free_minutes = math.inf if is_unknown else self._asked_disk.result()
             self._asked_disk = None
         if self._asked_disk is None and time.monotonic() > self._disk_due_s:
-            self._disk_due_s = time.monotonic() + 2.0
+            self._disk_due_s = time.monotonic() + _DISK_INTERVAL_S
             self._asked_disk = acquisition.free_minutes(self.recordings_folder)
         state, kept = acquisition.recording, acquisition.kept
         is_starting = self._starting is not None and not self._starting.done()
@@ -221,6 +221,9 @@ class RecordingBar(QFrame):
 
     def _restart(self) -> None:
         self._starting = self._asked_disk = None
+
+    def _keep(self) -> None:
+        self._controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
 
     def _record(self, on: bool) -> None:
         acquisition = self._controller.acquisition

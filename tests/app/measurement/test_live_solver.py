@@ -16,7 +16,7 @@ from support.patience import HANG_S, wait_until
 
 from app.bench.config import Bench
 from app.measurement.estimator import Estimator
-from app.measurement.finder import Finder, FinderProcess, Solved
+from app.measurement.finder import Finder, FinderProcess, Found, Solved
 from app.measurement.finder import _are_alike as are_alike
 from app.measurement.live_solver import LiveSolver
 from app.measurement.measurement import Assumptions, RefinementState
@@ -303,13 +303,22 @@ def test_search_that_finds_the_same_again_rests_for_longer(
         time.sleep(took_s)
         return AssumedSample((-0.8 + 0.004 * (len(began_s) % 2),), np.array([[0.002**2]]))
 
+    asked = list[Solved]()
+    find = Finder.find
+
+    def noted(finder: Finder, newest: Solved) -> Found:
+        asked.append(newest)
+        return find(finder, newest)
+
     monkeypatch.setattr(Reconstructor, "find_sample", search)
+    monkeypatch.setattr(Finder, "find", noted)
     solver = solver_of(paper_bench, layered, refine=False)
     displacement = layered.register(behind_layer(paper_bench, -0.8))
     try:
         solve_until(solver, displacement, lambda: len(began_s) == 3)
     finally:
         solver.close()
+    assert len(asked) == 3  # not for every frame: each goes to another process
     assert began_s[2] - began_s[1] >= 10 * took_s
 
 
