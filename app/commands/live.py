@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 _LIVE_OUT = Path("svwfs-output")
 _LIVE_BENCH = "live_demo"
-_UNATTENDED_S = 5.0
+_UNATTENDED_S = 8.0  # layers are found six to seven seconds after the first wavefront
 _LOOK_S = 0.05  # between two looks for an instrument that starts
 _PLATFORM = "QT_QPA_PLATFORM"
 _LOCAL_X = re.compile(r"(?:unix)?:(\d+)(?:\.\d+)?")
