@@ -23,6 +23,7 @@ from reconstruction.wavefront import Wavefront
 _MOVED_FRACTION = 0.5  # of the RMS of the bias's wavefront; after a larger change the bias is useless
 _MOVED_RAD = 0.1  # limit for a nearly flat wavefront
 _NICENESS = 10
+_REST_S = 1.0  # at most, after a search with a correction, which would grow old
 _WAIT_S = 0.2
 _ENDED = "the process that finds layers and corrections has ended: take the reference again"
 
@@ -88,7 +89,7 @@ class LiveSolver:
         return RefinementState("failed" if problem else "preparing", problem=problem)
 
     def _work(self, finder: Finder | FinderProcess) -> None:
-        """Let the finder look at the newest frame again and again; it rests at least as long as it worked."""
+        """Let the finder look at the newest frame again and again; it rests as long as it worked, or is idle."""
         if sys.platform == "linux":  # threads have their own priority only here
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         try:
@@ -99,7 +100,7 @@ class LiveSolver:
                     newest, begin_s = self._newest, time.monotonic()
                     found = finder.find(newest)
                     self._use(found, newest)
-                    self._rest(max(time.monotonic() - begin_s, found.idle_s))
+                    self._rest(max(min(time.monotonic() - begin_s, _REST_S), found.idle_s))
         except ReconstructionError as error:
             self._give_up(str(error))
         except (EOFError, OSError) as error:
