@@ -4,6 +4,7 @@ import json
 import math
 import os
 import platform
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -16,6 +17,7 @@ from app.timing import STAGES, Timings
 
 _LIBRARIES = ("svwfs", "numpy", "scipy", "numba", "opencv-python-headless", "PyQt6", "pyqtgraph")
 _CPU = Path("/proc/cpuinfo")
+_RUN = "import sys; from app.cli import main; sys.exit(main())"
 
 
 def now() -> str:
@@ -26,6 +28,11 @@ def now() -> str:
 def software_facts() -> dict[str, Any]:
     """Versions of the software, and the computer."""
     return {"versions": versions("zarr"), "machine": machine_facts()}
+
+
+def command_line(*arguments: str | Path) -> tuple[str, list[str]]:
+    """Return program and arguments of a command of the installed svwfs, whatever lies in the working directory."""
+    return sys.executable, ["-P", "-c", _RUN, *map(str, arguments)]
 
 
 def machine_facts() -> dict[str, str | int]:

@@ -5,28 +5,27 @@ from __future__ import annotations
 import os
 import re
 import socket
-import subprocess
 import sys
-import tempfile
-import time
+from contextlib import suppress
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.acquisition.place import NAME, is_taken
+from app.acquisition.place import NAME
+from app.bench.config import load_bench
+from app.bench.trusted_libraries import unconfirmed
 from app.commands import options, terminal
-from app.errors import InputError, RunError
+from app.errors import InputError
 from app.files import check_outputs, make_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from app.acquisition.carrier import Carrier
-    from app.acquisition.remote.connection import Connection
-    from app.acquisition.worker import Acquisition, Measurement
+    from app.acquisition.remote.own_instrument import OwnConnection
+    from app.acquisition.worker import Measurement
     from app.bench.config import Bench
     from app.gui.shell.controller import Begin
     from app.gui.shell.main_window import MainWindow
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
 _LIVE_OUT = Path("svwfs-output")
 _LIVE_BENCH = "live_demo"
 _UNATTENDED_S = 8.0  # layers are found six to seven seconds after the first wavefront
-_LOOK_S = 0.05  # between two looks for an instrument that starts
 _PLATFORM = "QT_QPA_PLATFORM"
 _LOCAL_X = re.compile(r"(?:unix)?:(\d+)(?:\.\d+)?")
 
@@ -61,39 +59,29 @@ def live(
     overwrite: options.Overwrite = False,
     trust_library: options.Trust = False,
     attach: options.Attach = False,
-    own_process: Annotated[
-        bool,
-        typer.Option("--own-process", help="Run the instrument in a process of its own, as svwfs serve, and attach."),
-    ] = False,
     name: options.Instrument = NAME,
 ) -> None:
     """Open the window with live wavefronts at every field position.
 
+    The instrument is a process of its own, which goes on when the window hangs or is killed; see docs/processes.md.
     Without a display it runs offscreen for a few seconds and saves a screenshot and the results. --replay plays a
     recording with its own bench unless --bench or --set changes it; --frames selects a part.
 
     Example: svwfs live --bench live_demo --set registration.warp=affine
 
     Example: svwfs live --attach
-
-    Example: svwfs live --bench live_demo --own-process
     """
     is_attended = use_display() and seconds is None
     if attach:
-        options.refuse_with_attach(bench=bench, set=setting, replay=replay, frames=frames, own_process=own_process)
+        options.refuse_with_attach(bench=bench, set=setting, replay=replay, frames=frames)
         raise typer.Exit(attached_window(name, is_attended=is_attended, seconds=seconds, out=out, overwrite=overwrite))
-    if own_process:
-        if replay is not None or not is_attended:
-            raise InputError("--own-process is for a window on a bench, with a display and without --seconds")
-        terminal.confirm_libraries(options.load(bench or _LIVE_BENCH, setting), trust=trust_library)
-        raise typer.Exit(own_process_window(bench or _LIVE_BENCH, setting or [], name))
     if replay is None:
         if frames is not None:
             raise InputError("--frames selects frames of a recording: add --replay RECORDING")
         if is_attended:
             offers_last = bench is None and not setting
             source, overrides = bench or _LIVE_BENCH, tuple(setting or ())
-            raise typer.Exit(bench_window(source, overrides, trust=trust_library, offers_last=offers_last))
+            raise typer.Exit(bench_window(source, overrides, name, trust=trust_library, offers_last=offers_last))
         loaded = options.load(bench or _LIVE_BENCH, setting)
         terminal.confirm_libraries(loaded, trust=trust_library)
         raise typer.Exit(unattended_window(loaded, seconds=seconds, out=out, overwrite=overwrite))
@@ -105,31 +93,37 @@ def live(
     raise typer.Exit(unattended_window(player.bench, seconds=seconds, out=out, overwrite=overwrite, player=player))
 
 
-def bench_window(source: str, overrides: tuple[str, ...], *, trust: bool, offers_last: bool) -> int:
+def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: bool, offers_last: bool) -> int:
     """Run the window on a bench file or a preset until it is closed, and return the exit status.
 
-    The window shows what is wrong with the file, and opens others; it may offer the one that was open last.
+    The instrument is a process of its own, which other clients find by its name. The window shows what is wrong with
+    the file, and opens others; it may offer the one that was open last.
     """
-    from app.gui.splash import Splash
+    from app.acquisition.remote.own_instrument import OwnInstrument
 
-    splash = Splash()  # before the rest is loaded
-    from app.acquisition.worker import Acquisition
-    from app.gui.application import run_window
+    opened: list[OwnConnection] = []
+    with OwnInstrument(name) as own:
+        with suppress(InputError):  # the window explains it
+            bench = load_bench(source, overrides)
+            if trust or not unconfirmed(bench):
+                own.start(bench)  # while the window is loaded
+        from app.gui.splash import Splash
 
-    opened: list[Bench] = []
+        splash = Splash()  # before the rest is loaded
+        from app.gui.application import run_window
 
-    def make_for(opening: Bench) -> Acquisition:
-        opened.append(opening)
-        return Acquisition(opening)
+        def make_for(bench: Bench) -> Carrier:
+            opened.append(own.connect(bench))
+            return opened[-1]
 
-    def open_first(window: MainWindow) -> None:
-        splash.finish(window)
-        window.benches.open(source, overrides, trust=trust)
-        if offers_last:
-            window.benches.offer_last()
+        def open_first(window: MainWindow) -> None:
+            splash.finish(window)
+            window.benches.open(source, overrides, trust=trust)
+            if offers_last:
+                window.benches.offer_last()
 
-    status = run_window(open_first, make_for=make_for)
-    if opened and opened[-1].has_manual_light:
+        status = run_window(open_first, make_for=make_for)
+    if opened and opened[-1].bench.has_manual_light and not opened[-1].goes_on:
         terminal.remind(terminal.LIGHT_BY_HAND)
     return status
 
@@ -148,71 +142,8 @@ def replay_window(player: Player) -> int:
     return run_window(open_first)
 
 
-def own_process_window(bench: str, overrides: list[str], name: str) -> int:
-    """Start the instrument in a process of its own, and run the window on it; see `attached_window`."""
-    if is_taken(name):
-        raise RunError(
-            f"an instrument runs as {name} already: svwfs live --attach shows it; another one needs a --name"
-        )
-    settings = [part for each in overrides for part in ("--set", each)]
-    with tempfile.TemporaryFile() as said:
-        own = _OwnInstrument(name, ["serve", "--bench", bench, "--name", name, "--trust-library", *settings], said)
-        return attached_window(name, is_attended=True, join=own.join)
-
-
-class _OwnInstrument:
-    """The instrument as a program of its own, which starts while the window is loaded, and again after a failure."""
-
-    def __init__(self, name: str, arguments: list[str], said: IO[bytes]) -> None:
-        """Start it; `said` gets what it prints."""
-        self._name, self._arguments, self._said = name, arguments, said
-        self._process = self._started()
-
-    def join(self) -> Connection:
-        """Connect to it as soon as it can be reached; `RunError` with its last words if it ends before."""
-        from app.acquisition.remote.connection import Connection
-
-        if self._process.poll() is not None and not is_taken(self._name):
-            self._process = self._started()
-        try:
-            while not is_taken(self._name):
-                if self._process.poll() is not None:
-                    self._said.seek(0)
-                    *_, last = ("it said nothing", *self._said.read().decode(errors="replace").strip().splitlines())
-                    raise RunError(f"the instrument's process has ended: {last}")  # noqa: TRY301 - ended already
-                time.sleep(_LOOK_S)
-        except BaseException:  # Ctrl-C, too: nobody would know of it
-            self._process.terminate()
-            raise
-        return Connection("window", self._name)
-
-    def _started(self) -> subprocess.Popen[bytes]:
-        from app.gui.shell.background_commands import command_line
-
-        program, arguments = command_line(*self._arguments)
-        # In a session of its own: Ctrl-C in the terminal ends the window, and the instrument goes on.
-        return subprocess.Popen(  # noqa: S603 - this program
-            [program, *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=self._said,
-            stderr=self._said,
-            start_new_session=True,
-        )
-
-
-def attached_window(
-    name: str,
-    *,
-    is_attended: bool,
-    seconds: float | None = None,
-    out: Path = _LIVE_OUT,
-    overwrite: bool = False,
-    join: Callable[[], Connection] | None = None,
-) -> int:
-    """Run the window on an instrument of another process, as `bench_window` or `unattended_window`.
-
-    `join` connects to it, by default by its name.
-    """
+def attached_window(name: str, *, is_attended: bool, seconds: float | None, out: Path, overwrite: bool) -> int:
+    """Run the window on an instrument of another process, as `bench_window` or `unattended_window`."""
     splash = None
     if is_attended:
         from app.gui.splash import Splash
@@ -221,11 +152,10 @@ def attached_window(
     from app.acquisition.remote.connection import Connection
     from app.gui.application import run_window
 
-    join = join or partial(Connection, "window", name)
-    first = join()  # before there is a window: if none runs, the terminal tells
+    first = Connection("window", name)  # before there is a window: if none runs, the terminal tells
 
     def connect() -> Connection:
-        return first if first.is_alive else join()
+        return first if first.is_alive else Connection("window", name)
 
     if splash is None:
         return unattended_window(first.bench, seconds=seconds, out=out, overwrite=overwrite, connect=connect)

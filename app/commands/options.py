@@ -35,9 +35,9 @@ def folder_option(text: str) -> Any:
 
 Bench = Annotated[str, bench_option(f"Bench TOML file, or a preset: {', '.join(PRESETS)}.")]
 Attach = Annotated[
-    bool, typer.Option("--attach", help="Use the instrument that svwfs serve runs, in place of devices of a bench.")
+    bool, typer.Option("--attach", help="Use the instrument that runs already, in place of devices of a bench.")
 ]
-Instrument = Annotated[str, typer.Option("--name", metavar="NAME", help="Name of that instrument.")]
+Instrument = Annotated[str, typer.Option("--name", metavar="NAME", help="Name of the instrument.")]
 Set = analysis.Set
 Frames = analysis.Frames
 Recording = Annotated[Path, typer.Argument(help="Folder of a recording.")]

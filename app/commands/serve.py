@@ -20,6 +20,9 @@ def serve(
     *,
     bench: options.Bench,
     name: Annotated[str, typer.Option(metavar="NAME", help="Name by which clients find it.")] = NAME,
+    idle: Annotated[
+        bool, typer.Option("--idle", help="Only open the devices: dark, reference and camera wait for a client.")
+    ] = False,
     trust_library: options.Trust = False,
     setting: options.Set = None,
 ) -> None:
@@ -42,7 +45,7 @@ def serve(
             if error is not None and acquisition.error is None:  # else the command ends with that
                 terminal.print_warning(str(error))
 
-        for step in start_up(acquisition):
+        for step in () if idle else start_up(acquisition):
             step.add_done_callback(tell)
 
     loaded = options.load(bench, setting)

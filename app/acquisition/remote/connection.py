@@ -102,6 +102,7 @@ class Connection:
         self._pending: dict[int, tuple[Future[Any], float]] = {}  # with the time when it was sent
         self._accepted: set[int] = set()
         self._numbers, self._sending = itertools.count(1), threading.Lock()
+        self.goes_on = True  # whether the instrument does when this connection is closed
         self._outgoing: list[tuple[int, bytearray]] = []  # messages, with the number of a command
         self._has_left = False
         self._arrivals = Arrivals(self._ask)
@@ -175,6 +176,11 @@ class Connection:
         """True while this client has control: the instrument executes its commands."""
         return self.controller == self.name
 
+    @property
+    def is_of_another(self) -> bool:
+        """True while another client has control."""
+        return self.controller not in {"", self.name}
+
     def start(self) -> None:
         """Do nothing: the instrument runs."""
 
@@ -234,6 +240,12 @@ class Connection:
     def shut_down(self) -> Future[None]:
         """End the instrument: light off, devices closed, recording finished."""
         return self._send("shut_down")
+
+    def end(self) -> Future[None]:
+        """End the instrument, also if nobody has control."""
+        if not self.has_control:
+            self.take_control()
+        return self.shut_down()
 
     def begin_close(self) -> None:
         """Leave; the instrument goes on."""

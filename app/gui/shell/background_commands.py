@@ -1,6 +1,5 @@
 """Commands of `svwfs` that the window starts beside itself: they take neither its processor time nor its devices."""
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,14 +9,9 @@ from PyQt6.QtWidgets import QAbstractButton
 from app.gui.shell.messages import MessageStrip
 from app.gui.widgets.presentation import percent
 from app.progress import LINE_START, LINES
+from app.run_facts import command_line
 
-_RUN = "import sys; from app.cli import main; sys.exit(main())"
 _END_MS = 3000
-
-
-def command_line(*arguments: str | Path) -> tuple[str, list[str]]:
-    """Return program and arguments of a command of the installed svwfs, whatever lies in the working directory."""
-    return sys.executable, ["-P", "-c", _RUN, *map(str, arguments)]
 
 
 class BackgroundCommands(QObject):

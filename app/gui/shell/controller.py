@@ -12,6 +12,7 @@ from PyQt6.QtWidgets import QMessageBox, QWidget
 from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.own_instrument import OwnConnection
 from app.acquisition.start_up import start_up
 from app.cache import release_memory
 from app.errors import InputError, RunError
@@ -59,8 +60,8 @@ class Controller(QObject):
 
     @property
     def is_attached(self) -> bool:
-        """True if the instrument runs in another process, which goes on when this one ends."""
-        return isinstance(self.acquisition, Connection)
+        """True if the instrument runs in a process that this window has not started, and that goes on when it ends."""
+        return isinstance(self.acquisition, Connection) and not isinstance(self.acquisition, OwnConnection)
 
     @property
     def is_silent(self) -> bool:
@@ -69,10 +70,10 @@ class Controller(QObject):
 
     @property
     def left(self) -> str:
-        """What becomes of the instrument when the window closes; empty if it runs in the window's own process."""
+        """What becomes of the instrument when the window closes; empty if it ends with it."""
         if not isinstance(self.acquisition, Connection):
             return ""
-        return self.acquisition.loss or "the instrument goes on"
+        return self.acquisition.loss or "the instrument goes on" * self.acquisition.goes_on
 
     @property
     def failure(self) -> str:
@@ -284,25 +285,25 @@ class Attachment:
     def end_instrument(self) -> None:
         if (connection := self.connection) is None:
             self._controller.messages.warn(_NOT_ATTACHED)
-        elif _is_of_another(connection):
+        elif connection.is_of_another:
             self._controller.messages.warn(self.notice)
         else:
             self._controller.ask(
                 "the instrument ends for everybody: the light goes off, recordings are finished",
-                lambda: self._controller.send(lambda _: _shut_down(connection)),
+                lambda: self._controller.send(lambda _: connection.end()),
                 "End it",
                 "Keep it",
                 loses=True,
             )
 
     def ask_to_leave(self, then: Callable[[], object]) -> bool:
-        """Ask whether the instrument goes on, and call `then`; return False without asking if this process has it.
+        """Ask whether the instrument goes on, and call `then`; return False if it need not be asked, or ends with it.
 
         An instrument that another client controls goes on.
         """
         if (connection := self.connection) is None:
             return False
-        if _is_of_another(connection):
+        if connection.is_of_another:
             then()
             return True
         box = QMessageBox(self._parent)
@@ -312,22 +313,15 @@ class Attachment:
         box.setInformativeText("If it goes on, the light stays as it is, and recordings are continued.")
         goes_on = box.addButton("It goes on", QMessageBox.ButtonRole.AcceptRole)
         ends = box.addButton("End it", QMessageBox.ButtonRole.DestructiveRole)
-        box.setDefaultButton(goes_on)
+        is_own = isinstance(connection, OwnConnection)
+        box.setDefaultButton(ends if is_own else goes_on)
         box.addButton(QMessageBox.StandardButton.Cancel)
         box.exec()
+        if box.clickedButton() is ends and is_own:
+            return False
         if box.clickedButton() is ends:
-            self._controller.send(lambda _: _shut_down(connection), lambda _: then(), lambda _: None)
+            self._controller.send(lambda _: connection.end(), lambda _: then(), lambda _: None)
         elif box.clickedButton() is goes_on:
+            connection.goes_on = True
             then()
         return True
-
-
-def _is_of_another(connection: Connection) -> bool:
-    return connection.controller not in {"", connection.name}
-
-
-def _shut_down(connection: Connection) -> Future[None]:
-    """End the instrument, also if nobody has control."""
-    if not connection.has_control:
-        connection.take_control()
-    return connection.shut_down()

@@ -8,8 +8,10 @@ import pytest
 from PyQt6.QtWidgets import QWidget
 from support.command_line import run
 
+from app.bench.config import Bench, load_bench
 
-@pytest.mark.usefixtures("qapp")
+
+@pytest.mark.usefixtures("qapp", "runtime_folder")
 @pytest.mark.parametrize(
     ("arguments", "source", "offers_last"),
     [
@@ -22,6 +24,7 @@ def test_last_bench_is_offered_only_if_none_is_named(
     monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], source: str, *, offers_last: bool
 ) -> None:
     opened: list[str] = []
+    begun: list[Bench] = []
 
     class Benches:
         def open(self, name: str, _: tuple[str, ...], **__: Any) -> None:
@@ -39,5 +42,9 @@ def test_last_bench_is_offered_only_if_none_is_named(
 
     monkeypatch.setattr("app.commands.live.use_display", lambda: True)
     monkeypatch.setattr("app.gui.application.run_window", run_window)
+    monkeypatch.setattr(
+        "app.acquisition.remote.own_instrument.OwnInstrument.start", lambda _, bench: begun.append(bench)
+    )
     assert run(monkeypatch, "live", *arguments) == 0
     assert opened == [source, *["last"] * offers_last]
+    assert begun == [load_bench(source, arguments[1:] if "--set" in arguments else ())]  # while the window is loaded

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,7 +21,9 @@ from support.window_tools import MakeWindow, wait_for_wavefront
 from app.acquisition.instrument import Instrument
 from app.acquisition.place import NAME, is_taken, taken_place
 from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
 from app.acquisition.remote.server import Server
+from app.bench.config import Bench, load_bench, save_bench
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.presentation import NOTHING
 
@@ -181,52 +184,149 @@ def test_window_goes_on_with_an_instrument_that_was_started_again(
         qtbot.waitUntil(lambda: "dark taken" in told(window))
 
 
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch, runtime_folder: Path) -> list[subprocess.Popen[bytes]]:
+    """The processes that windows start for themselves."""
+    assert runtime_folder.is_dir()
+    processes: list[subprocess.Popen[bytes]] = []
+
+    class Noted(subprocess.Popen[bytes]):
+        def __init__(self, *arguments: Any, **named: Any) -> None:
+            super().__init__(*arguments, **named)
+            processes.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Noted)
+    monkeypatch.setattr("app.commands.live.use_display", lambda: True)
+    return processes
+
+
+def live_window(monkeypatch: pytest.MonkeyPatch, bench: Path, act: Callable[[MainWindow], object], *more: str) -> int:
+    """Run `svwfs live`, act on its window, and close that; returns the exit status."""
+
+    def run_window(open_first: Callable[[MainWindow], None], *, make_for: Callable[[Bench], Connection]) -> int:
+        window = MainWindow(None, make_for=make_for)
+        window.show()
+        try:
+            open_first(window)
+            act(window)
+        finally:
+            window.close()
+        assert not window.controller.is_stuck
+        return 0
+
+    monkeypatch.setattr("app.gui.application.run_window", run_window)
+    return run(monkeypatch, "live", "--bench", bench, *more)
+
+
+def is_measured(window: MainWindow) -> bool:
+    return window.status_line.valid.text() == "35 of 35"
+
+
+def connection_of(window: MainWindow) -> OwnConnection:
+    connection = window.attachment.connection
+    assert isinstance(connection, OwnConnection)
+    assert connection.has_control
+    return connection
+
+
 @pytest.mark.long
-@pytest.mark.usefixtures("runtime_folder")
-def test_window_starts_an_instrument_of_its_own(
-    make_window: MakeWindow,
+def test_window_runs_its_instrument_in_a_process_that_ends_with_it(
+    started: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def act(window: MainWindow) -> None:
+        qtbot.waitUntil(lambda: is_measured(window))
+        assert connection_of(window).place.process == started[-1].pid != os.getpid()
+        assert "attached" not in window.windowTitle()
+        assert window.controller.left == ""
+        asked = answer(monkeypatch, "End it")
+        window.quit()
+        qtbot.waitUntil(lambda: not window.isVisible())
+        assert asked
+        assert started[-1].poll() == 0  # the window has waited for the end
+
+    assert live_window(monkeypatch, small_toml, act) == 0
+    (process,) = started
+    assert process.poll() == 0
+    assert not is_taken(NAME)
+
+
+@pytest.mark.long
+def test_instrument_of_a_window_goes_on_if_its_user_says_so(
+    started: list[subprocess.Popen[bytes]],
     small_toml: Path,
     qtbot: QtBot,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def run_window(open_first: Callable[[MainWindow], None]) -> int:
-        window = make_window()
-        open_first(window)
-        qtbot.waitUntil(lambda: window.status_line.valid.text() == "35 of 35")
-        connection = window.attachment.connection
-        assert connection is not None
-        assert connection.has_control
-        assert connection.place.process != os.getpid()
-        connection.shut_down()
-        qtbot.waitUntil(lambda: "the instrument was shut down" in told(window))
-        return 0
+    def act(window: MainWindow) -> None:
+        qtbot.waitUntil(lambda: is_measured(window))
+        answer(monkeypatch, "It goes on")
+        window.quit()
+        qtbot.waitUntil(lambda: not window.isVisible())
+        assert window.controller.left == "the instrument goes on"
 
-    started = list[subprocess.Popen[bytes]]()
+    assert live_window(monkeypatch, small_toml, act) == 0
+    assert started[0].poll() is None
+    assert live_window(monkeypatch, small_toml, lambda _: pytest.fail("a second instrument of this name")) == 1
+    assert "an instrument runs as instrument already: svwfs live --attach shows it" in capsys.readouterr().err
+    with connected("notebook") as notebook:
+        assert notebook.has_control
+        wait_until(lambda: notebook.newest is not None)
+        notebook.shut_down()
+    assert started[0].wait(HANG_S) == 0
 
-    class Noted(subprocess.Popen[bytes]):
-        def __init__(self, *arguments: Any, **named: Any) -> None:
-            super().__init__(*arguments, **named)
-            started.append(self)
 
-    monkeypatch.setattr(subprocess, "Popen", Noted)
-    monkeypatch.setattr("app.commands.live.use_display", lambda: True)
-    monkeypatch.setattr("app.gui.application.run_window", run_window)
-    arguments = ("live", "--own-process", "--bench", small_toml)
-    with taken_place() as place:
-        place.announce()
-        assert run(monkeypatch, *arguments) == 1
-    assert "runs as instrument already" in capsys.readouterr().err
-    assert run(monkeypatch, *arguments) == 0
-    wait_until(lambda: not is_taken(NAME))
-    assert run(monkeypatch, *arguments, "--seconds", "1") == 2
-    assert "--own-process is for a window" in capsys.readouterr().err
-    assert run(monkeypatch, *arguments, "--set", "camera.exposure_s=-1") == 2
-    monkeypatch.setattr("app.commands.live.is_taken", lambda _: False)  # another one came between
+@pytest.mark.long
+def test_another_bench_and_a_new_start_have_processes_of_their_own(
+    started: list[subprocess.Popen[bytes]],
+    small_toml: Path,
+    tmp_path: Path,
+    qtbot: QtBot,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    other = tmp_path / "other.toml"
+    save_bench(other, load_bench(small_toml, ("registration.warp=affine",)))
+
+    def act(window: MainWindow) -> None:
+        qtbot.waitUntil(lambda: is_measured(window))
+        window.benches.open(str(other))
+        assert started[0].poll() == 0  # two must not have the devices
+        qtbot.waitUntil(lambda: is_measured(window))
+        assert connection_of(window).bench == load_bench(other)
+        window.light.switch(on=False)
+        qtbot.waitUntil(lambda: not connection_of(window).status.is_light_on)
+        started[1].kill()
+        qtbot.waitUntil(lambda: "the instrument's process" in told(window) and "has ended" in told(window))
+        window.messages.reconnect.click()
+        qtbot.waitUntil(lambda: (status := window.controller.status) is not None and status.is_running)
+        assert connection_of(window).bench == load_bench(other)
+        qtbot.waitUntil(lambda: window.controller.is_settled)
+        assert not connection_of(window).status.is_light_on  # as its user left it
+
+    assert live_window(monkeypatch, small_toml, act) == 0
+    assert [each.poll() for each in started] == [0, -signal.SIGKILL, 0]
+    assert not is_taken(NAME)
+
+
+def test_process_that_ends_at_once_is_told_with_its_last_words(
+    started: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.acquisition.remote.own_instrument.is_taken", lambda _: False)  # another one came between
+
+    def act(window: MainWindow) -> None:
+        qtbot.waitUntil(lambda: "process has ended: svwfs: an instrument runs as" in told(window))
+        assert window.controller.acquisition is None
+
     with taken_place():
-        assert run(monkeypatch, *arguments) == 1
-    assert "the instrument's process has ended: svwfs: an instrument runs as" in capsys.readouterr().err
-    assert [each.wait(HANG_S) for each in started] == [0, 1]  # shut down, and refused
+        assert live_window(monkeypatch, small_toml, act) == 0
+    assert [each.poll() for each in started] == [1]
+
+
+def test_process_without_a_window_ends(started: list[subprocess.Popen[bytes]], small_toml: Path) -> None:
+    with OwnInstrument() as own:
+        process = own.start(load_bench(small_toml))
+        assert own.start(load_bench(small_toml)) is process
+    assert [each.poll() is None for each in started] == [False]
 
 
 def test_end_of_the_instrument_is_told_and_reconnecting_says_that_none_runs(
@@ -242,7 +342,7 @@ def test_end_of_the_instrument_is_told_and_reconnecting_says_that_none_runs(
     qtbot.waitUntil(lambda: "no instrument runs" in told(window))
 
 
-def test_a_window_with_its_own_instrument_has_nothing_to_leave(
+def test_a_window_that_runs_the_instrument_itself_has_nothing_to_leave(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, _ = live

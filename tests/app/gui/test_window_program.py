@@ -15,7 +15,7 @@ from app.cli.window import main
 from app.gui.shell.benches import BenchDialog
 from app.gui.shell.main_window import MainWindow
 
-pytestmark = pytest.mark.usefixtures("qapp", "display", "restored_theme")
+pytestmark = pytest.mark.usefixtures("qapp", "display", "restored_theme", "runtime_folder")
 
 
 @pytest.fixture
