@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from app.files import write_whole
-from app.timing import STAGES, Timings
+from app.timing import STAGES, Stage, StageTimes
 
 _LIBRARIES = ("svwfs", "numpy", "scipy", "numba", "opencv-python-headless", "PyQt6", "pyqtgraph")
 _CPU = Path("/proc/cpuinfo")
@@ -51,11 +51,10 @@ def versions(*more: str) -> dict[str, str]:
     return installed
 
 
-def timing_facts(timings: Timings) -> dict[str, dict[str, float | None]]:
+def timing_facts(times: Mapping[Stage, StageTimes]) -> dict[str, dict[str, float | None]]:
     """Count, median, 99th percentile and maximum (s) of every stage; None if nothing was timed."""
-    summaries = timings.summary()
     return {
-        stage: {name: None if math.isnan(value) else value for name, value in asdict(summaries[stage]).items()}
+        stage: {name: None if math.isnan(value) else value for name, value in asdict(times[stage]).items()}
         for stage in STAGES
     }
 

@@ -90,23 +90,10 @@ class Timings:
 
     def __init__(self, kept: int = _KEPT) -> None:
         self._rings = {stage: _Ring(kept) for stage in STAGES}
-        self._spans: tuple[Timings, ...] = ()
-
-    def begin_span(self, kept: int) -> Timings:
-        """Return a copy that starts empty and is updated with this one until `end_span`."""
-        span = Timings(kept)
-        self._spans = (*self._spans, span)  # replaced, not modified: other threads iterate over it
-        return span
-
-    def end_span(self, span: Timings) -> None:
-        """Stop updating a span."""
-        self._spans = tuple(each for each in self._spans if each is not span)
 
     def note(self, stage: Stage, seconds: float) -> None:
         """Add one time of a stage."""
         self._rings[stage].note(seconds)
-        for span in self._spans:
-            span.note(stage, seconds)
 
     @contextmanager
     def of(self, stage: Stage) -> Iterator[None]:

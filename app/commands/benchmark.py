@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from pathlib import Path
 from tempfile import gettempdir
@@ -16,6 +17,7 @@ from app.files import check_outputs, check_suffix
 from app.progress import Progress, between, named
 
 if TYPE_CHECKING:
+    from app.acquisition.remote.own_instrument import OwnInstrument
     from app.bench.config import Bench
     from app.evaluation.benchmark.live_path import Course, LiveFigures, LivePlan
     from app.gui.shell.main_window import MainWindow
@@ -116,13 +118,15 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     lasting_s = (plan.warm_up_s + plan.seconds, warm_up_s + plan.without_window_s)
     middle = lasting_s[0] / sum(lasting_s)
     in_window = named(between(progress, 0.0, middle), "window" if is_seen else "unseen window")
-    with recording_folder(plan, in_window) as folder:
-        lasts_s = plan.warm_up_s, plan.seconds
-        with_window = Course(plan.bench, in_window, *lasts_s, memory_s=plan.memory_s, record_into=folder)
+    with recording_folder(plan, in_window) as folder, _own_instrument() as own:
+        with_window = Course(
+            own.connect(plan.bench), in_window, plan.warm_up_s, plan.seconds, memory_s=plan.memory_s, record_into=folder
+        )
         _run_in_window(with_window, with_panels=plan.with_panels)
     alone = named(between(progress, middle, 1.0), "no window")
-    without_window = Course(plan.bench, alone, warm_up_s, plan.without_window_s)
-    _run(without_window)
+    with _own_instrument() as own:
+        without_window = Course(own.connect(plan.bench), alone, warm_up_s, plan.without_window_s)
+        _run(without_window)
     return LiveFigures(
         plan=plan,
         is_seen=is_seen,
@@ -130,6 +134,12 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
         recording=with_window.acquisition.recording,
         bare=without_window.span,
     )
+
+
+def _own_instrument() -> OwnInstrument:
+    from app.acquisition.remote.own_instrument import OwnInstrument
+
+    return OwnInstrument(f"benchmark_{os.getpid()}")
 
 
 def _run_in_window(course: Course, *, with_panels: bool) -> None:
@@ -216,15 +226,17 @@ def print_figures(figures: LiveFigures) -> None:
         colour = "[green]met[/]" if check and check.is_met else "[red]missed[/]"
         lines.append([name, measured, *((check.asked, colour) if check else ("", ""))])
     terminal.print_table(None, ("live", "measured", "asked", ""), lines)
-    terminal.print_sentence("Times are median / 99 % / longest.")
+    terminal.print_sentence("Times are median / 99 % of the newest 4096 / longest since the start.")
     if recording is not None and recording.problem:
         terminal.print_sentence(f"The recording ended early: {recording.problem}")
 
 
 def _lines(figures: LiveFigures) -> list[tuple[str, str, str]]:
     """Name, measured value and name of the limit of each line of the table."""
+    from app.evaluation.benchmark.live_path import share
+
     window, bare, recording = figures.window, figures.bare, figures.recording
-    frames, times, memory = window.frames, window.timings.summary(), "unknown on this system"
+    frames, times, memory = window.frames, window.times, "unknown on this system"
     if figures.memory_growth is not None:
         memory = "{:.0f} > {:.0f} MB, {:+.2f} %".format(*window.memory_mb, 100 * figures.memory_growth)
     recorded = []
@@ -233,10 +245,8 @@ def _lines(figures: LiveFigures) -> list[tuple[str, str, str]]:
         recorded.append(("recorded, with warm-up", f"{recording.frames}", "recording_problems"))
     return [
         ("frames acquired", f"{frames.acquired}", ""),
-        ("reconstructed", f"{frames.reconstructed}: {100 * frames.share:.2f} %", "share"),
+        ("reconstructed", f"{frames.reconstructed}: {100 * share(frames):.2f} %", "share"),
         ("lost by the camera", f"{frames.lost}", "lost"),
-        ("skipped for a newer one", f"{frames.passed_over}", ""),
-        ("without a wavefront", f"{frames.failed}", ""),
         ("camera to result", _milliseconds(times["to_result"]), "to_result_p99_s"),
         ("camera to screen", _milliseconds(times["to_screen"]), ""),
         ("window redrawn", f"{window.redrawn_hz:.1f} /s", "redrawn_hz"),

@@ -231,7 +231,7 @@ def _write_run(path: Path, acquisition: Carrier) -> None:
         "command": "live",
         "ended": now(),
         "frames": {**asdict(acquisition.counts), "shown": shown},
-        "timings": timing_facts(acquisition.timings),
+        "timings": timing_facts(acquisition.timings.summary()),
         **software_facts(),
     }
     write_record(path, record)

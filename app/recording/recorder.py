@@ -165,7 +165,7 @@ class BackgroundRecording:
                 synced.result()
         except (OSError, InputError, RunError) as error:
             self._fail(self._in_words(error))
-        writer.finish(self._problem, acquired=self._acquired, facts={"timings": timing_facts(self._timings)})
+        writer.finish(self._problem, acquired=self._acquired, facts={"timings": timing_facts(self._timings.summary())})
 
     def _records(self) -> Iterator[Record]:
         while True:

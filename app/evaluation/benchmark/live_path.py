@@ -11,21 +11,21 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, astuple, dataclass, replace
 from operator import ge, le, lt
 from pathlib import Path
 from typing import Any
 
+from app.acquisition.remote.own_instrument import OwnConnection
 from app.acquisition.session import FirstWavefront
 from app.acquisition.start_up import start_up
-from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError, ended_by
-from app.measurement.measurement import SKIPPED, Measurement
+from app.measurement.measurement import FrameTotals
 from app.progress import Progress
 from app.recording.recorder import RECENT_S, RecordingState
 from app.run_facts import machine_facts, timing_facts, versions
-from app.timing import Timings
+from app.timing import Stage, StageTimes
 from reconstruction.settings import FIELD_MODES
 
 LEAST_S, MOST_S = 1.0, 3600.0
@@ -103,55 +103,18 @@ def recording_folder(plan: LivePlan, progress: Progress) -> Iterator[Path | None
             shutil.rmtree(folder)
 
 
-_STATM = Path("/proc/self/statm")
+def share(frames: FrameTotals) -> float:
+    """Share of reconstructed frames among all frames of the camera, lost ones included."""
+    taken = frames.acquired + frames.lost
+    return frames.reconstructed / taken if taken else math.nan
 
 
-@dataclass(frozen=True, slots=True)
-class FrameCounts:
-    """Numbers of frames."""
-
-    acquired: int = 0
-    reconstructed: int = 0
-    passed_over: int = 0  # read, but skipped for a newer one
-    failed: int = 0  # without a wavefront
-    lost: int = 0  # overwritten in the camera before they were read
-
-    @property
-    def share(self) -> float:
-        """Share of reconstructed frames among all frames of the camera, lost ones included."""
-        taken = self.acquired + self.lost
-        return self.reconstructed / taken if taken else math.nan
-
-    def since(self, before: FrameCounts) -> FrameCounts:
-        """Return the difference from earlier counts."""
-        return FrameCounts(*(now - then for now, then in zip(astuple(self), astuple(before), strict=True)))
-
-
-class Tally:
-    """Counting sink of an acquisition."""
-
-    def __init__(self) -> None:
-        self.counts = FrameCounts()  # replaced by the worker with each frame, safe to read in any thread
-
-    def take(self, measurement: Measurement) -> None:
-        """Count one more frame."""
-        is_reconstructed, is_passed_over = measurement.wavefront is not None, measurement.problem == SKIPPED
-        before = self.counts
-        self.counts = FrameCounts(
-            acquired=before.acquired + 1,
-            reconstructed=before.reconstructed + is_reconstructed,
-            passed_over=before.passed_over + is_passed_over,
-            failed=before.failed + (not is_reconstructed and not is_passed_over),
-            lost=measurement.counts.lost,
-        )
-
-
-def resident_mb() -> float | None:
-    """Return the resident memory of this process, MB of 2**20 bytes; None if the system does not report it."""
+def resident_mb(*processes: int) -> float | None:
+    """Return the resident memory of processes, MB of 2**20 bytes; None if the system does not report it."""
     if sys.platform == "win32":
         return None
     try:
-        pages = int(_STATM.read_text().split()[1])
+        pages = sum(int(Path(f"/proc/{each}/statm").read_text().split()[1]) for each in processes)
     except OSError:
         return None
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
@@ -168,8 +131,8 @@ class Span:
     first_wavefront_s: float  # since the course was made, with opening and calibrating the devices
     began_s: float  # by time.perf_counter()
     seconds: float
-    frames: FrameCounts
-    timings: Timings  # of the span only
+    frames: FrameTotals
+    times: dict[Stage, StageTimes]  # counts are of the span, statistics of the times that were kept at its end
     memory_mb: tuple[float | None, float | None]  # resident, at begin and end of its last seconds
 
     @property
@@ -180,15 +143,15 @@ class Span:
     @property
     def redrawn_hz(self) -> float:
         """Rate at which a window showed something new."""
-        return self.timings.summary()["draw"].count / self.seconds
+        return self.times["draw"].count / self.seconds
 
 
 class Course:
-    """One run of its own acquisition, which the caller starts and closes."""
+    """One run of an instrument in a process of its own, which the caller closes."""
 
     def __init__(
         self,
-        bench: Bench,
+        acquisition: OwnConnection,
         progress: Progress,
         warm_up_s: float,
         seconds: float,
@@ -197,18 +160,17 @@ class Course:
         record_into: Path | None = None,
     ) -> None:
         """Prepare a span of `seconds` after the warm-up; the memory is measured over its last `memory_s`."""
-        self._tally, self._first = Tally(), FirstWavefront(_GIVE_UP_S)
-        self.acquisition = Acquisition(bench, sinks=(self._tally.take, self._first.take))
+        self.acquisition = acquisition
         self._progress, self._record_into = progress, record_into
         self._warm_up_s, self._seconds, self._memory_s = warm_up_s, seconds, memory_s
-        self._kept = 2 * math.ceil(seconds / bench.camera_model.exposure_s)
+        self._first = FirstWavefront(_GIVE_UP_S)
         self._expected: tuple[Future[Any], ...] = ()
         self._span: Span | None = None
         self._made_s = time.perf_counter()
         self._steps = self._run()
 
     def begin(self) -> tuple[Future[Any], ...]:
-        """Calibrate the started acquisition and turn to the sample."""
+        """Calibrate the bench and turn to the sample."""
         self._expected = start_up(self.acquisition)
         return self._expected
 
@@ -224,29 +186,40 @@ class Course:
         return self._span
 
     def _run(self) -> Iterator[None]:
+        acquisition = self.acquisition
         while (first_s := self._first.came_s) is None:
             self._check()
+            newest = acquisition.newest
+            if newest is not None and (newest.wavefront is not None or all(step.done() for step in self._expected)):
+                self._first.take(newest)
             self._first.check()
-            self._progress(self.acquisition.activity.text or "waiting for the first wavefront", 0.0)
+            self._progress(acquisition.activity.text or "waiting for the first wavefront", 0.0)
             yield
         if self._record_into is not None:
-            self._expected += (self.acquisition.start_recording(self._record_into, command="benchmark"),)
+            self._expected += (acquisition.start_recording(self._record_into, command="benchmark"),)
         yield from self._wait(first_s + self._warm_up_s, first_s, "warming up")
-        began_s, before = time.perf_counter(), self._tally.counts
-        timings, end_s = self.acquisition.timings.begin_span(self._kept), began_s + self._seconds
+        began_s, before, stages = time.perf_counter(), acquisition.counts, acquisition.timings.summary()
+        end_s = began_s + self._seconds
         yield from self._wait(end_s - self._memory_s, first_s, "measuring")
-        memory_mb = resident_mb()
+        memory_mb = self._memory_mb()
         yield from self._wait(end_s, first_s, "measuring")
-        ended_s, after = time.perf_counter(), self._tally.counts
-        self.acquisition.timings.end_span(timings)
+        ended_s, after, times = time.perf_counter(), acquisition.counts, acquisition.timings.summary()
         self._span = Span(
             first_wavefront_s=first_s - self._made_s,
             began_s=began_s,
             seconds=ended_s - began_s,
-            frames=after.since(before),
-            timings=timings,
-            memory_mb=(memory_mb, resident_mb()),
+            frames=FrameTotals(*(now - then for now, then in zip(astuple(after), astuple(before), strict=True))),
+            times={stage: replace(each, count=each.count - stages[stage].count) for stage, each in times.items()},
+            memory_mb=(memory_mb, self._memory_mb()),
         )
+        if self._record_into is not None:
+            self._expected += (acquisition.stop_recording(),)
+            while (state := acquisition.recording) is not None and state.stage in {"recording", "finishing"}:
+                self._check()
+                yield
+
+    def _memory_mb(self) -> float | None:
+        return resident_mb(os.getpid(), self.acquisition.place.process)
 
     def _wait(self, until_s: float, first_s: float, text: str) -> Iterator[None]:
         while (now_s := time.perf_counter()) < until_s:
@@ -298,9 +271,9 @@ class LiveFigures:
     def checks(self) -> dict[str, LimitCheck]:
         """Compare the figures with their limits, by name in the JSON; unknown figures meet none."""
         window = self.window
-        times = window.timings.summary()
+        times = window.times
         figures = {
-            "share": (window.frames.share, ge, 0.999, ">= 99.9 %"),
+            "share": (share(window.frames), ge, 0.999, ">= 99.9 %"),
             "lost": (window.frames.lost, le, 0, "none"),
             "to_result_p99_s": (times["to_result"].p99_s, lt, 0.030, "99 % < 30 ms"),
             "redrawn_hz": (window.redrawn_hz, ge, 20.0, ">= 20 /s"),
@@ -351,10 +324,10 @@ def _span_tree(span: Span) -> dict[str, Any]:
     return {
         "seconds": span.seconds,
         "frames": asdict(span.frames),
-        "share": _known(span.frames.share),
+        "share": _known(share(span.frames)),
         "rate_hz": span.rate_hz,
         "redrawn_hz": span.redrawn_hz,
-        "timings": timing_facts(span.timings),
+        "timings": timing_facts(span.times),
     }
 
 
