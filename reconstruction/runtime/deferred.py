@@ -1,7 +1,8 @@
 """Values computed when they are first needed, and results that are remembered; both can be pickled."""
 
 from collections.abc import Callable
-from functools import cached_property, lru_cache
+from functools import lru_cache
+from threading import Lock
 from typing import Any, Generic, TypeVar, TypeVarTuple
 from weakref import WeakMethod
 
@@ -14,18 +15,19 @@ class Deferred(Generic[R]):
     """A value that is computed when it is first called for, or when it is pickled."""
 
     def __init__(self, compute: Callable[[], R]) -> None:
-        self._compute = compute
+        # Not a cached property: before Python 3.12 all of a class wait for the one that is being computed.
+        self._compute, self._lock = compute, Lock()
 
     def __call__(self) -> R:
         """The value."""
+        if not hasattr(self, "_value"):
+            with self._lock:
+                if not hasattr(self, "_value"):
+                    self._value = self._compute()
         return self._value
 
-    @cached_property
-    def _value(self) -> R:
-        return self._compute()
-
     def __getstate__(self) -> dict[str, R]:
-        return {"_value": self._value}
+        return {"_value": self()}
 
 
 class Remembered(Generic[*A, R]):

@@ -186,12 +186,13 @@ class Course:
         return self._span
 
     def _run(self) -> Iterator[None]:
-        acquisition = self.acquisition
+        acquisition, seen = self.acquisition, None
         while (first_s := self._first.came_s) is None:
             self._check()
             newest = acquisition.newest
-            if newest is not None and (newest.wavefront is not None or all(step.done() for step in self._expected)):
+            if newest is not None and newest is not seen and all(step.done() for step in self._expected):
                 self._first.take(newest)
+            seen = newest
             self._first.check()
             self._progress(acquisition.activity.text or "waiting for the first wavefront", 0.0)
             yield
