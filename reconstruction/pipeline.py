@@ -198,12 +198,13 @@ class Reconstructor:
 
     def __call__(self, frame: Counts, *, bias: Floats | None = None) -> Wavefront:
         """Measure the wavefront of a frame: `register`, find the `sample`, then `solve`."""
-        displacement = self.register(frame)
-        sample = self.find_sample(displacement)
-        try:
-            return self.solve(displacement, bias=bias, sample=sample)
-        except ReconstructionError as error:
-            raise ReconstructionError(f"{error}; {_why_lost(displacement.outcome)}", image="frame") from error
+        with one_blas_thread():
+            displacement = self.register(frame)
+            sample = self.find_sample(displacement)
+            try:
+                return self.solve(displacement, bias=bias, sample=sample)
+            except ReconstructionError as error:
+                raise ReconstructionError(f"{error}; {_why_lost(displacement.outcome)}", image="frame") from error
 
     def register(self, frame: Counts, *, start: Displacement | None = None) -> Displacement:
         """Measure the displacement of each subimage from the reference.
@@ -239,7 +240,8 @@ class Reconstructor:
         if not self.may_be_layered:
             return FREE
         try:
-            search = find_layers(self.layers(displacement), None)
+            with one_blas_thread():
+                search = find_layers(self.layers(displacement), None)
         except ReconstructionError as error:  # too few lenslets, or nothing moves
             if self.reconstruction.sample == "layers":
                 raise ReconstructionError(f'{error} (reconstruction.sample = "layers")', image="frame") from error

@@ -21,6 +21,7 @@ from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.pupil_modes import PupilGrid, PupilModes
 from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.deferred import Remembered
+from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
@@ -85,7 +86,8 @@ class Refinement:
         modes = displacement.modes
         if not isinstance(modes, PolynomialModes):
             raise ReconstructionError("refinement needs a registration in polynomials of the field position")
-        image = self._model.image(self._field(solution, modes))
+        with one_blas_thread():  # the model's own threads would wait for those of BLAS
+            image = self._model.image(self._field(solution, modes))
         found = self._register(image, saturated=self._unsaturated)
         # A lenslet lost in the model's image is left uncorrected.
         bias = np.where(found.valid[..., None, None], found.coefficients - solution.displacement, 0.0)

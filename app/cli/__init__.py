@@ -11,6 +11,7 @@ from app.errors import InputError, Interrupted, RunError, ended_by
 def main() -> None:
     """Run the command line; exit with 2 for unusable input, 1 for a failure, 130 for Ctrl-C."""
     os.environ["PYTHONSAFEPATH"] = "1"  # no child process imports modules from the working folder
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded: they wait busily for one another
     with ended_by(_interrupt):  # typer would exit silently on a KeyboardInterrupt
         for stream in (sys.stdout, sys.stderr):
             if hasattr(stream, "reconfigure"):  # names of files need not be text

@@ -44,7 +44,6 @@ def command_of(kind: type[Analysis]) -> Callable[..., None]:
     def run(source: Path, out: Path, plot: Path | None = None, *, overwrite: bool, **chosen: Any) -> None:
         from app.progress import between
         from reconstruction.errors import ReconstructionError
-        from reconstruction.runtime.threads import one_blas_thread
 
         analysis = kind(**chosen)
         reads, writes = analysis.more_files(source)
@@ -54,7 +53,7 @@ def command_of(kind: type[Analysis]) -> Callable[..., None]:
         if kind.needs_suffix:
             require_suffix(out, *kind.suffixes)
         try:
-            with terminal.progress_bar() as progress, one_blas_thread():
+            with terminal.progress_bar() as progress:
                 bench, found = analysis.compute(source, between(progress, 0.0, 0.9))
                 progress("writing", 0.9)
                 analysis.write(found, bench, source, out)

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 import threading
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.linalg
+from support.paths import ROOT
 from threadpoolctl import threadpool_info, threadpool_limits  # type: ignore[import-untyped] # ships no types
 
+import svwfs
+from app.bench.imaging_model import BenchModel
 from app.timing import short_turns
+from reconstruction.layers.layer_search import find_layers
+from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
 
 
@@ -80,3 +90,47 @@ def test_concurrent_users_restore_switch_interval() -> None:
         thread.join()
     assert len(seen_s) == 400
     assert max(seen_s) < before_s == turns_s()
+
+
+@pytest.mark.slow
+def test_search_and_refinement_from_python_use_one_blas_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Threads of BLAS wait busily for one another: a frame took 13 s in place of 2."""
+    bench = svwfs.load_bench("small_demo")
+    images = svwfs.simulate(bench)
+    reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
+    seen: dict[str, set[int]] = {}
+
+    def watch(where: type, name: str) -> None:
+        work = getattr(where, name)
+
+        def watched(*args: Any, **named: Any) -> Any:
+            seen[name] = blas_threads()
+            return work(*args, **named)
+
+        monkeypatch.setattr(where, name, watched)
+
+    watch(Reconstructor, "register")
+    watch(Reconstructor, "solve")
+    watch(BenchModel, "image")
+    monkeypatch.setattr("reconstruction.pipeline.find_layers", partial(_noted, find_layers, seen))
+    with threadpool_limits(2, user_api="blas"):
+        reconstruct(images.frames[0])
+        assert seen == {"register": {1}, "find_layers": {1}, "solve": {1}}
+        seen.clear()
+        svwfs.refine(reconstruct, images.frames[0], 1)
+    assert seen["image"] == seen["find_layers"] == {1}
+
+
+def _noted(work: Callable[..., Any], seen: dict[str, set[int]], *args: Any) -> Any:
+    seen[work.__name__] = blas_threads()
+    return work(*args)
+
+
+def test_commands_limit_blas_before_it_is_loaded() -> None:
+    code = (
+        "import os, sys; import app.cli; loaded = 'numpy' in sys.modules; sys.argv = ['svwfs', '--help'];"
+        "import atexit; atexit.register(lambda: print(loaded, os.environ['OPENBLAS_NUM_THREADS'])); app.cli.main()"
+    )
+    given = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    told = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=given, capture_output=True, text=True, check=True)  # noqa: S603 - our own
+    assert told.stdout.splitlines()[-1] == "False 1"
