@@ -222,6 +222,11 @@ def is_measured(window: MainWindow) -> bool:
     return window.status_line.valid.text() == "35 of 35"
 
 
+def is_dark(window: MainWindow) -> bool:
+    status = window.controller.status
+    return status is not None and not status.is_light_on
+
+
 def connection_of(window: MainWindow) -> OwnConnection:
     connection = window.attachment.connection
     assert isinstance(connection, OwnConnection)
@@ -294,14 +299,14 @@ def test_another_bench_and_a_new_start_have_processes_of_their_own(
         qtbot.waitUntil(lambda: is_measured(window))
         assert connection_of(window).bench == load_bench(other)
         window.light.switch(on=False)
-        qtbot.waitUntil(lambda: not connection_of(window).status.is_light_on)
+        qtbot.waitUntil(lambda: is_dark(window))
         started[1].kill()
         qtbot.waitUntil(lambda: "the instrument's process" in told(window) and "has ended" in told(window))
         window.messages.reconnect.click()
         qtbot.waitUntil(lambda: (status := window.controller.status) is not None and status.is_running)
         assert connection_of(window).bench == load_bench(other)
         qtbot.waitUntil(lambda: window.controller.is_settled)
-        assert not connection_of(window).status.is_light_on  # as its user left it
+        assert is_dark(window)  # as its user left it
 
     assert live_window(monkeypatch, small_toml, act) == 0
     assert [each.poll() for each in started] == [0, -signal.SIGKILL, 0]
