@@ -2,6 +2,9 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 class DeviceError(Exception):
@@ -41,6 +44,16 @@ class Unsupported(DeviceError):
 
 
 REFUSALS = (BadValue, Unsupported, WrongState)  # nothing has changed, and the device is sound
+
+
+def attempt(call: Callable[..., T], *arguments: Any) -> T | None:
+    """Return the result of an optional call; None if it fails, but a loss of the device is raised."""
+    try:
+        return call(*arguments)
+    except Disconnected:
+        raise
+    except DeviceError:
+        return None
 
 
 @contextmanager

@@ -27,7 +27,7 @@ from drivers.dcam.library import DcamLibrary, DeviceOpen, load_library, sized
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
 from drivers.device import DiscoveredDevice, Property
-from drivers.errors import REFUSALS, DeviceError, Disconnected, Unsupported, WrongState
+from drivers.errors import REFUSALS, DeviceError, Unsupported, WrongState, attempt
 
 # A running camera may deny reading these.
 _MODE = (
@@ -254,12 +254,7 @@ class DcamCamera(Camera):
         self._capture.stop()
         self._capture, self._unreleased = None, self._capture
         self._values.check_online()  # a running camera may deny it
-        try:
-            self._release_ring()
-        except Disconnected:
-            raise
-        except DeviceError:  # stopped; the release is tried again before the next use
-            pass
+        attempt(self._release_ring)  # if it fails, it is tried again before the next use
 
     def _release_ring(self) -> None:
         if self._unreleased is not None:

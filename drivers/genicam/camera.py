@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.camera import Camera, CameraCapabilities, Frame, Region, SettingsInForce
 from drivers.device import DiscoveredDevice, Property, Range
-from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, undone_if_refused
+from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, attempt, undone_if_refused
 from drivers.genicam import GenicamSettings, features, frames
 from drivers.genicam.connection import GenicamConnection, chosen, update_list
 from drivers.genicam.library import STATUS_SUCCESS, load_aravis
@@ -59,7 +59,7 @@ class GenicamCamera(Camera):
         try:
             details = ("vendor_name", "model_name", "device_serial_number")
             self._name = " ".join(filter(None, (self._line.call(f"arv_camera_get_{detail}") for detail in details)))
-            self._line.attempt(self._line.call, "arv_camera_execute_command", b"AcquisitionStop")
+            attempt(self._line.call, "arv_camera_execute_command", b"AcquisitionStop")
             features.reset(self._line, features.RESETS)
             self._geometry = features.Geometry(self._line)
             self._prepare_pixels()
@@ -84,9 +84,9 @@ class GenicamCamera(Camera):
             readings = {"gain": "arv_camera_get_gain", "frame_rate_hz": "arv_camera_get_frame_rate"}
             if line.is_gige:
                 readings["packet_size"] = "arv_camera_gv_get_packet_size"
-            found: dict[str, Property | None] = {key: line.attempt(line.call, name) for key, name in readings.items()}
+            found: dict[str, Property | None] = {key: attempt(line.call, name) for key, name in readings.items()}
             found |= {name: line.optional_text(name) for name in _PROPERTIES_AS_TEXT}
-            found |= {name: line.attempt(line.number, name) for name in _PROPERTIES_AS_NUMBER}
+            found |= {name: attempt(line.number, name) for name in _PROPERTIES_AS_NUMBER}
         details |= {key: value for key, value in found.items() if value is not None}
         return details | {"incomplete_frames": self._incomplete}
 
@@ -127,18 +127,17 @@ class GenicamCamera(Camera):
         elif settings.region is not None:
             raise Unsupported(f"{self.name} always reads out its whole sensor: omit region")
         else:  # it may be cropped
-            line.attempt(lambda: self._geometry.set_region(self._geometry.sensor()))
+            attempt(lambda: self._geometry.set_region(self._geometry.sensor()))
         self.set_trigger(settings.trigger)
         if settings.gain is not None:
             gains = Range(*line.outputs("arv_camera_get_gain_bounds"))
             line.call("arv_camera_set_gain", gains.check(settings.gain, "gain"))
-        if settings.exposure_s is not None:
-            self.set_exposure(settings.exposure_s)
+        self._apply(exposure=settings.exposure_s)
 
     def _read_capabilities(self) -> CameraCapabilities:
         line, geometry, settings = self._line, self._geometry, self._settings
         _, _, columns, rows = line.region()
-        self._saturation.reported = line.attempt(line.integer, "PixelDynamicRangeMax")
+        self._saturation.reported = attempt(line.integer, "PixelDynamicRangeMax")
         return CameraCapabilities(
             rows=rows,
             columns=columns,
@@ -155,7 +154,7 @@ class GenicamCamera(Camera):
 
     def _pixel_pitch_m(self) -> float | None:
         pitch_m = self._settings.pixel_pitch_m
-        if pitch_m is None and (reported_um := self._line.attempt(self._line.number, "SensorPixelWidth")):
+        if pitch_m is None and (reported_um := attempt(self._line.number, "SensorPixelWidth")):
             pitch_m = reported_um * 1e-6
         return None if pitch_m is None else pitch_m * self._read_binning()
 
@@ -225,7 +224,7 @@ class GenicamCamera(Camera):
             self._cached_capabilities = replace(self.capabilities, full_scale=counts)
 
     def _read_temperature(self) -> float | None:
-        return self._line.attempt(self._line.number, "DeviceTemperature")
+        return attempt(self._line.number, "DeviceTemperature")
 
     def _read_exposure(self) -> float:
         return self._exposure.read_s()

@@ -11,7 +11,7 @@ from queue import SimpleQueue
 from typing import Any, Final, TypeVar
 
 from drivers.device import choose
-from drivers.errors import Busy, DeviceError, Disconnected, Unsupported
+from drivers.errors import Busy, DeviceError, Disconnected, Unsupported, attempt
 from drivers.genicam import GenicamSettings
 from drivers.genicam.library import PACKET_SOCKET_DISABLED, READ_WRITE, SOCKET_BUFFER_FIXED, Aravis, load_aravis
 
@@ -97,24 +97,15 @@ class GenicamConnection:
     def has(self, feature: str) -> bool:
         """True if the feature is implemented and available now."""
         return bool(
-            self.attempt(self.call, "arv_camera_is_feature_available", feature.encode())
-            and self.attempt(self._call_node, "arv_gc_feature_node_is_implemented", feature)
+            attempt(self.call, "arv_camera_is_feature_available", feature.encode())
+            and attempt(self._call_node, "arv_gc_feature_node_is_implemented", feature)
         )
-
-    def attempt(self, call: Callable[..., T], *arguments: Any) -> T | None:
-        """Return the result of an optional call; None if the camera refuses it."""
-        try:
-            return call(*arguments)
-        except Disconnected:
-            raise
-        except DeviceError:
-            return None
 
     def is_writable(self, feature: str) -> bool:
         """True if the feature is available and not locked now."""
         if not self.has(feature):
             return False
-        is_locked = self.attempt(self._call_node, "arv_gc_feature_node_is_locked", feature)
+        is_locked = attempt(self._call_node, "arv_gc_feature_node_is_locked", feature)
         return is_locked == 0 and self._call_node("arv_gc_feature_node_get_actual_access_mode", feature) == READ_WRITE
 
     def choices(self, feature: str) -> tuple[str, ...]:
@@ -134,7 +125,7 @@ class GenicamConnection:
 
     def optional_text(self, feature: str) -> str | None:
         """Return the value of a feature as text; None if it is missing or cannot be read."""
-        return self.attempt(self.text, feature) if self.has(feature) else None
+        return attempt(self.text, feature) if self.has(feature) else None
 
     def integer(self, feature: str) -> int:
         """Return the value of an integer feature."""

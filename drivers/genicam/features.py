@@ -6,7 +6,7 @@ from typing import Final
 
 from drivers.camera import Region
 from drivers.device import Range
-from drivers.errors import BadValue, Unsupported
+from drivers.errors import BadValue, Unsupported, attempt
 from drivers.genicam.connection import GenicamConnection
 
 # In this order: the exposure mode, for example, may lock the automatic exposure. The first value that fits is set.
@@ -67,10 +67,10 @@ def reset(line: GenicamConnection, features: dict[str, tuple[str, ...]]) -> None
         before = line.optional_text(feature)
         if before is None or before in values or not line.is_writable(feature):
             continue
-        choices = line.attempt(line.choices, feature)  # None if it is no enumeration
+        choices = attempt(line.choices, feature)  # None if it is no enumeration
         fitting = [value for value in values if choices is None or value in choices]
         if fitting:
-            line.attempt(line.set_text, feature, fitting[0])
+            attempt(line.set_text, feature, fitting[0])
 
 
 DIGITISERS: Final = ("AdcBitDepth", "SensorBitDepth", "BslSensorBitDepth", "SensorBits")  # "Bit12", "Bpp12" or "12"
@@ -82,12 +82,12 @@ def set_digitiser(line: GenicamConnection, wanted_bits: int) -> int | None:
     A leftover depth of 8 bits would leave the others of a deeper pixel format empty.
     """
     for feature in DIGITISERS:
-        choices = line.attempt(line.choices, feature) or ()
+        choices = attempt(line.choices, feature) or ()
         depths = {bits: choice for choice in choices if (bits := trailing_number(choice))}
         if depths and line.is_writable(feature):
             best = depths[min((bits for bits in depths if bits >= wanted_bits), default=max(depths))]
             if line.optional_text(feature) != best:
-                line.attempt(line.set_text, feature, best)
+                attempt(line.set_text, feature, best)
         if bits := trailing_number(line.optional_text(feature) or ""):
             return bits
     return None
@@ -108,7 +108,7 @@ class ExposureTime:
     def __init__(self, line: GenicamConnection) -> None:
         self._line = line
         self._integer = ""
-        if line.attempt(line.outputs, "arv_camera_get_exposure_time_bounds") is None:
+        if attempt(line.outputs, "arv_camera_get_exposure_time_bounds") is None:
             self._integer = next(filter(line.has, _IN_MICROSECONDS), "")
             if not self._integer:
                 raise Unsupported(f"the camera offers no exposure time: neither {' nor '.join(_IN_MICROSECONDS)}")
@@ -258,7 +258,7 @@ class Geometry:
 
     def _values(self, axis: str) -> dict[int, str]:
         """Binnings of an axis with their text: numbers, or choices such as X2."""
-        choices = self._line.attempt(self._line.choices, axis)
+        choices = attempt(self._line.choices, axis)
         if choices is not None:
             return {number: choice for choice in choices if (number := trailing_number(choice))}
         low, high, step = self._line.integer_bounds(axis)
@@ -267,7 +267,7 @@ class Geometry:
     def _length(self, side: str, longest: str, sensor: str, binning: int) -> int:
         """Longest side in whole steps; 2064 pixels in steps of 16 give 2048 with a binning of 2."""
         line = self._line
-        binned, whole = (line.attempt(line.integer, name) for name in (longest, sensor))
+        binned, whole = (attempt(line.integer, name) for name in (longest, sensor))
         most = min(length for length in (binned and binned * binning, whole, math.inf) if length)
         if most == math.inf:  # the limit of the side itself may shrink with the offset
             most = line.integer_bounds(side)[1] * binning

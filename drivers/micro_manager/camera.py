@@ -76,11 +76,8 @@ class MicroManagerCamera(Camera):
         binning = self._read_binning()
         rows, columns = (binning * self._line.call(f"getImage{side}") for side in ("Height", "Width"))
         self._sensor = Region(0, 0, rows, columns)
-        self.set_binning(self._settings.binning)
-        if self._settings.region is not None:
-            self.set_region(self._settings.region)
-        if self._settings.exposure_s is not None:
-            self.set_exposure(self._settings.exposure_s)
+        settings = self._settings
+        self._apply(binning=settings.binning, region=settings.region, exposure=settings.exposure_s)
         self._read_details()
 
     def properties(self) -> dict[str, Property]:

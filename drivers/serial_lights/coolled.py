@@ -17,7 +17,7 @@ from drivers.serial_lights import CoolLEDSettings
 from drivers.serial_lights.line import Dialect, SerialLine, Wire, find_port
 from drivers.serial_lights.line import discover as discover_on_ports
 
-_DIALECT = Dialect("CoolLED", end=b"\r", baudrate=57600, timeout_s=0.5)
+_DIALECT = Dialect("CoolLED", end=b"\r", baudrate=57600)
 _MODEL = r"XMODEL[:=\s]*(.*pE-(300|340|4000).*)"
 _STATE = r"CSS((?:[A-H][SX][NF][0-9]{3}){1,8})"  # E to H are those of an expansion box
 _LAMP = r"LAM:([A-D]):([0-9]{3,4})"  # CoolLED documents no wavelengths of E to H

@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Protocol
 
 import serial
 from serial.tools import list_ports
@@ -36,24 +35,11 @@ _FAULTS = (OSError, TerminalError, ValueError, TypeError)  # the last three from
 _LONGEST_LINE = 4096  # of garbage without a line end
 
 
-class Port(Protocol):
-    """The part of `serial.Serial` that is used; `read` waits a short time for at least one byte."""
-
-    @property
-    def in_waiting(self) -> int: ...  # noqa: D102 - as in pyserial
-
-    def read(self, size: int, /) -> bytes: ...  # noqa: D102 - the same
-
-    def write(self, data: bytes, /) -> int | None: ...  # noqa: D102 - the same
-
-    def close(self) -> None: ...  # noqa: D102 - the same
-
-
 @dataclass(frozen=True, slots=True)
 class Wire:
     """Ports and clock: those of this computer, or of a test."""
 
-    open_port: Callable[..., Port] = serial.Serial
+    open_port: Callable[..., serial.Serial] = serial.Serial
     clock: Callable[[], float] = time.monotonic
 
 
@@ -202,7 +188,7 @@ class SerialLine:
             raise Disconnected(f"{self.where} is gone; is it plugged in and switched on?") from error
 
 
-def _open(port: str, dialect: Dialect, wire: Wire) -> Port:
+def _open(port: str, dialect: Dialect, wire: Wire) -> serial.Serial:
     """Open a port; on Windows pyserial gives the reason of a failure only in its text."""
     device = dialect.device
     try:

@@ -53,12 +53,7 @@ class ThorlabsDC2200(LedDriver):
     _panel, _switching = "screen", ("OUTP 0", "OUTP 1")
 
     def __init__(
-        self,
-        settings: DC2200Settings,
-        *,
-        backend: IBackend | None = None,
-        timeout_s: float = 3.0,
-        sleep: Callable[[float], None] = time.sleep,
+        self, settings: DC2200Settings, *, backend: IBackend | None = None, sleep: Callable[[float], None] = time.sleep
     ) -> None:
         super().__init__(limit_a=settings.limit_a, sleep=sleep)
         self._terminal, self._gate = settings.terminal, settings.gate
@@ -69,7 +64,7 @@ class ThorlabsDC2200(LedDriver):
         names = [(each.serial_number or each.problem,) for each in instruments]
         instrument = instruments[choose(settings.serial_number, names, "DC2200", "serial_number")]
         self._where = f"the DC2200 {instrument.serial_number}"
-        self._usb = Usbtmc(instrument, what=self._where, timeout_s=timeout_s, sleep=sleep)
+        self._usb = Usbtmc(instrument, what=self._where, sleep=sleep)
         self._begin()
 
     def _identify(self) -> None:

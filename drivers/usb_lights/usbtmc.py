@@ -15,7 +15,7 @@ import usb.core
 import usb.util
 from usb.backend import IBackend
 
-from drivers.errors import Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported
+from drivers.errors import Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported, attempt
 
 _CLASS, _SUBCLASS = 0xFE, 0x03
 _OUT, _REQUEST_IN, _IN = 1, 2, 2  # transfer types: message, request for one, answer
@@ -28,7 +28,7 @@ _OPENINGS = 3  # some instruments miss the first
 _INTERFACE, _ENDPOINT = 0xA1, 0xA2  # recipients of class requests
 _SUCCESS, _PENDING = 0x01, 0x02
 _GONE = {errno.ENODEV, errno.ENXIO, errno.ENOENT, errno.EIO, errno.EPROTO, errno.ESHUTDOWN}
-_CONTROL_MS, _EMPTY_MS = 500, 50
+_TIMEOUT_MS, _CONTROL_MS, _EMPTY_MS = 3000, 500, 50
 _POLLS, _POLL_S = 20, 0.02  # of a pending abort or clear
 _LARGEST = 4096 - _HEADER.size  # bytes of data in a transfer
 _LONGEST_ANSWER = 1 << 20
@@ -70,27 +70,19 @@ def _identify(device: usb.core.Device) -> UsbInstrument:
 class Usbtmc:
     """A connection to one instrument; every fault is raised as a `DeviceError`."""
 
-    def __init__(
-        self,
-        instrument: UsbInstrument,
-        *,
-        what: str,
-        timeout_s: float = 3.0,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
+    def __init__(self, instrument: UsbInstrument, *, what: str, sleep: Callable[[float], None] = time.sleep) -> None:
         """`what` names it in errors; `sleep` waits between polls."""
-        self._device, self._what, self._timeout_ms = instrument.device, what, round(1000 * timeout_s)
-        self._sleep = sleep
+        self._device, self._what, self._sleep = instrument.device, what, sleep
         self._tag = 0
         self._is_remote = False
         self._detached: int | None = None  # interface that a kernel driver had
-        for attempt in range(1, _OPENINGS + 1):
+        for opening in range(1, _OPENINGS + 1):
             try:
                 self._open()
                 break
             except DeviceError as error:
                 self.close()
-                if attempt == _OPENINGS or not isinstance(error, DeviceTimeout):
+                if opening == _OPENINGS or not isinstance(error, DeviceTimeout):
                     raise
 
     def _open(self) -> None:
@@ -105,26 +97,16 @@ class Usbtmc:
     def write(self, message: str) -> None:
         """Send one message."""
         data = message.encode("ascii")
-        try:
+        with self._recovered(_ABORT_OUT):
             for start in range(0, len(data), _LARGEST):
                 part = data[start : start + _LARGEST]
                 attributes = _END_OF_MESSAGE if start + _LARGEST >= len(data) else 0
                 self._send(_OUT, len(part), attributes, part)
-        except Disconnected:
-            raise
-        except DeviceError:
-            self._recover(_ABORT_OUT)
-            raise
 
     def read(self) -> str:
         """Return one message, of one or more transfers."""
-        try:
+        with self._recovered(_ABORT_IN):
             message = self._read_message()
-        except Disconnected:
-            raise
-        except DeviceError:
-            self._recover(_ABORT_IN)
-            raise
         return message.decode("ascii", "backslashreplace").strip()
 
     def query(self, message: str) -> str:
@@ -188,7 +170,7 @@ class Usbtmc:
         self._tag = self._tag % 255 + 1
         transfer = _HEADER.pack(kind, self._tag, ~self._tag & 0xFF, length, attributes) + data
         with _faults(self._what):
-            self._device.write(self._out, transfer + bytes(-len(transfer) % 4), self._timeout_ms)
+            self._device.write(self._out, transfer + bytes(-len(transfer) % 4), _TIMEOUT_MS)
 
     def _read_message(self) -> bytes:
         message, is_complete = b"", False
@@ -202,14 +184,14 @@ class Usbtmc:
     def _read_transfer(self) -> tuple[bytes, bool]:
         """Return the data of one transfer; True if the message ends with it."""
         self._send(_REQUEST_IN, _LARGEST, 0)
-        packet = transfer = self._packet(self._timeout_ms)
+        packet = transfer = self._packet(_TIMEOUT_MS)
         if len(transfer) < _HEADER.size:
             raise DeviceError(f"{self._what} answered with half a header")
         kind, tag, inverse, length, attributes = _HEADER.unpack_from(transfer)
         if (kind, tag, inverse) != (_IN, self._tag, ~self._tag & 0xFF) or length > _LARGEST:
             raise DeviceError(f"{self._what} answered another query than the last")
         while len(packet) == self._packet_size and len(transfer) < _HEADER.size + length:
-            packet = self._packet(self._timeout_ms)
+            packet = self._packet(_TIMEOUT_MS)
             transfer += packet
         if len(packet) == self._packet_size:  # some instruments send an empty packet next
             with suppress(DeviceTimeout):
@@ -222,16 +204,21 @@ class Usbtmc:
         with _faults(self._what):
             return bytes(self._device.read(self._in, self._packet_size, timeout_ms))
 
-    def _recover(self, abort: int) -> None:
-        """Abort the transfer and clear all buffers, so that the next query works; raise only a loss."""
+    @contextmanager
+    def _recovered(self, abort: int) -> Iterator[None]:
+        """After a failed transfer, abort it and clear all buffers, so that the next query works."""
         try:
-            with suppress(DeviceTimeout):  # clearing includes what an abort does
-                self._abort(abort)
-            self.clear()
+            yield
         except Disconnected:
             raise
         except DeviceError:
-            return  # the original error says more
+            attempt(self._recover, abort)  # the original error says more than another one
+            raise
+
+    def _recover(self, abort: int) -> None:
+        with suppress(DeviceTimeout):  # clearing includes what an abort does
+            self._abort(abort)
+        self.clear()
 
     def _abort(self, request: int) -> None:
         endpoint, is_in = (self._in, True) if request == _ABORT_IN else (self._out, False)
