@@ -77,8 +77,8 @@ class CameraCapabilities:
     pixel_pitch_m: float | None  # of a pixel of the frame; None if unknown
     full_scale: int  # the count at which a pixel saturates
     exposure_range_s: Range
-    em_gain_range: Range
-    amplifiers: tuple[str, ...]
+    em_gain_range: Range = Range(1.0, 1.0)
+    amplifiers: tuple[str, ...] = ("normal",)
     readout_speeds: tuple[int, ...] = (1,)  # slowest first
     binnings: tuple[int, ...] = (1,)
     triggers: tuple[str, ...] = ("internal",)

@@ -73,8 +73,6 @@ class ManyFramesCamera(Camera):
             pixel_pitch_m=16e-6,
             full_scale=2**self._scene.bits - 1,
             exposure_range_s=self._scene.exposure_range_s,
-            amplifiers=("normal",),
-            em_gain_range=Range(1.0, 1.0),
         )
 
     def _read_exposure(self) -> float:

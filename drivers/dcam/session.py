@@ -36,14 +36,8 @@ class ListedCamera:
     """A camera in the session, not yet opened."""
 
     index: int
-    vendor: str
-    model: str
+    name: str  # maker, model and serial number
     serial_number: str
-
-    @property
-    def name(self) -> str:
-        """Maker, model and serial number."""
-        return f"{self.vendor} {self.model}, serial {self.serial_number}"
 
 
 def begin(library: DcamLibrary) -> int:
@@ -99,4 +93,5 @@ def string(library: DcamLibrary, camera: int, identifier: int) -> str:
 
 def _listed(library: DcamLibrary, index: int) -> ListedCamera:
     vendor, model, serial = (string(library, index, STRINGS[name]) for name in ("vendor", "model", "serial number"))
-    return ListedCamera(index, vendor, model, serial.removeprefix("S/N:").strip())
+    serial = serial.removeprefix("S/N:").strip()
+    return ListedCamera(index, f"{vendor} {model}, serial {serial}", serial)

@@ -144,8 +144,6 @@ class GenicamCamera(Camera):
             pixel_pitch_m=self._pixel_pitch_m(),
             full_scale=settings.full_scale or self._saturation.counts,
             exposure_range_s=self._exposure.range_s(),
-            em_gain_range=Range(1.0, 1.0),
-            amplifiers=("normal",),
             binnings=geometry.binnings(),
             triggers=features.sources(line),
             sensor=geometry.sensor() if geometry.has_offsets else None,

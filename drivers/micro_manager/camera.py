@@ -119,7 +119,6 @@ class MicroManagerCamera(Camera):
             full_scale=self._settings.full_scale or 2 ** self._line.call("getImageBitDepth") - 1,
             exposure_range_s=Range(max(1e-3 * limits_ms[0], _SHORTEST_S), 1e-3 * limits_ms[1]),
             em_gain_range=Range(self._em_gain, self._em_gain),
-            amplifiers=("normal",),
             binnings=tuple(sorted(self._binnings)),
             sensor=self._sensor,
             region_step_px=binning,
