@@ -10,20 +10,24 @@ import json
 import math
 import os
 from pathlib import Path
-from typing import Any, Literal, Self, TypeAlias
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.errors import InputError, RunError
 from app.files import check_readable, in_words, sync, write_whole
-
-Separator: TypeAlias = Literal["/", "."]  # between the parts of a chunk's name
+from app.recording.folder import PIXELS
 
 METADATA = "zarr.json"  # in the folder of an array or group
 _STEP = 4096  # frames by which an array grows
 _WRITE = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0)
 _TYPES = ("uint16", "float32", "float64")  # of pixels and results
+_DIMENSIONS = {
+    PIXELS: ("y", "x"),
+    "displacement": ("lenslet_row", "lenslet_column", "field_mode", "xy"),
+    "coefficients": ("pupil_mode", "field_mode"),
+}
 _CODECS = [{"name": "bytes", "configuration": {"endian": "little"}}]
 
 
@@ -60,14 +64,13 @@ class FrameArray:
         self._last = self._separator.join("0" * len(shape))
 
     @classmethod
-    def create(
-        cls, store: Path, name: str, values: NDArray[Any], dimensions: tuple[str, ...], separator: Separator
-    ) -> Self:
-        """Make an array for values of this shape and type; its first dimension is `t`, the frame.
+    def create(cls, store: Path, name: str, values: NDArray[Any]) -> Self:
+        """Make an array of a recording for values like these of one frame; its first dimension is `t`, the frame.
 
         With the separator "/", which OME-NGFF demands for images, each frame has its own folder; with "." all chunks
         lie in one.
         """
+        separator: Literal["/", "."] = "/" if name == PIXELS else "."
         import zarr  # noqa: PLC0415 - takes a fifth of a second, and only a new recording needs it
 
         zarr.open_group(store, mode="a").create_array(
@@ -79,7 +82,7 @@ class FrameArray:
             filters=None,
             fill_value=math.nan if values.dtype.kind == "f" else 0,
             chunk_key_encoding={"name": "default", "separator": separator},
-            dimension_names=("t", *dimensions),
+            dimension_names=("t", *_DIMENSIONS[name.rpartition("/")[2]]),
         )
         made = cls(store / name)
         if separator == "/":

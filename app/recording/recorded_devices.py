@@ -273,9 +273,6 @@ class RecordedStage(Stage):
     def _set_sample_in(self, *, sample_in: bool) -> None:
         self._camera.see(is_lit=self._camera.is_lit, is_sample_in=sample_in)
 
-    def _close(self) -> None:
-        pass
-
 
 class AveragedFrames:
     """Frames that repeat with the period of an average: their mean is exact, their variance nearly.

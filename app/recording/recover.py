@@ -21,7 +21,7 @@ from app.recording.folder import CALIBRATION, FORMAT, FRAME_LINES, PIXELS, RESUL
 from app.recording.frame_array import METADATA, FrameArray, is_array
 from app.recording.frame_lines import FoundLines, find_lines
 from app.recording.reader import Recording
-from app.recording.writer import make_array, make_store
+from app.recording.writer import make_store
 from app.run_facts import now, write_record
 
 _WHY = "recovered: the program ended before it could finish the recording"
@@ -242,7 +242,7 @@ def _rebuild_arrays(folder: Path) -> Iterator[str]:
             values = _zeros_of_a_frame(folder, name)
             if metadata.exists():
                 metadata.rename(metadata.with_name(f"damaged.{METADATA}"))
-            make_array(store, name, values)
+            FrameArray.create(store, name, values)
             yield f"{STORE}/{name}/{METADATA} was missing or damaged and is made again"
         except InputError as error:
             yield f"{STORE}/{name}/{METADATA} is missing or damaged and cannot be made again: {error}"

@@ -41,12 +41,6 @@ from reconstruction.refinement import mean_rms
 
 T = TypeVar("T")
 
-_DIMENSIONS = {
-    PIXELS: ("y", "x"),
-    "displacement": ("lenslet_row", "lenslet_column", "field_mode", "xy"),
-    "coefficients": ("pupil_mode", "field_mode"),
-}
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
@@ -201,7 +195,7 @@ class RecordingWriter:
         if name not in self._arrays:
             if not self._arrays:
                 make_store(self._folder / STORE)
-            self._arrays[name] = make_array(self._folder / STORE, name, values)
+            self._arrays[name] = FrameArray.create(self._folder / STORE, name, values)
         try:
             self.bytes += self._arrays[name].write(index, values)
         except RunError as error:
@@ -238,12 +232,6 @@ def _create_lines(folder: Path) -> IO[bytes]:
         lines.close()
         raise
     return lines
-
-
-def make_array(store: Path, name: str, values: NDArray[Any]) -> FrameArray:
-    """Make an array of a recording, for values like these of one frame."""
-    dimensions = _DIMENSIONS[name.rpartition("/")[2]]
-    return FrameArray.create(store, name, values, dimensions, "/" if name == PIXELS else ".")
 
 
 def make_store(path: Path) -> None:
