@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -105,18 +106,9 @@ def _guard_m(simulation: Simulation, sensor: Sensor, field: Field, rays: RayMap,
 
 
 @lru_cache(maxsize=2)
-def generated(
-    seed: int, samples: int, sample_spacing_m: float, correlation_length_m: float, enlarged_by: int, guard: int
-) -> Floats:
-    """Smooth the noise of a seed once for all strengths of a screen; with fine sampling it takes seconds."""
-    return smooth_screen(
-        np.random.default_rng(seed),
-        samples=samples,
-        sample_spacing_m=sample_spacing_m,
-        correlation_length_m=correlation_length_m,
-        enlarged_by=enlarged_by,
-        guard=guard,
-    )
+def generated(seed: int, **shape: Any) -> Floats:
+    """Call `smooth_screen` once for all strengths of the screen of a seed; with fine sampling it takes seconds."""
+    return smooth_screen(np.random.default_rng(seed), **shape)
 
 
 def amplitude_of(simulation: Simulation, phase: PhaseScreen, size: ScreenSize) -> PhaseScreen | None:
@@ -217,10 +209,7 @@ def make_sample(simulation: Simulation, sensor: Sensor, field: Field, *, phase_s
     If `border_lenslets` or a drift need a larger screen, the requested one is at its centre, and has that RMS and PV. A
     screen from a file is used unchanged; one that is too small is rejected later. `phase_scale` multiplies the phases.
 
-    Raises
-    ------
-    ValueError
-        If the screen or its light would be too large to compute, or if a file cannot be used.
+    Raises `ValueError` if the screen or its light would be too large to compute, or if a file cannot be used.
     """
     screen, rays = simulation.screen, ray_map(simulation.screen, field)
     if screen.file:
@@ -256,12 +245,17 @@ def _generated_phases(
     """Screen from the seed, and the same with its guard."""
     screen, spacing_m = simulation.screen, simulation.screen.sample_spacing_m
     smoothed = partial(
-        generated, simulation.seed, screen.samples, spacing_m, screen.correlation_length_m, size.enlarged_by
+        generated,
+        simulation.seed,
+        samples=screen.samples,
+        sample_spacing_m=spacing_m,
+        correlation_length_m=screen.correlation_length_m,
+        enlarged_by=size.enlarged_by,
     )
-    wide_rad = smoothed(size.guard)
+    wide_rad = smoothed(guard=size.guard)
     # The edge of the screen itself is that of the ensemble, to the last bit.
     is_final = edge_is_final(screen.correlation_length_m, spacing_m)
-    samples_rad = middle_of(wide_rad, size.guard).copy() if is_final else smoothed(0)
+    samples_rad = middle_of(wide_rad, size.guard).copy() if is_final else smoothed(guard=0)
     if screen.pv_rad is not None:
         shape = partial(shape_to_pv_and_rms, pv_rad=screen.pv_rad, rms_rad=screen.rms_rad)
         phase = PhaseScreen(shape(samples_rad, enlarged_by=size.enlarged_by), spacing_m)

@@ -43,26 +43,21 @@ class PhaseScreen:
         y_m, x_m = (centered_steps(count) * sample_spacing_m for count in samples_rad.shape)
         self.half_width_m = float(x_m[-1]), float(y_m[-1])  # (x, y)
         self._spline = scipy.interpolate.RectBivariateSpline(y_m, x_m, samples_rad)
-        self._knots_y, self._knots_x = self._spline.get_knots()  # of the spline's first and second axis
-        self.coefficients: Floats = np.reshape(
-            self._spline.get_coeffs(), (len(self._knots_y) - _CUBIC - 1, len(self._knots_x) - _CUBIC - 1)
-        )
+        self._knots = self._spline.get_knots()  # along y, along x
+        shape = tuple(len(knots) - _CUBIC - 1 for knots in self._knots)
+        self.coefficients: Floats = np.reshape(self._spline.get_coeffs(), shape)
 
     def at(self, x_m: ArrayLike, y_m: ArrayLike) -> Floats:
         """Phase (rad) at positions in m, element by element; x and y broadcast against each other."""
         x_m, y_m = np.broadcast_arrays(np.asarray(x_m, np.float64), np.asarray(y_m, np.float64))
-        self._check(x_m, y_m)
+        self._check(x_m, 1)
+        self._check(y_m, 0)
         return np.asarray(self._spline.ev(y_m, x_m), np.float64)
 
-    def basis_x(self, x_m: Floats) -> sparse.csr_array[np.float32]:
-        """Values of the spline's basis at x (m): sparse (position, coefficient column), four entries a row."""
-        self._check(x_m, np.zeros(1))
-        return scipy.interpolate.BSpline.design_matrix(x_m, self._knots_x, _CUBIC).astype(np.float32)
-
-    def basis_y(self, y_m: Floats) -> sparse.csr_array[np.float32]:
-        """Values of the spline's basis at y (m): sparse (position, coefficient row), four entries a row."""
-        self._check(np.zeros(1), y_m)
-        return scipy.interpolate.BSpline.design_matrix(y_m, self._knots_y, _CUBIC).astype(np.float32)
+    def basis(self, position_m: Floats, axis: int) -> sparse.csr_array[np.float32]:
+        """Values of the spline's basis along y (axis 0) or x (1) at positions in m: sparse (position, coefficient)."""
+        self._check(position_m, axis)
+        return scipy.interpolate.BSpline.design_matrix(position_m, self._knots[axis], _CUBIC).astype(np.float32)
 
     def scaled(self, factor: float) -> PhaseScreen:
         """Return the screen with every phase multiplied by `factor`."""
@@ -72,14 +67,14 @@ class PhaseScreen:
         """Return the screen with every position multiplied by `magnification`."""
         return PhaseScreen(self.samples_rad, self.sample_spacing_m * magnification)
 
-    def _check(self, x_m: Floats, y_m: Floats) -> None:
-        for name, position_m, half_width_m in zip("xy", (x_m, y_m), self.half_width_m, strict=True):
-            reach_m = float(np.abs(position_m).max(initial=0.0))
-            if not reach_m <= half_width_m:
-                raise ValueError(
-                    f"a ray meets the screen's plane at {name} = {reach_m * 1e3:.4g} mm, but the screen ends at "
-                    f"{half_width_m * 1e3:.4g} mm; give it more samples or less drift"
-                )
+    def _check(self, position_m: Floats, axis: int) -> None:
+        name, half_width_m = "yx"[axis], self.half_width_m[1 - axis]
+        reach_m = float(np.abs(position_m).max(initial=0.0))
+        if not reach_m <= half_width_m:
+            raise ValueError(
+                f"a ray meets the screen's plane at {name} = {reach_m * 1e3:.4g} mm, but the screen ends at "
+                f"{half_width_m * 1e3:.4g} mm; give it more samples or less drift"
+            )
 
 
 def smooth_screen(

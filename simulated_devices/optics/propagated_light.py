@@ -124,18 +124,10 @@ class PropagatedLight(FieldSpline):
         collimator_focal_length_m: float,
         wavenumber_rad_per_m: float,
     ) -> None:
-        """Propagate the field of a screen.
+        """Propagate the field of a screen, of which `half_width_m` is half the width (x, y) of the part that is used.
 
-        Parameters
-        ----------
-        screen
-            Phase of the screen; may be larger than what is used, so that nothing feels its edge.
-        amplitude
-            Square root of its transmission, on the same samples; None: 1 everywhere.
-        rays
-            Where rays meet it.
-        half_width_m
-            Half the width (x, y) of the part of the screen that is used.
+        It may be larger than that, so that nothing feels its edge. `amplitude` is the square root of its transmission
+        on the same samples; None: 1 everywhere.
         """
         require({"distance_m must be positive: light does not spread from the mask itself": rays.pupil_scale > 0})
         self.ray_map = RayMap(pupil_scale=1.0, field_scale=rays.ratio)
@@ -179,7 +171,7 @@ def _resampled(screen: PhaseScreen, finer: int) -> Floats:
     half_x_m, half_y_m = screen.half_width_m
     rows, columns = ((count - 1) * finer + 1 for count in screen.samples_rad.shape)
     x_m, y_m = np.linspace(-half_x_m, half_x_m, columns), np.linspace(-half_y_m, half_y_m, rows)
-    return np.asarray(screen.basis_y(y_m) @ screen.coefficients @ screen.basis_x(x_m).T, np.float64)
+    return np.asarray(screen.basis(y_m, 0) @ screen.coefficients @ screen.basis(x_m, 1).T, np.float64)
 
 
 def _middle(before: int, count: int, half_width: float) -> slice:

@@ -130,9 +130,9 @@ class ScreenLight:
 
 def _column(screen: PhaseScreen, x_m: Floats) -> Callable[[Floats], NDArray[np.float32]]:
     """Contract a screen's spline along x; return its values (y, x) as a function of y (m)."""
-    product = screen.basis_x(x_m) @ screen.coefficients.T.astype(np.float32)
+    product = screen.basis(x_m, 1) @ screen.coefficients.T.astype(np.float32)
     contracted = np.ascontiguousarray(product.T)
-    return lambda y_m: np.asarray(screen.basis_y(y_m) @ contracted, np.float32)
+    return lambda y_m: np.asarray(screen.basis(y_m, 0) @ contracted, np.float32)
 
 
 def point_field(

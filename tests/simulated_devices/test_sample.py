@@ -133,7 +133,14 @@ def test_used_light_does_not_feel_the_edge_of_the_screen(placement: str) -> None
     size = screen_size(simulation, SENSOR, FIELD, rays)
     assert size.guard > 10
     length_m, spacing_m = screen.correlation_length_m, screen.sample_spacing_m
-    larger = generated(1, screen.samples, spacing_m, length_m, size.enlarged_by, size.guard + 150)
+    larger = generated(
+        1,
+        samples=screen.samples,
+        sample_spacing_m=spacing_m,
+        correlation_length_m=length_m,
+        enlarged_by=size.enlarged_by,
+        guard=size.guard + 150,
+    )
     inner = middle_of(larger, size.guard + 150)
     scale = sample.screen.samples_rad.std() / inner.std()
     light = PropagatedLight(

@@ -207,7 +207,7 @@ def local_screen(sample: Sample, bench: Bench, modes: LegendreModes) -> Floats:
         return np.asarray(rays.pupil_scale * u_m + rays.field_scale * bench.field.half_width_m * nodes)
 
     x_m, y_m = along(sensor.pupil_x_m), along(sensor.pupil_y_m)
-    along_y, along_x = light.phase.basis_y(y_m.ravel()), light.phase.basis_x(x_m.ravel())
+    along_y, along_x = light.phase.basis(y_m.ravel(), 0), light.phase.basis(x_m.ravel(), 1)
     phase = np.asarray(along_y @ light.phase.coefficients @ along_x.T).reshape(*y_m.shape, *x_m.shape)
     series = np.einsum("rjvcih,jn,im,vb,ha->rcnmba", phase, project, project, project, project, optimize=True)
     local = np.einsum("rcnmba,qba->rcnmq", series, modes.products)

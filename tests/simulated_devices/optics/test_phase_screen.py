@@ -148,7 +148,7 @@ def test_screen_is_interpolated_by_bicubic_spline() -> None:
 def test_separable_bases_give_the_same_spline() -> None:
     screen = PhaseScreen(quick()[:, :90], 25e-6)
     x, y = np.array([-1e-3, 0.3e-3, 0.9e-3]), np.array([1.4e-3, -0.2e-3])
-    values = screen.basis_y(y).toarray() @ screen.coefficients @ screen.basis_x(x).toarray().T
+    values = screen.basis(y, 0).toarray() @ screen.coefficients @ screen.basis(x, 1).toarray().T
     np.testing.assert_allclose(values, screen.at(x[None, :], y[:, None]), atol=1e-5)
 
 
