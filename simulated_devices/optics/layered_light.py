@@ -46,14 +46,9 @@ class LayeredLight:
     ) -> None:
         """Propagate the light of the farthest layer to the next one.
 
-        Parameters
-        ----------
-        layers
-            At least one, in any order. They are mirrored at their edges where they are too small.
-        sensor, field
-            Wavelength, focal length and width of the field. Where the field neglects propagation, the phases add up.
-        pupil_half_width_m
-            Half the width (x, y) of the part of the pupil at which the field is wanted.
+        The layers, at least one, in any order, are mirrored at their edges where they are too small. Where the field
+        neglects propagation, the phases add up. `pupil_half_width_m` is half the width (x, y) of the part of the pupil
+        at which the field is wanted.
         """
         require({"a layered sample needs at least one layer": len(layers) > 0})
         self._wavenumber_rad_per_m = sensor.wavenumber_rad_per_m

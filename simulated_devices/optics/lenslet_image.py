@@ -24,24 +24,14 @@ from simulated_devices.optics.forward_model import lenslet_aperture
 from simulated_devices.optics.source import SourcePoints
 
 _PIXEL_NODES = 4  # of Gauss-Legendre quadrature over a pixel
+_UNCHANGED = 0, 0  # orders of a factor 1
 _NOTHING = 1e-12  # singular value of an aperture, over the largest, that is rounding
 
 
 class LensletImage:
     """Model of one lenslet with its source, on a square window of pixels about its axis; see `subimages.LensletModel`.
 
-    Parameters
-    ----------
-    sensor, field
-        Geometry of the bench.
-    source : SourcePoints
-        Object points and their light.
-    width : int
-        Side of the window, px.
-    pupil_samples : int
-        Samples along a side of the lenslet.
-    pixel_fill_factor : float
-        Width of a pixel's sensitive square over the pixel pitch.
+    `width` is the side of the window, px; `pupil_samples` and `pixel_fill_factor` are those of `ForwardModel`.
     """
 
     def __init__(
@@ -108,8 +98,8 @@ class LensletImage:
         if own is None:
             return self._combined(degree, values, gradients, phase=1j, light=1)  # conj(F) i F_mn, conj(F) F_s
         # The own one changes each field by i times that with its factor; the first of a product is conjugated.
-        of_first = self._combined(degree, values, gradients, phase=1, light=-1j, first=own)
-        return of_first + self._combined(degree, values, gradients, phase=-1, light=1j, second=own)
+        of_first = self._combined(degree, values, gradients, phase=1, light=-1j, own=(own, _UNCHANGED))
+        return of_first + self._combined(degree, values, gradients, phase=-1, light=1j, own=(_UNCHANGED, own))
 
     def _combined(
         self,
@@ -119,13 +109,13 @@ class LensletImage:
         *,
         phase: complex,
         light: complex,
-        first: tuple[int, int] = (0, 0),
-        second: tuple[int, int] = (0, 0),
+        own: tuple[tuple[int, int], tuple[int, int]] = (_UNCHANGED, _UNCHANGED),
     ) -> Floats:
         """Add up Re of factors times products of two fields, for the phase and the light of wavefronts.
 
-        The `first` and `second` fields have the factor P_m(xi) P_n(eta), (n, m). An odd function's transform has an i.
+        The two fields have their `own` factors P_m(xi) P_n(eta), (n, m). An odd function's transform has an i.
         """
+        first, second = own
         along_y, along_x = (self._products(degree, 1 - axis, first[axis], second[axis]) for axis in (0, 1))
         derive = series.legder(np.eye(degree + 1)) if degree else np.zeros((0, 1))
         slope_y, slope_x = (np.tensordot(derive, along[:-1], axes=(0, 0)) for along in (along_y, along_x))
