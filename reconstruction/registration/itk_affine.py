@@ -21,7 +21,7 @@ from reconstruction.displacement import Displacement, Outcome, RegistrationMetho
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.registration.gauss_newton.template import coefficient_covariance, prepare_template
+from reconstruction.registration.gauss_newton.template import SteepestDescent, coefficient_covariance, prepare_template
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.settings import RegistrationSettings
 
@@ -57,10 +57,9 @@ class ItkAffine:
         windows = reference.light.reshape(-1, reference.width, reference.width)
         self._windows = (windows * self._scale).astype(np.float32)
         every = np.ones((reference.width, reference.width), np.bool_)
-        template = prepare_template(
-            reference, self._modes, every, basis=np.eye(2 * self._modes.count), conserve_flux=False
-        )
-        self._covariance = coefficient_covariance(template.per_pixel.covariance, np.eye(2 * self._modes.count))
+        basis = np.eye(2 * self._modes.count)
+        template = prepare_template(SteepestDescent(reference, self._modes, every, basis, conserve_flux=False))
+        self._covariance = coefficient_covariance(template.per_pixel.covariance, basis)
 
     def __call__(self, light: Image, *, saturated: Booleans, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         """Register a frame; see `displacement.RegistrationMethod`."""

@@ -40,6 +40,7 @@ from reconstruction.registration.gauss_newton.template import (
     LINEAR,
     OwnWavefront,
     Propagated,
+    SteepestDescent,
     Template,
     coefficient_covariance,
     prepare_search,
@@ -86,8 +87,8 @@ class FitCovariance:
 class ErrorPropagation:
     """Propagates noise through the fits against one reference."""
 
-    def __init__(self, reference: ReferenceSubimages, template: Template, pixels: Booleans) -> None:
-        """Prepare for a template on some pixels (N,) of the reference's windows."""
+    def __init__(self, template: Template) -> None:
+        reference = template.images.reference
         noise, self._template, self._lattice = reference.noise, template, reference.lenslets
         # Variance per count of light, counts, and of every pixel, counts^2.
         self._knows_noise = noise is not None
@@ -95,7 +96,7 @@ class ErrorPropagation:
         self._basis = template.grid.basis.astype(np.float64)
         self._of_reference = 1 / reference.reference_frames
         # Share of the noise of the reference that interpolation leaves: uniform, shot, (L, 2).
-        power = noise_power(reference.position_px[:, pixels])
+        power = noise_power(reference.position_px[:, template.images.pixels.ravel()])
         weight = np.stack([template.grid.weight, template.grid.weight * np.maximum(template.grid.light, 0)], axis=-1)
         total = np.maximum(weight.sum(axis=1), np.finfo(np.float32).tiny)
         self._reference_power = np.einsum("ln,lnk->lk", power, weight) / total
@@ -224,33 +225,27 @@ class GaussNewton:
         self.reference, self.modes, self._threads, self._rotates = reference, modes, threads, rotation
         near = np.abs(reference.steps_px) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
         coarse = near & (np.arange(reference.width) % 2 == 0)
-        self._start = prepare_template(
-            reference, LegendreModes(1), np.outer(coarse, coarse), conserve_flux=conserve_flux, basis=np.eye(2)
+        translation = SteepestDescent(
+            reference, LegendreModes(1), np.outer(coarse, coarse), np.eye(2), conserve_flux=conserve_flux
         )
+        self._start = prepare_template(translation)
         # From any displacement (x modes, y modes) to the parameters found for it, (K, 2Q): of the one that looks alike.
         basis, self.alike, pixels = visible_warp(
             reference, modes, np.outer(near, near), conserve_flux=conserve_flux, rotation=rotation
         )
-        self._brightness = None
+        brightness = None
         if model is not None and reference.noise is not None and not conserve_flux:
-            self._brightness = source_brightness(model, reference.noise, reference, modes, pixels, basis)
-        self._warp = prepare_template(
-            reference,
-            modes,
-            pixels,
-            conserve_flux=conserve_flux,
-            basis=basis,
-            noise=reference.noise,
-            brightness=self._brightness,
-        )
+            brightness = source_brightness(model, reference.noise, reference, modes, pixels, basis)
+        images = SteepestDescent(reference, modes, pixels, basis, conserve_flux=conserve_flux, brightness=brightness)
+        self._warp = prepare_template(images, reference.noise)
         self._basis = self.parameters  # in double precision, so that results repeat
         self._search = prepare_search(reference)
-        self._errors = ErrorPropagation(reference, self._warp, self._warp.pixels.ravel())
+        self._errors = ErrorPropagation(self._warp)
         self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (_MISFIT * self._warp.contrast) ** 2
         self._power = noise_power_polynomial()
         self._workplaces: list[Workplace] = []  # that no thread uses now
         poor_square = _NOISE_AT_MOST * self._errors.expected_square
-        poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(self._warp.pixels)
+        poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(pixels)
         self._limits = FitLimits(
             start_iterations=8,
             start_tolerance_px=np.float32(0.1),  # only the start of the warp
@@ -309,7 +304,8 @@ class GaussNewton:
     @property
     def brightness_terms(self) -> int:
         """Number of polynomials over the field that are taken out as a brightness; linear without a model."""
-        return LINEAR if self._brightness is None else len(self._brightness)
+        brightness = self._warp.images.source_brightness
+        return LINEAR if brightness is None else len(brightness)
 
     @cached_property
     def hidden(self) -> int:
@@ -328,8 +324,7 @@ class GaussNewton:
         From a noise-free subimage (row, column) and its changes (..., row, column), in any unit, to (lenslet, ..., K),
         px. A warp of that subimage is found as it is. `own` are wavefronts that the lenslets have without a sample.
         """
-        brightness = self._brightness
-        return respond(self.reference, self.modes, self._warp, image, changes, own=own, brightness=brightness)
+        return respond(self._warp, image, changes, own)
 
     def _fit(self, coefficients: Image, bad: Booleans, start: Displacement | None) -> Fits:
         """Fit all lenslets, shared among threads, to a frame given by its spline coefficients."""

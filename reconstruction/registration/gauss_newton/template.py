@@ -67,8 +67,8 @@ class Template:
     """The reference prepared for one warp: L lenslets, N pixels, Q field modes, P parameters."""
 
     grid: Grid
-    pixels: Booleans  # of the windows that are used, (width, width)
-    contrast: Floats  # standard deviation of the light in them, counts, (L,)
+    images: "SteepestDescent"  # of this warp
+    contrast: Floats  # standard deviation of the light on its pixels, counts, (L,)
     per_pixel: Propagated  # of noise with variance 1 in every pixel
     per_light: Propagated  # of shot noise, whose variance is the light
     brightness: Image  # from the residual to that of the source, over the gain's, (L, 6, N); see `SteepestDescent`
@@ -114,16 +114,18 @@ class SteepestDescent:
 
         `brightness`: see `source_brightness`.
         """
-        self.u, self.v = reference.offset_px[pixels.ravel()].T / reference.half_width_px
-        self._basis, self._conserves_flux, self._values = basis, conserve_flux, modes.values(self.u, self.v)
+        self.reference, self.modes, self.pixels, self.basis = reference, modes, pixels, basis
+        self.conserves_flux, self.source_brightness = conserve_flux, brightness
+        u, v = reference.offset_px[pixels.ravel()].T / reference.half_width_px
+        self._values = modes.values(u, v)
         count = LINEAR if brightness is None else len(brightness)
-        self._over_field = LegendreModes(max(count, TRANSMISSION_MODES.count)).values(self.u, self.v)
+        self._over_field = LegendreModes(max(count, TRANSMISSION_MODES.count)).values(u, v)
         self._nuisance = slice(1, count)
-        self._image, self._blurred = np.ones_like(self.u), np.zeros_like(self._over_field)
+        self._image, self._blurred = np.ones_like(u), np.zeros_like(self._over_field)
         if brightness is not None:
             self._image, self._blurred = brightness[0, pixels], brightness[:, pixels]
             self._blurred -= self._over_field * self._image
-        self._slopes = modes.gradients(self.u, self.v) / reference.half_width_px * conserve_flux
+        self._slopes = modes.gradients(u, v) / reference.half_width_px * conserve_flux
 
     def __call__(self, light: Floats, gradient: Floats) -> Floats:
         """Images (L, P, N) of subimages with that light (L, N), and its gradient (L, N, xy)."""
@@ -131,7 +133,7 @@ class SteepestDescent:
             gradient[:, None, :, axis] * self._values + light[:, None] * self._slopes[..., axis] for axis in (0, 1)
         ]
         ones = np.ones((len(light), 1, light.shape[1]))
-        return np.concatenate([self._basis @ np.concatenate(along, axis=1), light[:, None], ones], axis=1)
+        return np.concatenate([self.basis @ np.concatenate(along, axis=1), light[:, None], ones], axis=1)
 
     def without_brightness(self, descent: Floats, weight: Floats) -> Floats:
         """Part of images (L, P, N) that no brightness of the source, a polynomial of u and v, explains.
@@ -139,7 +141,7 @@ class SteepestDescent:
         With weights (L, N) of the pixels; all of them where flux is conserved. A sample that absorbs, scintillation and
         uneven light change the brightness over the field. What looks like that would count as a displacement.
         """
-        if self._conserves_flux:
+        if self.conserves_flux:
             return descent
         varying = self.varying(descent[:, -2])[:, self._nuisance]
         weighted = varying * weight[:, None]
@@ -200,30 +202,26 @@ class OwnWavefront(NamedTuple):
     changes: Floats  # change of what a sample changes, per rad of the lenslet and of the sample, (..., row, column)
 
 
-def respond(
-    reference: ReferenceSubimages,
-    modes: PolynomialModes,
-    template: Template,
-    image: Floats,
-    changes: Floats,
-    *,
-    own: Sequence[OwnWavefront],
-    brightness: Floats | None,
-) -> Floats:
+def respond(template: Template, image: Floats, changes: Floats, own: Sequence[OwnWavefront]) -> Floats:
     """Parameters of a template found for changes (..., row, column) of a noise-free subimage; see `GaussNewton`.
 
     The displaced subimage is interpolated. The steps of the template are scaled by those for a warp of that subimage.
     """
-    basis, conserves_flux = np.asarray(template.grid.basis, np.float64), bool(template.grid.scale[1])
+    warp, basis = template.images, np.asarray(template.grid.basis, np.float64)
     images = SteepestDescent(
-        reference, modes, template.pixels, basis, conserve_flux=conserves_flux, brightness=brightness
+        warp.reference,
+        warp.modes,
+        warp.pixels,
+        basis,
+        conserve_flux=warp.conserves_flux,
+        brightness=warp.source_brightness,
     )
-    row, column = np.nonzero(template.pixels)
+    row, column = np.nonzero(warp.pixels)
     parts, unit = np.stack([image, *(wavefront.image for wavefront in own)]), np.max(image)
     at_pixels = np.stack([column, row], -1).astype(float)
     slopes = [sample(spline_coefficients(np.asarray(part / unit, np.float32)), at_pixels)[1] for part in parts]
     still_light, still_gradient = parts[:, row, column], unit * np.stack(slopes)
-    blur, slope = mean_interpolation(reference.width)
+    blur, slope = mean_interpolation(warp.reference.width)
     moved_light = (blur @ parts @ blur.T)[:, row, column]
     moved_gradient = np.stack([blur @ parts @ slope.T, slope @ parts @ blur.T], axis=-1)[:, row, column]
     of_parts = np.stack([changes, *(wavefront.changes for wavefront in own)]).reshape(len(parts), -1, *image.shape)
@@ -249,34 +247,22 @@ def respond(
         )
         return np.swapaxes(parameters[:, : len(basis)], 1, 2)
 
-    warp = np.concatenate([found(slice(first, first + _AT_ONCE)) for first in range(0, lenslets, _AT_ONCE)])
-    return warp.reshape(lenslets, *changes.shape[:-2], -1)
+    each = np.concatenate([found(slice(first, first + _AT_ONCE)) for first in range(0, lenslets, _AT_ONCE)])
+    return each.reshape(lenslets, *changes.shape[:-2], -1)
 
 
-def prepare_template(
-    reference: ReferenceSubimages,
-    modes: PolynomialModes,
-    pixels: Booleans,
-    *,
-    conserve_flux: bool,
-    basis: Floats,
-    noise: CameraNoise | None = None,
-    brightness: Floats | None = None,
-) -> Template:
-    """Prepare a warp with the field modes T_q on some pixels (width, width) of the windows.
+def prepare_template(images: SteepestDescent, noise: CameraNoise | None = None) -> Template:
+    """Prepare a warp, given by its steepest-descent images, of which it leaves out what a brightness explains.
 
-    The rows of `basis` (P - 2, 2Q) are its displacements (x modes, y modes). In real light the part of the
-    steepest-descent images that a `brightness` explains is taken out, see `source_brightness`. Without `noise` all
-    pixels have equal weight.
+    Without `noise` all pixels have equal weight.
     """
-    of_window = pixels.ravel()
-    images = SteepestDescent(reference, modes, pixels, basis, conserve_flux=conserve_flux, brightness=brightness)
-    flux = 1 / reference.half_width_px if conserve_flux else 0.0
+    reference, modes, basis, of_window = images.reference, images.modes, images.basis, images.pixels.ravel()
+    flux = 1 / reference.half_width_px if images.conserves_flux else 0.0
     smooth = _smooth_light(reference)[:, of_window]
     gradients = gradient_basis(modes)
-    lenslets, parameters, count = len(reference.light), len(basis) + 2, len(images.u)
+    lenslets, parameters, count = len(reference.light), len(basis) + 2, np.count_nonzero(of_window)
     grid = Grid(
-        window=window_of(pixels, reference.steps_px / reference.half_width_px),
+        window=window_of(images.pixels, reference.steps_px / reference.half_width_px),
         scale=(np.float32(reference.half_width_px), np.float32(flux)),
         monomials=_monomials(modes, basis),
         basis=basis.astype(np.float32),
@@ -315,7 +301,7 @@ def prepare_template(
         Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)
     )
     contrast = reference.light[:, of_window].std(axis=1)
-    return Template(grid, pixels, contrast, of_pixels, of_light, to_brightness, covariance)
+    return Template(grid, images, contrast, of_pixels, of_light, to_brightness, covariance)
 
 
 def _least_squares(images: Floats, weight: Floats) -> Floats:

@@ -79,7 +79,7 @@ def test_compiled_registration_matches_plain_numpy(world: str, warp: Warp, rotat
         lattice=bench.lattice,
         field=bench.field,
         field_modes=FIELD_MODES[warp],
-        offset_px=bench.subimages().offset_px[estimate._warp.pixels.ravel()],
+        offset_px=bench.subimages().offset_px[estimate._warp.images.pixels.ravel()],
         rotation=rotation,
     )
     found = estimate(frame, saturated=np.zeros(frame.shape, np.bool_))
