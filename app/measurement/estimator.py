@@ -69,8 +69,6 @@ class Estimator:
         return FrameJudge(
             made.subimages,
             made.registration,
-            sensor=made.sensor,
-            field=made.field,
             dark=given.dark_image,
             linearity=given.bench.linearity,
             of_reference=sample_quality(made.subimages)

@@ -20,7 +20,7 @@ from reconstruction.arrays import Booleans, Counts, Floats
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.frame.linearity import Linearity
 from reconstruction.frame.pixels import BACKGROUND_PERCENT, CLIPPED, clipped_fraction
-from reconstruction.geometry import Field, Sensor
+from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.polynomials import number_up_to
 from reconstruction.modes.pupil_modes import pupil_modes
@@ -75,15 +75,13 @@ class FrameJudge:
         reference: ReferenceSubimages,
         settings: RegistrationSettings,
         *,
-        sensor: Sensor,
-        field: Field,
         dark: Counts | None = None,
         linearity: Linearity | None = None,
         of_reference: Quality = Quality(),  # noqa: B008 - immutable
     ) -> None:
         """Prepare; `of_reference` is the reference's own quality, which all its frames share."""
-        self._linearity = linearity
-        self._sensor, self._noise, self.of_reference = sensor, reference.noise, of_reference
+        self._sensor, field = reference.sensor, reference.field
+        self._linearity, self._noise, self.of_reference = linearity, reference.noise, of_reference
         is_ours = settings.method == "gauss_newton"
         self._limits = _LIMITS[settings.warp or "quartic"] if is_ours else _LIMITS["translation"]
         has_limit = is_ours and settings.warp != "translation"
@@ -116,7 +114,9 @@ class FrameJudge:
         self._noise_slopes = _NOISE_SLOPES * (1 + 1 / reference.reference_frames)  # its noise is not in the variance
         self._dark = None if dark is None else np.asarray(dark, np.float64).ravel()[self._sampled]
         level = 0.0 if self._dark is None else self._dark
-        self._stray = StrayLight(sensor, lit=self._lit, light=light, sampled=self._sampled, is_good=is_good, dark=level)
+        self._stray = StrayLight(
+            self._sensor, lit=self._lit, light=light, sampled=self._sampled, is_good=is_good, dark=level
+        )
 
     def __call__(self, frame: Counts, displacement: Displacement) -> Quality:
         """Judge a frame (row, column), counts, by its displacements."""

@@ -71,7 +71,7 @@ class ReferenceSubimages:
         bad pixels. `excluded` are lenslets (row, column) that are left out.
         """
         require({"reference_frames must be at least 1": reference_frames >= 1})
-        self.noise, self.reference_frames = noise, reference_frames
+        self.sensor, self.field, self.noise, self.reference_frames = sensor, field, noise, reference_frames
         self.lenslets = (sensor.lenslet_rows, sensor.lenslet_columns)
         self._field_outline = field.outline
         self._at_outline: dict[FieldModes, Floats] = {}  # field modes there, (Q, position), cached

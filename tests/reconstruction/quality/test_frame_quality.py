@@ -87,7 +87,7 @@ def measured_by(warp: Warp, peak_e: float, bench: SmallBench = BENCH) -> tuple[R
     reference = np.asarray(bench.reference / bench.reference.max() * peak_e, np.float32)
     dark = np.zeros_like(reference)
     reconstructor = bench.reconstructor(warp, pupil_modes=None, reference=reference, dark=dark, noise=NOISE)
-    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, sensor=bench.sensor, field=FIELD, dark=dark)
+    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, dark=dark)
     return reconstructor, judge
 
 
@@ -135,9 +135,7 @@ def test_slopes_against_a_noisy_reference_are_not_judged(warp: Warp, enough: int
         reconstructor = BENCH.reconstructor(
             warp, pupil_modes=None, reference=reference, dark=dark, noise=NOISE, reference_frames=averaged
         )
-        judge = FrameJudge(
-            reconstructor.subimages, reconstructor.registration, sensor=BENCH.sensor, field=FIELD, dark=dark
-        )
+        judge = FrameJudge(reconstructor.subimages, reconstructor.registration, dark=dark)
         for seed, strength in enumerate((0.5, 2.0, 4.0)):
             frame = exposed(aberrated(strength), peak_e, seed)
             found = judge(frame, reconstructor.register(frame))
@@ -200,7 +198,7 @@ def test_light_is_judged_without_a_dark_in_each_form(form: str) -> None:
     light, offset = aberrated(1.0), 400.0
     reference = np.rint(BENCH.reference / BENCH.reference.max() * 2e4 + offset).astype(form)
     reconstructor = BENCH.reconstructor("cubic", pupil_modes=None, reference=reference, noise=NOISE)
-    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, sensor=BENCH.sensor, field=FIELD)
+    judge = FrameJudge(reconstructor.subimages, reconstructor.registration)
     uneven = light.copy()
     uneven[:, : light.shape[1] // 3] *= 0.3
     for image, faults in ((light, Fault(0)), (uneven, Fault.ILLUMINATION)):
@@ -212,7 +210,7 @@ def test_dim_floating_point_images_are_judged_as_bright_ones() -> None:
     """An image with a sum of 1."""
     reference = np.asarray(BENCH.reference / BENCH.reference.sum(), np.float32)
     reconstructor = BENCH.reconstructor("cubic", pupil_modes=None, reference=reference, dark=np.zeros_like(reference))
-    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, sensor=BENCH.sensor, field=FIELD)
+    judge = FrameJudge(reconstructor.subimages, reconstructor.registration)
     frame = np.asarray(aberrated(1.0) / aberrated(1.0).sum() / 2, np.float32)
     assert not judge(frame, reconstructor.register(frame)).reasons
 
@@ -288,7 +286,7 @@ def test_200_good_frames_raise_no_alarm(lenslets: tuple[int, int], peak_e: float
     dark = np.zeros(electrons.shape, np.uint16)
     reference = np.asarray(electrons * em_gain, np.float32)
     reconstructor = bench.reconstructor("affine", pupil_modes=None, reference=reference, dark=dark, noise=noise)
-    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, sensor=bench.sensor, field=FIELD, dark=dark)
+    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, dark=dark)
     displacement = reconstructor.register(reference)
     for _ in range(200):
         photons = rng.poisson(electrons)
@@ -313,9 +311,7 @@ def test_saturated_lenslets_are_named() -> None:
 def test_faults_of_the_reference_are_those_of_each_frame() -> None:
     reconstructor, _ = measured_by("cubic", 1e4)
     stale = Quality({Fault.LATTICE: "stale"})
-    judge = FrameJudge(
-        reconstructor.subimages, reconstructor.registration, sensor=BENCH.sensor, field=FIELD, of_reference=stale
-    )
+    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, of_reference=stale)
     frame = exposed(aberrated(1.0), 1e4, 0)
     assert judge(frame, reconstructor.register(frame)).reasons == stale.reasons
 
@@ -332,7 +328,7 @@ def test_frame_without_residuals_has_no_misfit() -> None:
 def test_large_lattice_is_judged_in_parts() -> None:
     """20 x 24 lenslets: a wavefront passes, a tear does not."""
     bench = SmallBench(20, 24, rotation_rad=0.0)
-    judge = FrameJudge(bench.subimages(), bench.reconstructor().registration, sensor=bench.sensor, field=FIELD)
+    judge = FrameJudge(bench.subimages(), bench.reconstructor().registration)
     u, v = bench.pupil_x_m / 5e-3, bench.pupil_y_m / 5e-3
     slopes = np.zeros((20, 24, 3, 2))
     slopes[:, :, 0, 0], slopes[:, :, 0, 1] = 2 * np.cos(2 * u + v), np.cos(2 * u + v)
