@@ -15,23 +15,19 @@ FRAMES = 20  # default number averaged into the dark, and into the reference
 _SAME_LATTICE = 0.05  # of the pitch; frames are doubted beyond
 
 
-def start_up(
-    acquisition: Carrier, frames: int = FRAMES, *, auto_expose: bool = False, is_lit: bool = True
-) -> tuple[Future[Any], ...]:
+def start_up(acquisition: Carrier, frames: int = FRAMES, *, is_lit: bool = True) -> tuple[Future[Any], ...]:
     """Turn the light on, take a dark and a reference, move the sample in and start the camera.
 
     The steps run in order; cancelling one skips only that one. With a manual stage the position of the sample is
-    unknown: the camera starts after the dark, and the user requests the reference. With `auto_expose` the exposure is
-    found first. Unless `is_lit`, the light stays off, and there is no reference.
+    unknown: the camera starts after the dark, and the user requests the reference. Unless `is_lit`, the light stays
+    off, and there is no reference.
     """
     has_motor, steps = not acquisition.bench.has_manual_stage, list[Future[Any]]()
     if is_lit and has_motor:
-        steps += calibrate(acquisition, frames, auto_expose=auto_expose)
+        steps += calibrate(acquisition, frames)
     else:
         if is_lit:
             steps.append(acquisition.submit(Instrument.set, "is_light_on", True))
-        if is_lit and auto_expose:
-            steps.append(acquisition.submit(Instrument.auto_expose))
         steps.append(acquisition.submit(Instrument.take_dark, frames))
     if has_motor:
         steps.append(acquisition.submit(Instrument.set, "is_sample_in", True))

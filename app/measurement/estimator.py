@@ -20,13 +20,8 @@ from reconstruction.geometry import Lattice, Sensor
 from reconstruction.layers.layered_wavefront import AssumedSample
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
-from reconstruction.quality.reference_quality import (
-    linearity_quality,
-    reference_quality,
-    response_quality,
-    sample_quality,
-)
-from reconstruction.quality.verdict import Quality, sequence_quality
+from reconstruction.quality.reference_quality import linearity_quality, reference_quality, sample_quality
+from reconstruction.quality.verdict import Fault, Quality, sequence_quality
 from reconstruction.refinement import Refinement
 from reconstruction.settings import FIELD_MODES
 from reconstruction.wavefront import Wavefront
@@ -76,7 +71,7 @@ class Estimator:
             | linearity_quality(noise.curve, "reference")
             | of_reference
             | scale_quality(given)
-            | response_quality(made.response_problem),  # named first
+            | Quality.of(Fault.RESPONSE, made.response_problem),  # named first
         )
 
     @cached_property

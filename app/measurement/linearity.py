@@ -74,7 +74,6 @@ def _at(share: float, watch: Watch) -> Watch:
 def _exposure_times(devices: Devices, cell_px: float, watch: Watch) -> list[float]:
     """Set the current, and return the exposures, s, of which the longest nearly fills the camera's scale."""
     camera, light = devices.camera, devices.light
-
     longest_s = auto_expose(devices, cell_px, fill=_FILL, **_at(0.0, watch)).exposure_s
     allowed = camera.capabilities.exposure_range_s
     wanted_s = min(_SPAN * allowed.minimum, allowed.maximum)

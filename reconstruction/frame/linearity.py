@@ -10,7 +10,6 @@ that drifts, which scale all pixels alike.
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -138,7 +137,7 @@ class Exposures:
                 f" {FEWEST_LEVELS} that span {LEAST_SPAN:g} are needed"
             )
         fit = _Fit(np.array(self._moments), np.array(self._variance), exposure_s / level_s[-1], level)
-        values, covariance = fit.found
+        values, covariance, chi_square = fit.solve()
         a, b = values[:2]
         sigma = np.sqrt(np.diag(covariance))
         at_top = math.sqrt(float(covariance[:2, :2].sum()))
@@ -153,7 +152,7 @@ class Exposures:
                 highest_counts=self._top,
                 quadratic_sigma=float(sigma[0]),
                 cubic_sigma=float(sigma[1]),
-                chi_square=fit.chi_square,
+                chi_square=chi_square,
                 amplifier=amplifier,
                 em_gain=em_gain,
             ),
@@ -204,17 +203,15 @@ class _Fit:
         scatter = np.linalg.norm(np.log(total) - terms @ found) / math.sqrt(freedom)
         return max(float(scatter), _LEAST_FLICKER), self._when.T @ found[levels.shape[1] :]
 
-    @cached_property
-    def found(self) -> tuple[Floats, Floats]:
-        """Quadratic and cubic term, late beginning over the longest exposure, ...; and their covariance."""
+    def solve(self) -> tuple[Floats, Floats, float]:
+        """Quadratic and cubic term, late beginning over the longest exposure, ...; covariance; reduced chi-square."""
         from scipy import optimize  # noqa: PLC0415 - benches, whose settings are here, are read without it
 
         count, bins = self._sigma.shape
         start = np.zeros(3 + _DRIFTS + bins + count)
         start[3 + _DRIFTS : 3 + _DRIFTS + bins] = np.max(self._moments[:, 0], axis=0)
         solution = optimize.least_squares(self._residuals, start, x_scale="jac")
-        self._freedom = solution.fun.size - start.size
-        self._chi_square = 2 * float(solution.cost) / self._freedom
+        chi_square = 2 * float(solution.cost) / (solution.fun.size - start.size)
         misfit = float(np.sqrt(np.mean((solution.fun[: count * bins].reshape(count, bins) * self._sigma)[:, -1] ** 2)))
         if misfit > _MOST_MISFIT * float(np.mean(self._moments[:, 0, -1])):
             raise ReconstructionError(
@@ -222,14 +219,8 @@ class _Fit:
                 " camera saturated, or did the image move?"
             )
         jacobian = np.asarray(solution.jac)
-        covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(self._chi_square, 1.0)
-        return solution.x, covariance
-
-    @property
-    def chi_square(self) -> float:
-        """Reduced chi-square."""
-        _ = self.found
-        return self._chi_square
+        covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(chi_square, 1.0)
+        return solution.x, covariance, chi_square
 
     def _residuals(self, values: Floats) -> Floats:
         count, bins = self._sigma.shape

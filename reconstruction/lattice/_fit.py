@@ -73,10 +73,7 @@ def strongest_peak(image: Image, pitch_px: float, arrangement: Arrangement = "sq
 
 
 def without_peaks(image: Image) -> Image:
-    """Limit each pixel of an image (row, column) to the brightest of its four neighbours, which removes hot pixels.
-
-    A quick substitute for `bad_pixels`.
-    """
+    """Limit each pixel (row, column) to the brightest of its four neighbours: quicker than `find_bad_pixels`."""
     edged = np.pad(image, 1, mode="edge")
     edged[0], edged[-1], edged[:, 0], edged[:, -1] = (-np.inf,) * 4
     brightest = np.maximum(edged[:-2, 1:-1], edged[2:, 1:-1])

@@ -62,11 +62,6 @@ class Survey:
         return float(np.mean(self.illuminated))
 
 
-def find_lattice(reference: Counts, sensor: Sensor) -> Lattice:
-    """Find the sensor's lenslets on a reference (row, column); raises as `survey` does."""
-    return survey(reference, sensor).lattice
-
-
 def survey(
     reference: Counts,
     sensor: Sensor,

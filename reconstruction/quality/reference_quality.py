@@ -95,11 +95,6 @@ def reference_quality(
     return Quality(reasons)
 
 
-def response_quality(problem: str) -> Quality:
-    """Quality of a reference for which the response of the registration is not used; the problem is empty if it is."""
-    return Quality.of(Fault.RESPONSE, problem)
-
-
 def linearity_quality(curve: TransferCurve | None, image: str) -> Quality:
     """Judge by the noise of an image, which is "frame" or "reference", whether its counts are proportional to light."""
     loss = 0.0 if curve is None else curve.loss

@@ -11,7 +11,7 @@ from support.paths import FOREIGN_FRAMES
 
 from app.bench.config import load_bench
 from app.bench.imaging_model import BenchModel, lenslet_model
-from reconstruction.lattice.search import find_lattice
+from reconstruction.lattice.search import survey
 from reconstruction.pipeline import Reconstructor
 from reconstruction.refinement import Refinement, mean_rms
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
@@ -74,7 +74,7 @@ def test_layer_is_found_in_real_light(mask: str, once_rad: float, refined_rad: f
 
 
 def test_lattice_of_another_simulator_is_found() -> None:
-    lattice = find_lattice(REFERENCE, BENCH.sensor)
+    lattice = survey(REFERENCE, BENCH.sensor).lattice
     assert (lattice.center_x_px, lattice.center_y_px) == pytest.approx((255.5, 255.5), abs=0.02)
     assert lattice.pitch_px == pytest.approx(31.25, abs=0.005)
     assert lattice.rotation_rad == pytest.approx(0, abs=1e-4)

@@ -16,7 +16,7 @@ from support.patience import HANG_S, wait_until
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.kept_averages import KeptAverages
-from app.acquisition.start_up import start_up
+from app.acquisition.start_up import calibrate, start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.measurement.auto_exposure import AutoExposure, auto_expose
@@ -143,7 +143,7 @@ def test_background_check_command_needs_a_matching_dark(live: Live) -> None:
         live.acquisition.submit(Instrument.check_background, 4).result(HANG_S)
 
 
-def test_start_up_auto_exposes_before_dark_and_reference(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_calibration_auto_exposes_before_dark_and_reference(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     with_sample: list[bool] = []
 
     def watched(devices: Devices, *arguments: Any, **how: Any) -> AutoExposure:
@@ -153,12 +153,12 @@ def test_start_up_auto_exposes_before_dark_and_reference(live: Live, monkeypatch
     monkeypatch.setattr("app.acquisition.instrument.auto_expose", watched)
     live.do(lambda instrument: instrument.devices.camera.set_exposure(1.0))
     live.do(lambda instrument: instrument.devices.stage.set_sample_in(True))
-    for step in start_up(live.acquisition, 4, auto_expose=True):
+    for step in calibrate(live.acquisition, 4, auto_expose=True):
         step.result(HANG_S)
     status = live.status
     assert with_sample == [False]
     assert (status.warning, status.dark, status.reference) == ("", "good", "good")
-    assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, True)
+    assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, False, False)
     reference = live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S)
     assert reference is not None
     assert np.percentile(reference.mean, 99.5) / 65535 == pytest.approx(0.68, abs=0.08)

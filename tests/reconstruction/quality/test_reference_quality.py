@@ -14,7 +14,7 @@ from reconstruction.arrays import Counts
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.pixels import clipped_fraction
 from reconstruction.geometry import Lattice
-from reconstruction.lattice.search import find_lattice
+from reconstruction.lattice.search import survey
 from reconstruction.quality.reference_quality import lattice_error_px, reference_quality
 from reconstruction.quality.verdict import Fault, Quality, sequence_quality
 
@@ -38,7 +38,7 @@ STALE = {
 
 @pytest.mark.parametrize("change", STALE.values(), ids=STALE)
 def test_stale_lattice_is_found(change: dict[str, Any]) -> None:
-    shown = find_lattice(LIGHT, BENCH.sensor)
+    shown = survey(LIGHT, BENCH.sensor).lattice
     stale = replace(BENCH.lattice, **change)
     found = reference_quality(LIGHT, sensor=BENCH.sensor, lattice=stale, shown=shown)
     assert found.faults == Fault.LATTICE
@@ -49,7 +49,7 @@ def test_stale_lattice_is_found(change: dict[str, Any]) -> None:
 @pytest.mark.parametrize(("columns", "rows"), [(1, 0), (0, -1), (-2, 1)])
 def test_lattice_off_by_whole_pitches_is_found(columns: int, rows: int) -> None:
     """Its subimages are perfect, but a row or column of the sensor's lenslets is missing."""
-    shown, lattice = find_lattice(LIGHT, BENCH.sensor), BENCH.lattice
+    shown, lattice = survey(LIGHT, BENCH.sensor).lattice, BENCH.lattice
     x_px, y_px = lattice.to_camera_px(np.array([columns, rows], np.float64) * lattice.pitch_px)
     stale = replace(lattice, center_x_px=x_px, center_y_px=y_px)
     found = reference_quality(LIGHT, sensor=BENCH.sensor, lattice=stale, shown=shown)
@@ -84,7 +84,7 @@ def test_lattice_may_be_off_by_a_twentieth_of_a_pitch(off: float, is_found: bool
 
 
 def test_right_lattice_passes() -> None:
-    assert not quality(shown=find_lattice(LIGHT, BENCH.sensor)).reasons
+    assert not quality(shown=survey(LIGHT, BENCH.sensor).lattice).reasons
 
 
 def test_lattice_error_of_a_shift_and_a_turn_about_the_middle() -> None:
