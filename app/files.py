@@ -62,20 +62,9 @@ def check_writable(folder: Path) -> None:
 def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | None] = (), overwrite: bool) -> None:
     """Check the files that a command will write before it begins, and clear their folders of stale half-written ones.
 
-    Parameters
-    ----------
-    outputs
-        The files; None stands for an option that was not given.
-    inputs
-        Files and folders that the command reads.
-    overwrite
-        Whether existing files may be replaced; inputs never are.
-
-    Raises
-    ------
-    InputError
-        If an output is an input, lies in an input folder or is named twice, is part of a recording, or exists and must
-        not be replaced.
+    None among `outputs` stands for an option that was not given. `inputs` are files and folders that the command reads.
+    With `overwrite`, existing files may be replaced; inputs never are. `InputError` if an output is an input, lies in
+    an input folder or is named twice, is part of a recording, or exists and must not be replaced.
     """
     taken = [path for path in inputs if path is not None]
     for path in outputs:

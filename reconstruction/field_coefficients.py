@@ -76,22 +76,9 @@ class FieldCoefficients:
         """Double Zernike coefficients over the circles inscribed in field and pupil, and their standard deviations.
 
         GalSim's convention: wavefront = sum_kj d[k, j] Z_k(field) Z_j(pupil), k and j as Noll counts, from 1; the row
-        k = 0 and the column j = 0 are unused, and zero.
-
-        Parameters
-        ----------
-        field_order : int, optional
-            Highest radial order over the field; by default that of the field modes, which is exact.
-
-        Returns
-        -------
-        tuple of (k, j)
-            rad.
-
-        Raises
-        ------
-        ReconstructionError
-            If the coefficients are not those of Zernike modes, or the field modes have no such order.
+        k = 0 and the column j = 0 are unused, and zero. Both are (k, j), rad. The highest radial order over the field
+        is by default that of the field modes, which is exact. `ReconstructionError` if the coefficients are not those
+        of Zernike modes, or the field modes have no such order.
         """
         if self.basis != "zernike":
             raise ReconstructionError("double Zernikes are made of Zernike modes, not of Legendre modes")
@@ -117,18 +104,9 @@ class FieldCoefficients:
 def field_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = None) -> FieldCoefficients:
     """Express a modal fit in Zernike modes over the pupil's inscribed circle, or in Legendre modes over the lattice.
 
-    Parameters
-    ----------
-    fit : ModalFit
-    basis : PupilBasis
-        Zernike modes have unit RMS over the circle, in Noll's order; Legendre modes are those of `modes.legendre`.
-    order : int, optional
-        Highest degree of the modes; by default that of the fit, which is exact.
-
-    Raises
-    ------
-    ReconstructionError
-        If there is no such basis, the fit has no such degree, or no lenslet in the pupil is known.
+    Zernike modes have unit RMS over the circle, in Noll's order; Legendre modes are those of `modes.legendre`. The
+    highest degree, `order`, is by default that of the fit, which is exact. `ReconstructionError` if there is no such
+    basis, the fit has no such degree, or no lenslet in the pupil is known.
     """
     if basis not in BASES:
         raise ReconstructionError(f"the modes of the pupil are {' or '.join(BASES)}, not {basis}")

@@ -207,19 +207,11 @@ class Reconstructor:
                 raise ReconstructionError(f"{error}; {_why_lost(displacement.outcome)}", image="frame") from error
 
     def register(self, frame: Counts, *, start: Displacement | None = None) -> Displacement:
-        """Measure the displacement of each subimage from the reference.
+        """Measure the displacement of each subimage of a frame (row, column), counts, from the reference.
 
-        Parameters
-        ----------
-        frame : (row, column)
-            Counts.
-        start : Displacement, optional
-            Of an earlier frame. It saves time and changes the result by far less than its error.
-
-        Raises
-        ------
-        ReconstructionError
-            If fewer than two lenslets match the reference, or the frame has the wrong size or is saturated.
+        `start`, of an earlier frame, saves time and changes the result by far less than its error.
+        `ReconstructionError` if fewer than two lenslets match the reference, or the frame has the wrong size or is
+        saturated.
         """
         light, saturated = self._above_dark(frame, "frame")
         displacement = self._prepared.method(light, saturated=saturated, start=start)

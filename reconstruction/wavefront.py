@@ -143,19 +143,10 @@ def without_tilt(phase: Floats, arrangement: Arrangement = "square") -> Floats:
 
 
 def without_low_orders(phase: Floats, *, tilt: bool, defocus: bool, arrangement: Arrangement = "square") -> Floats:
-    """Subtract piston and, where asked, tilt and defocus, ignoring NaN.
+    """Subtract piston and, where asked, tilt and defocus, ignoring NaN, from (..., lenslet_row, lenslet_column), rad.
 
     Defocus is the paraboloid u^2 + v^2 about the middle of the lattice; it is fitted together with the tilt, whether
     that is subtracted or not.
-
-    Parameters
-    ----------
-    phase : (..., lenslet_row, lenslet_column)
-        rad; NaN where unknown.
-    tilt, defocus : bool
-        Whether to subtract them.
-    arrangement : Arrangement
-        Of the lenslets.
     """
     if not (tilt or defocus):
         return without_piston(phase)

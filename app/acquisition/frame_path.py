@@ -140,10 +140,7 @@ class FramePath:
 def read_frame(path: Path, camera: Camera) -> Frame:
     """Read an image file as a frame with the exposure and gain of a camera.
 
-    Raises
-    ------
-    InputError
-        It is no image of counts from 0 to 65535, or of another size than the camera's frames.
+    `InputError` if it is no image of counts from 0 to 65535, or of another size than the camera's frames.
     """
     image, allowed = read_image(path), camera.capabilities
     if image.shape != (allowed.rows, allowed.columns):

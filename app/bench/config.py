@@ -161,23 +161,11 @@ def as_bench(bench: object) -> Bench:
 
 
 def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_recorded: bool = False) -> Bench:
-    """Parse a bench from TOML text.
+    """Parse a bench from TOML text; `name` stands for it in errors.
 
-    Parameters
-    ----------
-    text
-        The bench.
-    name
-        Stands for it in errors.
-    overrides
-        "section.key=value" as in TOML.
-    is_recorded
-        The text comes from a recording or a result: settings unknown to its version mean what that version did.
-
-    Raises
-    ------
-    BenchError
-        One sentence that names the key and what is allowed, with the line and the setting.
+    `overrides` are "section.key=value" as in TOML. With `is_recorded`, the text comes from a recording or a result, and
+    settings unknown to its version mean what that version did. `BenchError` names the key and what is allowed in one
+    sentence, with the line and the setting.
     """
     try:
         tree = tomllib.loads(text)

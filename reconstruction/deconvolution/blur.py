@@ -77,8 +77,6 @@ class SpaceVariantBlur:
 
     Parameters
     ----------
-    psf_at : callable
-        Point-spread function of a position in the image.
     shape : (rows, columns)
         Of the image.
     reach_px : int
@@ -89,7 +87,7 @@ class SpaceVariantBlur:
         RMS change of the wavefront over the image; sets tiles and nodes.
     dtype
         Of all computations.
-    progress : callable, optional
+    progress : callable
         Receives the share of the tiles that are prepared.
     """
 
@@ -198,17 +196,8 @@ def reach_px(imaging: Imaging, sensor: Sensor, field: Field, phase: Floats) -> i
 class PsfOptics:
     """Point-spread functions in the pixels of an image, from wavefronts at the lenslets; prepared once.
 
-    Parameters
-    ----------
-    imaging, sensor, field
-        Geometry of the image and of the bench.
-    reach_px : int
-        Half the width of the point-spread functions.
-
-    Raises
-    ------
-    ValueError
-        If the pupil is larger than the lattice, beyond which no wavefront is known.
+    `reach_px` is half their width. `ValueError` if the pupil is larger than the lattice, beyond which no wavefront is
+    known.
     """
 
     def __init__(self, imaging: Imaging, sensor: Sensor, field: Field, reach_px: int) -> None:
@@ -238,17 +227,8 @@ class PsfOptics:
     def __call__(self, phase: Floats) -> Floats:
         """Point-spread function of a wavefront, averaged over each pixel if pixels are coarse.
 
-        A positive slope moves the light towards the field's +x.
-
-        Parameters
-        ----------
-        phase : (lenslet_row, lenslet_column)
-            rad at the sensor's wavelength; NaN where unknown.
-
-        Returns
-        -------
-        (2 reach + 1, 2 reach + 1)
-            In the image's rows and columns; sum 1.
+        A positive slope moves the light towards the field's +x. From rad at the sensor's wavelength, (lenslet_row,
+        lenslet_column), NaN where unknown, to (2 reach + 1, 2 reach + 1) in the image's rows and columns; sum 1.
         """
         y_m, x_m = (centered_steps(count + 2) for count in phase.shape)
         y_m, x_m = y_m * self._sensor.row_spacing_m, x_m * self._sensor.lenslet_pitch_m

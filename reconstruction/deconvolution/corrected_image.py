@@ -50,20 +50,8 @@ def richardson_lucy(
     """Richardson-Lucy: most probable positive object for shot noise.
 
     Read noise adds its variance to both sides, which makes shot noise of both (Snyder et al., J. Opt. Soc. Am. A 10,
-    1014, 1993).
-
-    Parameters
-    ----------
-    light : (row, column)
-        Counts above the dark.
-    blur : SpaceVariantBlur
-    noise : CameraNoise, optional
-        Without it, all iterations are done.
-    counted : bool (row, column)
-        Pixels whose chi-square ends the iteration.
-    iterations : int
-        At most.
-    progress : callable, optional
+    1014, 1993). `light` (row, column) is in counts above the dark. The chi-square of the `counted` pixels (row, column)
+    ends the iteration; without `noise`, all iterations are done.
     """
     light = np.maximum(light, 0)
     extra = 0.0 if noise is None else noise.read_noise_counts**2 / noise.counts_per_light
@@ -187,29 +175,11 @@ def corrected_image(
     iterations: int = 50,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> CorrectedImage:
-    """Deconvolve an image by the point-spread function of each field position.
+    """Deconvolve an image (row, column), counts, by the point-spread function of each field position.
 
-    Pixels much finer than the optical resolution are binned for the computation.
-
-    Parameters
-    ----------
-    image : (row, column)
-        Counts.
-    phase_at : callable
-        Wavefront at a field position.
-    imaging, sensor, field
-        Geometry of the image and of the bench.
-    method : str
-        Richardson-Lucy or Wiener.
-    iterations : int
-        At most; fewer if only noise is left.
-    progress : callable, optional
-        Receives the step in words and the share that is done.
-
-    Raises
-    ------
-    ValueError
-        If image, geometry and wavefront do not go together; one sentence.
+    Pixels much finer than the optical resolution are binned for the computation. The `iterations` end earlier if only
+    noise is left. `progress` receives the step in words and the share that is done. `ValueError` if image, geometry and
+    wavefront do not go together; one sentence.
     """
     if not np.isfinite(image).all():
         raise ValueError("the image holds NaN or infinite values: replace them, for example by their neighbours")

@@ -113,23 +113,14 @@ class TransferCurve:
 
 
 def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance: Image) -> TransferCurve | None:
-    """Measure the noise of one frame from the variance of each pixel against its light.
+    """Measure the noise of one frame from the variance of each pixel against its light; None with too few frames.
 
     The photon-transfer method (J. R. Janesick, Photon Transfer, SPIE 2007): the slope is the counts per photoelectron
     times the excess noise, the variance without light is the read noise. Medians over bins of equal light, corrected
     for the chi-square distribution of sample variances, reject hot pixels.
 
-    Parameters
-    ----------
-    mean, variance : (row, column)
-        Of each pixel over the `frames`, counts above the dark and counts^2.
-    dark_variance : (row, column)
-        The same without light, counts^2.
-
-    Returns
-    -------
-    TransferCurve or None
-        None if there are too few frames.
+    `mean` and `variance` (row, column) are those of each pixel over the `frames`, counts above the dark and counts^2;
+    `dark_variance` is that without light.
     """
     if frames < _FEWEST_FRAMES:
         return None
@@ -142,22 +133,11 @@ def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance:
 
 
 def image_transfer(light: Image, blur_px: float) -> TransferCurve | None:
-    """Estimate the noise of a single image from what no optics can show.
+    """Estimate the noise of a single image (row, column), counts above the dark, from what no optics can show.
 
-    The light of lenslets holds no spatial frequency, along x or y, above the inverse of the blur. Beyond it there is
-    only noise, which is white.
-
-    Parameters
-    ----------
-    light : (row, column)
-        Counts above the dark or the background.
-    blur_px : float
-        Distance at which the image of a point first vanishes, wavelength times focal length over lenslet pitch, px.
-
-    Returns
-    -------
-    TransferCurve or None
-        None if the pixels are too coarse, or the image has hardly any noise.
+    The light of lenslets holds no spatial frequency, along x or y, above the inverse of the blur: the distance at which
+    the image of a point first vanishes, wavelength times focal length over lenslet pitch. Beyond it there is only
+    noise, which is white. None if the pixels are too coarse, or the image has hardly any noise.
     """
     rows, columns = light.shape
     cutoff = _BEYOND / blur_px  # cycles per pixel

@@ -39,10 +39,8 @@ class AboveDark:
     def __call__(self, image: Counts, name: str) -> tuple[Image, Booleans]:
         """Light of an image (row, column), counts, and its saturated pixels, the same shape.
 
-        Raises
-        ------
-        ReconstructionError
-            If the image has another size, no grey or infinite values, or many saturated pixels; it says `name`.
+        `ReconstructionError`, which says `name`, if the image has another size, no grey or infinite values, or many
+        saturated pixels.
         """
         self._check(image, name)
         if self._dark is not None and image.dtype in {np.dtype(np.uint8), np.dtype(np.uint16)}:
@@ -121,16 +119,9 @@ def clip_level(counts: Counts, scatter: float = 0.0, read_noise: float = 0.0) ->
     """Count above which pixels are clipped: they pile up at the highest count; None without a pile.
 
     A full well may lie below the camera's full scale, and read noise blurs its edge. Light without a limit has ever
-    fewer pixels towards its highest count.
-
-    Parameters
-    ----------
-    counts
-        Any number of pixels.
-    scatter : float
-        Standard deviation of the brightest pixels if they were not clipped, counts; 0 if unknown.
-    read_noise : float
-        Standard deviation of what is added after clipping, counts. Beyond half the scatter, clipping is missed.
+    fewer pixels towards its highest count. `scatter` is the standard deviation of the brightest pixels if they were not
+    clipped, counts, 0 if unknown; `read_noise` that of what is added after clipping, counts. Beyond half the scatter,
+    clipping is missed.
     """
     top = float(counts.max())
     edge = min(_EDGE * read_noise, _MOST_EDGE * scatter)

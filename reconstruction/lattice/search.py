@@ -73,25 +73,17 @@ def survey(
     """Find the sensor's lenslets on a reference, and measure how well it shows them.
 
     The lattice's cells with most lit lenslets are the sensor's; of equal blocks, the one nearest to the frame's middle.
-    The subimages must be symmetric on average; otherwise see `fit_lattice` for the centre.
+    The subimages must be symmetric on average; otherwise see `fit_lattice` for the centre. The pitch may differ by 15 %
+    from the sensor's; the rotation is the least, see `least_rotation_rad`.
 
     Parameters
     ----------
-    reference : (row, column)
-        Counts.
-    sensor : Sensor
-        The pitch may differ by 15 % from the designed one.
-    dark : (row, column), optional
-        Counts without light.
+    reference, dark : (row, column)
+        Counts with and without light.
     full_scale : float
         Count at which a pixel is saturated.
     progress : callable
         Receives the current step and the fraction done, 0 ... 1.
-
-    Returns
-    -------
-    Survey
-        Its rotation is the least, see `least_rotation_rad`.
 
     Raises
     ------

@@ -101,21 +101,10 @@ def field_positions_m(field: Field) -> Floats:
 def best_correction(
     wavefronts: Floats, positions_m: Floats, sensor: Sensor, field: Field, ratio: float, corrector: Corrector
 ) -> Correction:
-    """Find the best command of a corrector.
+    """Find the best command of a corrector for the wavefronts of some field positions (position, xy).
 
-    Parameters
-    ----------
-    wavefronts : (position, lenslet_row, lenslet_column)
-        Wavefronts at some field positions, rad; NaN where unknown.
-    positions_m : (position, xy)
-        The field positions.
-    ratio : float
-        Of field to pupil position where rays meet the corrector; 0 for one at the pupil.
-
-    Raises
-    ------
-    ValueError
-        If no lenslet is known.
+    They are (position, lenslet_row, lenslet_column), rad, NaN where unknown. `ratio` is that of field to pupil position
+    where rays meet the corrector; 0 for one at the pupil. `ValueError` if no lenslet is known.
     """
     known = np.isfinite(wavefronts)
     lenslets = np.count_nonzero(known, axis=(1, 2))[:, None, None]

@@ -224,16 +224,8 @@ def require_lenslets(frame: Whitened) -> None:
 class LayerSolver:
     """Fits layers to the displacements measured against one reference.
 
-    Parameters
-    ----------
-    sensor, field
-        Geometry of the bench.
-    field_modes
-        Of the displacements.
-    free : ModalSolver
-        Fits the same displacements without assuming layers.
-    hidden : int
-        Number of displacements of a lenslet that the mask does not show.
+    `free` fits the same displacements without assuming layers. `hidden` is the number of displacements of a lenslet
+    that the mask does not show.
     """
 
     def __init__(

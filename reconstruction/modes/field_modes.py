@@ -74,17 +74,9 @@ class ZernikeModes(PolynomialModes):
 def gradient_basis(modes: PolynomialModes) -> Floats:
     """Displacements in the span of some field modes that are gradients of a potential over the field.
 
-    Straight rays through layers make no others: a subimage shears and stretches, but does not rotate.
-
-    Parameters
-    ----------
-    modes : PolynomialModes
-        Q field modes that span all polynomials up to a degree.
-
-    Returns
-    -------
-    (parameter, 2Q)
-        Orthonormal coefficients (x modes, y modes): 2, 5, 9, 14, 20 for Q = 1, 3, 6, 10, 15.
+    Straight rays through layers make no others: a subimage shears and stretches, but does not rotate. Q field modes
+    span all polynomials up to a degree. The coefficients (parameter, 2Q), x modes and then y modes, are orthonormal;
+    there are 2, 5, 9, 14, 20 for Q = 1, 3, 6, 10, 15.
     """
     degree = round((math.sqrt(8 * modes.count + 1) - 3) / 2)
     x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9)))

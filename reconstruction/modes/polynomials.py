@@ -152,12 +152,8 @@ def zernike_products(count: int, half_x: float = 1.0, half_y: float = 1.0) -> Fl
 def zernike_projection(polynomials: Callable[[Floats, Floats], Floats], degree: int, count: int) -> Floats:
     """Coefficients of polynomials in the first `count` modes over the unit circle: (count, polynomial).
 
-    Parameters
-    ----------
-    polynomials : callable
-        Values (polynomial, *shape) at x and y (*shape), in units of the circle's radius.
-    degree : int
-        Highest degree of the polynomials, for which the quadrature is exact.
+    `polynomials` returns values (polynomial, *shape) at x and y (*shape), in units of the circle's radius. The
+    quadrature is exact up to their highest `degree`.
     """
     highest = degree + noll_orders(count)[-1][0]
     nodes, weights = np.polynomial.legendre.leggauss(highest // 4 + 1)  # in the squared radius

@@ -194,23 +194,11 @@ class PupilGrid:
 
 
 def local_wavefronts(products: Floats, sensor: Sensor, degree: int, rows: NDArray[np.intp] | None = None) -> Floats:
-    """Project pupil modes on the products P_m(xi) P_n(eta) over each lenslet.
+    """Project pupil modes on the products P_m(xi) P_n(eta) over each lenslet, up to the `degree` of m and n.
 
-    Parameters
-    ----------
-    products : (pupil_mode, n, m)
-        The modes as sums of products over the whole lattice, see `PupilModes`.
-    sensor : Sensor
-        xi and eta are -1 ... 1 over the square around the aperture of a lenslet.
-    degree : int
-        Highest local m and n.
-    rows : (lenslet_row,), optional
-        Rows of lenslets to project on; all if omitted.
-
-    Returns
-    -------
-    (lenslet_row, lenslet_column, n, m, pupil_mode)
-        Coefficients of the local polynomials.
+    xi and eta are -1 ... 1 over the square around the aperture of a lenslet. From `products` (pupil_mode, n, m), see
+    `PupilModes`, to the coefficients (lenslet_row, lenslet_column, n, m, pupil_mode) in some `rows` of lenslets, or in
+    all.
     """
     highest = products.shape[1] - 1
     nodes, project = legendre_projection(degree, highest)  # (node, local)

@@ -72,13 +72,8 @@ def psf(phase: Floats, sensor: Sensor, *, angle_rad: Floats) -> Floats:
 def mtf(phase: Floats, sensor: Sensor) -> Mtf:
     """Modulation transfer of wavefronts, and its diffraction limit: the pupil's autocorrelation.
 
-    Frequency s / wavelength corresponds to pupil points a distance s apart. Tilt has no effect.
-
-    Parameters
-    ----------
-    phase : (..., lenslet_row, lenslet_column)
-        rad; NaN where unknown.
-    sensor : Sensor
+    Frequency s / wavelength corresponds to pupil points a distance s apart. Tilt has no effect. The phase is
+    (..., lenslet_row, lenslet_column), rad, NaN where unknown.
     """
     field = _transmission(aligned(phase, sensor.arrangement))
     rows, columns = phase.shape[-2:]

@@ -33,18 +33,12 @@ def layered_information(
 
     Parameters
     ----------
-    model : LensletModel
-        Image of one lenslet and its derivatives.
     light : (lenslet_row, lenslet_column)
         Light of each lenslet, counts; 0 where it is lost.
     noise : CameraNoise
         Of the frame.
-    sensor : Sensor
-        Geometry of the lenslets.
-    modes : PupilModes
-        R_p, piston first.
-    field_modes : LegendreModes
-        T_q.
+    modes, field_modes
+        R_p, piston first, and T_q.
     brightness : LegendreModes
         Polynomials over the field in which the brightness of each subimage's source is unknown; the gain alone if one.
 
@@ -98,17 +92,9 @@ def wavefront_bound(
 ) -> Floats:
     """Cramer-Rao bound of the wavefront at the views, the standard deviation of the best unbiased estimator.
 
-    `information` and `basis` are from `layered_information`.
-
-    Returns
-    -------
-    (view_row, view_column, lenslet_row, lenslet_column)
-        rad, without piston.
-
-    Raises
-    ------
-    ReconstructionError
-        If the frame carries no information about some wavefronts.
+    `information` and `basis` are from `layered_information`. The bound is (view_row, view_column, lenslet_row,
+    lenslet_column), rad, without piston. `ReconstructionError` if the frame carries no information about some
+    wavefronts.
     """
     try:
         root = np.linalg.inv(np.linalg.cholesky(information))

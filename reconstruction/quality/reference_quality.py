@@ -37,22 +37,10 @@ def reference_quality(
     noise: CameraNoise | None = None,
     frames: float = 1,
 ) -> Quality:
-    """Judge a reference and its dark.
+    """Judge a reference and its dark, (row, column), counts.
 
-    Parameters
-    ----------
-    reference, dark : (row, column)
-        Counts.
-    sensor, lattice
-        Lenslets, and where they are taken to be.
-    shown : Lattice, optional
-        Where the reference shows them (`lattice.search.survey`).
-    variance : (row, column), optional
-        Of the averaged frames, counts^2.
-    noise : CameraNoise, optional
-        Of one frame.
-    frames : float
-        Number of frames averaged.
+    `lattice` is where the lenslets are taken to be, `shown` where the reference shows them (`lattice.search.survey`).
+    `variance` (row, column) is that of the averaged `frames`, counts^2, and `noise` that of one frame.
     """
     reasons: dict[Fault, str] = {}
     light = np.asarray(reference, np.float64)

@@ -56,24 +56,14 @@ class Circulation:
 
 
 def measure_circulation(displacement: Displacement, half_width_px: float) -> Circulation | None:
-    """Measure the rotation of the subimages and judge their circulation.
+    """Measure the rotation of the subimages and judge their circulation; `half_width_px` is that of the field in one.
 
-    The rotation of a lenslet is the rigid one that fits its circulation best. Systematic errors are
-    `_SYSTEMATIC_PX` and a share of the local deformation; lenslets have them in common, so that they remain in the
-    mean. A median over the lenslets gives chi-square, so that a few bad lenslets do not decide.
+    The rotation of a lenslet is the rigid one that fits its circulation best. Systematic errors are `_SYSTEMATIC_PX`
+    and a share of the local deformation; lenslets have them in common, so that they remain in the mean. A median over
+    the lenslets gives chi-square, so that a few bad lenslets do not decide.
 
-    Parameters
-    ----------
-    displacement : Displacement
-        Result of a registration.
-    half_width_px : float
-        Half the width of the field in a subimage, px.
-
-    Returns
-    -------
-    Circulation or None
-        None if the registration excludes rotation, or leaves it out because the source hides it, or does not know how
-        errors are correlated, or if no lenslet converged.
+    None if the registration excludes rotation, or leaves it out because the source hides it, or does not know how
+    errors are correlated, or if no lenslet converged.
     """
     valid, modes = displacement.valid, displacement.modes
     if not isinstance(modes, PolynomialModes) or modes.count < 3 or not valid.any():

@@ -179,16 +179,12 @@ class _Equations:
 
 
 class ModalSolver:
-    """Fits pupil modes times field modes to displacements; prepared for one reference.
+    """Fits pupil modes, piston first, times field modes to displacements; prepared for one reference.
 
     Parameters
     ----------
-    modes : PupilModes
-        Piston first.
-    sensitivity : Sensitivity
-        Parameters of the lenslets' warps per rad.
     parameters : (K, 2Q)
-        Displacement (x modes, y modes) of each parameter, orthonormal rows.
+        Displacement (x modes, y modes) of each parameter of the lenslets' warps, orthonormal rows.
     covariance : (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)
         Expected covariance of a frame's displacements, px^2; NaN where lost, 0 if unknown.
     layered : callable, optional

@@ -80,21 +80,8 @@ def zonal_wavefront(
 ) -> Floats:
     """Integrate slopes to wavefronts without piston, all leading axes at once.
 
-    Parameters
-    ----------
-    slopes : (..., lenslet_row, lenslet_column, xy)
-        rad/m.
-    valid : bool (lenslet_row, lenslet_column)
-    pitch_m : float
-    weights : (lenslet_row, lenslet_column), optional
-        In any unit.
-    arrangement : Arrangement
-        Of the lenslets.
-
-    Returns
-    -------
-    (..., lenslet_row, lenslet_column)
-        rad; NaN outside the largest connected set of valid lenslets.
+    From rad/m, (..., lenslet_row, lenslet_column, xy), to rad, (..., lenslet_row, lenslet_column); NaN outside the
+    largest connected set of lenslets that are `valid`, (lenslet_row, lenslet_column). Their weights are in any unit.
     """
     flat = np.where(valid[..., None], slopes, 0.0).reshape(-1, valid.size, 2)
     wavefront = np.full((len(flat), valid.size), np.nan)
