@@ -5,8 +5,6 @@ the 3 x 3 values about the best one. The mismatch is the sum of squared differen
 cross-correlation by FFT (both after Löfdahl 2010, Astronomy & Astrophysics 524, A90).
 """
 
-from typing import Literal, get_args
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
@@ -14,12 +12,10 @@ from scipy import fft
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement, Outcome, RegistrationMethod, diagonal_covariance
 from reconstruction.errors import ReconstructionError
-from reconstruction.geometry import Field, require
+from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.settings import RegistrationSettings
-
-Mismatch = Literal["square_difference", "fft"]
 
 _MISFIT = 0.7  # residual over contrast above which the frame does not match, however deformed
 
@@ -28,19 +24,18 @@ def prepare(
     reference: ReferenceSubimages, settings: RegistrationSettings, _field: Field, _model: LensletModel | None
 ) -> RegistrationMethod:
     """Prepare the method `correlation` or `correlation_fft`."""
-    return Correlation(reference, method="fft" if settings.method == "correlation_fft" else "square_difference")
+    return Correlation(reference, by_fft=settings.method == "correlation_fft")
 
 
 class Correlation:
     """Registration by one shift of each subimage."""
 
-    def __init__(self, reference: ReferenceSubimages, *, method: Mismatch = "square_difference") -> None:
+    def __init__(self, reference: ReferenceSubimages, *, by_fft: bool = False) -> None:
         """Prepare for shifts that leave the field inside the lenslet's cell."""
-        require({f"method must be one of {', '.join(get_args(Mismatch))}": method in get_args(Mismatch)})
         range_px = reference.reach_px - reference.half_width_px
         if range_px < 1:
             raise ReconstructionError("the field fills the lenslets' cells: no shift of it can be correlated")
-        self._reference, self._method, self._modes = reference, method, LegendreModes(1)
+        self._reference, self._by_fft, self._modes = reference, by_fft, LegendreModes(1)
         self._search = int(range_px) + 1  # the outermost shifts are only neighbours of a minimum
         self._light = normalised(reference.light.reshape(-1, reference.width, reference.width))
         self._spectrum = correlation_spectrum(self._light)
@@ -70,7 +65,7 @@ class Correlation:
     def _mismatch(self, window: Floats) -> tuple[Floats, int]:
         """Sum of squared differences at all shifts, (L, shift_y, shift_x), and its number of pixels."""
         search, width = self._search, self._reference.width
-        if self._method == "fft":
+        if self._by_fft:
             correlation = cross_correlation(self._spectrum, window, search)
             return 2 * (width**2 - correlation), width**2
         inner = width - 2 * search  # the middle of the reference, so that every shift of it lies in the window

@@ -204,10 +204,9 @@ class ModalSolver:
         layered: Callable[[Floats], Floats] | None = None,
         field_degree: Floats | None = None,
     ) -> None:
-        self._modes, self._sensitivity, self._parameters = modes, sensitivity, parameters
+        self._modes, self._parameters = modes, parameters
         field_modes = parameters.shape[1] // 2
         self.errors = ExpectedErrors(sensitivity, parameters, covariance, modes.inside)
-        self._lenslets = modes.inside.size
         self._is_smooth = field_degree is not None
         scale = np.ones((len(modes.degree) - 1, field_modes))
         if field_degree is not None:
@@ -215,7 +214,8 @@ class ModalSolver:
             scale = degree**-PRIOR_EXPONENT * _PRIOR_PER_FIELD_DEGREE**field_degree
         basis = np.diag(scale.ravel()) if layered is None else scale.reshape(-1, 1) * layered(scale)
         self._unknowns = basis.shape[1]
-        rows = [self.errors.rows(modes, some) @ basis for some in self._chunks()]
+        chunks = [slice(first, first + _AT_ONCE) for first in range(0, modes.inside.size, _AT_ONCE)]
+        rows = [self.errors.rows(modes, some) @ basis for some in chunks]
         self._singular, vectors = self._seen(*np.linalg.eigh(sum(some.T @ some for some in rows)))
         self._scaled = basis @ vectors
         self._left_singular = self._scaled / self._singular  # to left singular vectors, see `ExpectedErrors.rows`
@@ -269,18 +269,6 @@ class ModalSolver:
         if count > len(singular):  # what the modes leave shows errors that the noise does not explain
             noise = max((total - float(along @ along)) / (count - len(singular)), noise)
         return Estimate(along / singular, math.inf, noise, count - len(singular))
-
-    def displacement(self, coefficients: Floats) -> Floats:
-        """Displacements expected of coefficients (pupil_mode, field_mode), rad: px, (row, column, field_mode, xy)."""
-        parts = [
-            np.einsum("lkpq,pq->lk", self._sensitivity(self._modes, some), coefficients[1:], optimize=True)
-            for some in self._chunks()
-        ]
-        px = np.concatenate(parts) @ self._parameters
-        return np.swapaxes(px.reshape(*self._modes.inside.shape, 2, -1), 2, 3)
-
-    def _chunks(self) -> list[slice]:
-        return [slice(first, first + _AT_ONCE) for first in range(0, self._lenslets, _AT_ONCE)]
 
     def _down_dated(self, share_bytes: bytes) -> "_Equations":
         """The equations of lenslets with that share of their certainty, (lenslet,)."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 import pytest
 from support.optics import FIELD, SmallBench
@@ -13,11 +11,10 @@ from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.registration import prepare_registration
-from reconstruction.registration.correlation import Correlation, Mismatch
+from reconstruction.registration.correlation import Correlation
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings
 
-METHODS: tuple[Mismatch, ...] = ("square_difference", "fft")
 SHIFT_PX = (2.4, -1.3)
 ALIKE_PX = 0.02
 
@@ -45,52 +42,52 @@ def _none(light: Image) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     return np.zeros(light.shape, np.bool_)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("by_fft", [False, True])
 @pytest.mark.parametrize("shift_px", [SHIFT_PX, (0.5, 0.0), (-0.25, 4.1), (-3.7, -3.6)])
 def test_tilt_is_recovered_as_shift(
-    small_bench: SmallBench, reference: ReferenceSubimages, method: Mismatch, shift_px: tuple[float, float]
+    small_bench: SmallBench, reference: ReferenceSubimages, by_fft: bool, shift_px: tuple[float, float]
 ) -> None:
     light = _tilted(small_bench, *shift_px)
-    displacement = Correlation(reference, method=method)(light, saturated=_none(light))
+    displacement = Correlation(reference, by_fft=by_fft)(light, saturated=_none(light))
     assert displacement.valid.all()
     assert displacement.coefficients.shape == displacement.variance.shape == (7, 9, 1, 2)
     assert displacement.residual_rms.shape == (7, 9)
     assert np.abs(displacement.coefficients[:, :, 0] - shift_px).max() < ALIKE_PX
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("by_fft", [False, True])
 def test_displacement_that_varies_over_field_gives_mean_shift(
-    small_bench: SmallBench, reference: ReferenceSubimages, method: Mismatch
+    small_bench: SmallBench, reference: ReferenceSubimages, by_fft: bool
 ) -> None:
     u, v = small_bench.samples()
     slope, half_m = small_bench.sensor.slope_per_px, FIELD.half_width_m
     light = small_bench.frame(
         lambda x, y: (slope * ((1.5 + 0.6 * x / half_m) * u + (0.7 - 0.5 * y / half_m) * v)).astype(np.float32)
     )
-    displacement = Correlation(reference, method=method)(light, saturated=_none(light))
+    displacement = Correlation(reference, by_fft=by_fft)(light, saturated=_none(light))
     assert displacement.valid.all()
     np.testing.assert_allclose(displacement.mean, np.broadcast_to([1.5, 0.7], (7, 9, 2)), atol=0.03)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_gain_and_offset_do_not_change_result(reference: ReferenceSubimages, shifted: Image, method: Mismatch) -> None:
-    correlate = Correlation(reference, method=method)
+@pytest.mark.parametrize("by_fft", [False, True])
+def test_gain_and_offset_do_not_change_result(reference: ReferenceSubimages, shifted: Image, by_fft: bool) -> None:
+    correlate = Correlation(reference, by_fft=by_fft)
     plain = correlate(shifted, saturated=_none(shifted))
     other = correlate(np.asarray(0.4 * shifted + 0.3 * shifted.max(), np.float32), saturated=_none(shifted))
     np.testing.assert_allclose(other.coefficients, plain.coefficients, atol=1e-4)
     np.testing.assert_allclose(other.variance, plain.variance, rtol=0.01)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("by_fft", [False, True])
 def test_dark_and_saturated_lenslets_are_lost(
-    small_bench: SmallBench, reference: ReferenceSubimages, shifted: Image, method: Mismatch
+    small_bench: SmallBench, reference: ReferenceSubimages, shifted: Image, by_fft: bool
 ) -> None:
     light, saturated = shifted.copy(), _none(shifted)
     dark_x, dark_y = np.rint(small_bench.lattice.lenslet_centers_px(7, 9)[2, 5]).astype(int)
     light[dark_y - 15 : dark_y + 16, dark_x - 15 : dark_x + 16] = 0
     bright_x, bright_y = np.rint(small_bench.lattice.lenslet_centers_px(7, 9)[4, 1]).astype(int)
     saturated[bright_y, bright_x] = True
-    displacement = Correlation(reference, method=method)(light, saturated=saturated)
+    displacement = Correlation(reference, by_fft=by_fft)(light, saturated=saturated)
     expected = np.full((7, 9), Outcome.CONVERGED)
     expected[2, 5], expected[4, 1] = Outcome.DARK, Outcome.SATURATED
     np.testing.assert_array_equal(displacement.outcome, expected)
@@ -99,33 +96,29 @@ def test_dark_and_saturated_lenslets_are_lost(
         assert np.isfinite(values[expected == Outcome.CONVERGED]).all()
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("by_fft", [False, True])
 def test_shift_out_of_reach_or_foreign_image_is_lost(
-    small_bench: SmallBench, reference: ReferenceSubimages, method: Mismatch
+    small_bench: SmallBench, reference: ReferenceSubimages, by_fft: bool
 ) -> None:
-    correlate = Correlation(reference, method=method)
+    correlate = Correlation(reference, by_fft=by_fft)
     far = _tilted(small_bench, 7.5, 0.0)
     assert not correlate(far, saturated=_none(far)).valid.any()
     noise = np.random.default_rng(1).normal(0, 1, far.shape).astype(np.float32)
     assert not correlate(noise, saturated=_none(noise)).valid.any()
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_variance_matches_scatter_of_noisy_shifts(
-    reference: ReferenceSubimages, shifted: Image, method: Mismatch
-) -> None:
+@pytest.mark.parametrize("by_fft", [False, True])
+def test_variance_matches_scatter_of_noisy_shifts(reference: ReferenceSubimages, shifted: Image, by_fft: bool) -> None:
     rng = np.random.default_rng(2)
     noisy = np.asarray(shifted + rng.normal(0, 0.05 * shifted.max(), shifted.shape), np.float32)
-    correlate = Correlation(reference, method=method)
+    correlate = Correlation(reference, by_fft=by_fft)
     calm, restless = (correlate(light, saturated=_none(light)) for light in (shifted, noisy))
     scatter = np.var(restless.coefficients - calm.coefficients)
     assert 0.6 < scatter / restless.variance.mean() < 1.6
     assert restless.variance.mean() > 2 * calm.variance.mean()
 
 
-def test_invalid_arguments_are_refused(small_bench: SmallBench, reference: ReferenceSubimages) -> None:
-    with pytest.raises(ValueError, match="method must be one of square_difference, fft"):
-        Correlation(reference, method=cast("Mismatch", "guess"))
+def test_field_that_fills_the_cells_is_refused(small_bench: SmallBench) -> None:
     wide = Field(collimator_focal_length_m=0.2, half_width_m=0.95e-3)
     filled = ReferenceSubimages(
         small_bench.reference, sensor=small_bench.sensor, lattice=small_bench.lattice, field=wide
