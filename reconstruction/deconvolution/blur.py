@@ -128,11 +128,6 @@ class SpaceVariantBlur:
             self._tiles.append(_Tile(rows, columns, lit, fft_shape, spectra, weights.astype(dtype)))
             progress(done / (len(parts[0]) * len(parts[1])))
 
-    @property
-    def convolutions(self) -> int:
-        """Number of convolutions in all tiles."""
-        return sum(len(tile.spectra) for tile in self._tiles)
-
     def __call__(self, scene: Values) -> Values:
         """Image (row, column) of an object (row, column)."""
         light = np.zeros([length + 2 * self.reach_px for length in self.object_shape], self._dtype)

@@ -67,11 +67,6 @@ class LayerSearch:
         return self.given or (self.one if self.two is None or self._explains(self.one) else self.two)
 
     @property
-    def unexplained(self) -> float:
-        """Misfit of `fit` beyond that of any wavefront, over all displacements."""
-        return _beyond(self.fit.quality, self.any_wavefront)
-
-    @property
     def verdict(self) -> Verdict:
         """Number of layers that explain the displacements, unless the given ones do not."""
         if self.fit.quality.misfit >= _NOTHING and self.fit.quality.chi_square < _CHI_SQUARE:
