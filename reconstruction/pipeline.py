@@ -196,13 +196,13 @@ class Reconstructor:
         if at_rest.valid.any():
             self.solve(at_rest)  # fails early if the modes cannot be distinguished, and warms the caches
 
-    def __call__(self, frame: Counts, *, bias: Floats | None = None) -> Wavefront:
+    def __call__(self, frame: Counts) -> Wavefront:
         """Measure the wavefront of a frame: `register`, find the `sample`, then `solve`."""
         with one_blas_thread():
             displacement = self.register(frame)
             sample = self.find_sample(displacement)
             try:
-                return self.solve(displacement, bias=bias, sample=sample)
+                return self.solve(displacement, sample=sample)
             except ReconstructionError as error:
                 raise ReconstructionError(f"{error}; {_why_lost(displacement.outcome)}", image="frame") from error
 
