@@ -276,11 +276,8 @@ class LiveBench:
         RunError
             If the recording ended early; the frames so far are kept.
         """
-        acquisition, status, limit = (
-            self._acquisition,
-            self._status(),
-            RecordingLimit(frames=whole_number(frames, "frames")),
-        )
+        acquisition, status = self._acquisition, self._status()
+        limit = RecordingLimit(frames=whole_number(frames, "frames"))
         begin = partial(acquisition.start_recording, Path(folder), command=command, limit=limit)
         is_played = isinstance(self._bench.camera, RecordingSettings)  # each of its frames counts
         if not status.is_running and (is_played or not status.prepares):
