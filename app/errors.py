@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 SHOWN = "shown in the window"  # note on an error that the user has seen there
+NOTHING_TO_WRITE = "there is nothing to write: no frame has a wavefront"
 SETTINGS_CHANGED = "the settings changed between these frames: select frames with equal settings (--frames)"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from app.bench.config import Bench
 from app.errors import SETTINGS_CHANGED, InputError
 from app.measurement.measurement import Measurement
-from app.results.result_file import FRAME, LENSLET, PIECE, Variable, about, require_alike, write_results
+from app.results.result_file import FRAME, LENSLET, PIECE, VIEW, Variable, about, require_alike, write_results
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Field, Sensor
@@ -28,7 +28,6 @@ from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 if TYPE_CHECKING:
     import xarray as xr
 
-_VIEW = ("view_row", "view_column")
 _PSF_REACH = 16  # half width of the map in diffraction widths (wavelength / pupil width), equal for all frames
 _RANGE = "displacement of the field's edge over what the cell allows; above 1 it has left the cell"
 _CHI_SQUARE = "reduced chi-square of the registered subimage; NaN where the camera's noise is not known"
@@ -44,8 +43,8 @@ def transfer(wavefront: Wavefront) -> dict[str, Variable]:
         ("y", found.along_y, found.limit_y, found.frequency_y_per_rad),
     ):
         along, name = f"frequency_{axis}", f"modulation transfer along {axis}"
-        variables[f"mtf_{axis}"] = (*_VIEW, along), values, about("1", name)
-        variables[f"mtf_limit_{axis}"] = (*_VIEW, along), limit, about("1", f"{name} without aberration")
+        variables[f"mtf_{axis}"] = (*VIEW, along), values, about("1", name)
+        variables[f"mtf_limit_{axis}"] = (*VIEW, along), limit, about("1", f"{name} without aberration")
         variables[along] = (along,), frequency_per_rad, about("1/rad", "cycles per radian of field angle")
     return variables
 
@@ -58,7 +57,7 @@ def structure(wavefront: Wavefront) -> dict[str, Variable]:
     variables: dict[str, Variable] = {
         "global_error": ((), error, about("rad", "RMS error of one wavefront for the whole field")),
         "global_error_without_tilt": ((), without_tilt, about("rad", "the same, but for tip and tilt")),
-        "global_error_view": (_VIEW, found.view_error_rad, at_views),
+        "global_error_view": (VIEW, found.view_error_rad, at_views),
         "separation": (("separation",), found.curve.separation_m, about("m", "of two positions in the field")),
     }
     for suffix, curve in (("", found.curve), ("_without_tilt", found.curve_without_tilt)):
@@ -81,7 +80,7 @@ def point_spread(wavefront: Wavefront) -> dict[str, Variable]:
     ideal = about("1", "point-spread function over its peak when unaberrated")
     values = psf(wavefront.views, sensor, angle_rad=angle_rad).astype(np.float32)
     return {
-        "psf": ((*_VIEW, "angle_y", "angle_x"), values, ideal),
+        "psf": ((*VIEW, "angle_y", "angle_x"), values, ideal),
         "angle_x": (("angle_x",), angle_rad, about("rad", "field angle along x")),
         "angle_y": (("angle_y",), angle_rad, about("rad", "field angle along y")),
     }
@@ -100,7 +99,7 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
     }
     variables: dict[str, Variable] = {
         **_wavefront_variables(wavefront.views, wavefront.sensor),
-        "wavefront_sigma": ((*_VIEW, *LENSLET), wavefront.sigma(), about("rad", "standard deviation of wavefront")),
+        "wavefront_sigma": ((*VIEW, *LENSLET), wavefront.sigma(), about("rad", "standard deviation of wavefront")),
         "displacement": (vectors, displacement.coefficients, about("px", "coefficients of the field modes")),
         "displacement_sigma": (vectors, np.sqrt(displacement.variance), about("px", "standard deviation")),
         "valid": (LENSLET, displacement.valid, about("1", "whether the lenslet yields a slope")),
@@ -112,8 +111,8 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
     if (transmission := wavefront.transmission) is not None:
         brightness = about("1", "brightness of the source through the sample over that in the reference")
         variables |= {
-            "transmission": ((*_VIEW, *LENSLET), transmission[0], brightness),
-            "transmission_sigma": ((*_VIEW, *LENSLET), transmission[1], about("1", "standard deviation, noise only")),
+            "transmission": ((*VIEW, *LENSLET), transmission[0], brightness),
+            "transmission_sigma": ((*VIEW, *LENSLET), transmission[1], about("1", "standard deviation, noise only")),
         }
     if isinstance(solution, ModalSolution):
         sigma, chi_square = solution.coefficients_sigma, np.array(solution.chi_square)
@@ -147,7 +146,7 @@ def truth_dataset(views: Floats, light: Floats, bench: Bench) -> xr.Dataset:
 
     variables = {
         **_wavefront_variables(views, bench.sensor),
-        "light": ((*_VIEW, *LENSLET), light, about("1", "intensity at the lenslet centres over that without sample")),
+        "light": ((*VIEW, *LENSLET), light, about("1", "intensity at the lenslet centres over that without sample")),
     }
     return xr.Dataset(variables, coords=_coordinates(bench.sensor, bench.field), attrs=propagation(bench.field))
 
@@ -202,10 +201,10 @@ def stack_frames(
 def _wavefront_variables(views: Floats, sensor: Sensor) -> dict[str, Variable]:
     strehl = psf(views, sensor, angle_rad=np.zeros(1))[..., 0, 0]
     return {
-        "wavefront": ((*_VIEW, *LENSLET), views, about("rad", "phase at the lenslet centres, piston removed")),
-        "rms": (_VIEW, rms(views), about("rad", "RMS of each view's wavefront")),
-        "strehl": (_VIEW, strehl, about("1", "Strehl ratio of each view's wavefront, tilt included")),
-        "pv": (_VIEW, peak_to_valley(views), about("rad", "peak to valley of each view's wavefront")),
+        "wavefront": ((*VIEW, *LENSLET), views, about("rad", "phase at the lenslet centres, piston removed")),
+        "rms": (VIEW, rms(views), about("rad", "RMS of each view's wavefront")),
+        "strehl": (VIEW, strehl, about("1", "Strehl ratio of each view's wavefront, tilt included")),
+        "pv": (VIEW, peak_to_valley(views), about("rad", "peak to valley of each view's wavefront")),
     }
 
 

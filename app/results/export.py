@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from app.bench.config import write_bench
-from app.errors import SETTINGS_CHANGED, InputError, RunError
+from app.errors import NOTHING_TO_WRITE, SETTINGS_CHANGED, InputError, RunError
 from app.files import atomic_write, check_outputs, check_suffix, write_csv
 from app.measurement.measurement import Measurement
 from app.progress import Progress, counting
@@ -170,7 +170,7 @@ def _write_csv(recording: Recording, chosen: range, out: Path, progress: Progres
         if frame.wavefront is not None:
             break
     else:
-        raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
+        raise RunError(f"{out}: {NOTHING_TO_WRITE}")
     names = list(_values(frame.wavefront))
     first = ("frame", "camera_frame", "time_s", "exposure_s", "em_gain", "valid_lenslets")
     write_csv(out, [*first, *names], (_row(each, names) for each in chain(before, remaining)))
@@ -214,7 +214,7 @@ def _write_zernike_table(recording: Recording, chosen: range, out: Path, progres
     tables = ((index, *table_of(zernikes_of_views(wavefront))) for index, wavefront in known)
     first = next(tables, None)
     if first is None:
-        raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
+        raise RunError(f"{out}: {NOTHING_TO_WRITE}")
 
     def rows() -> Iterator[list[float]]:
         for index, names, of_frame in chain([first], tables):
@@ -230,7 +230,7 @@ def _write_psf(recording: Recording, chosen: range, out: Path, progress: Progres
     some = chosen[:: max(1, len(chosen) // _REACH_FRAMES)]
     reach_rad = psf_reach(_views(recording, some, progress, "finding the angular range"), bench.sensor)
     if np.isnan(reach_rad):
-        raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
+        raise RunError(f"{out}: {NOTHING_TO_WRITE}")
     grid = psf_grid(_views(recording, chosen, progress, "adding point-spread functions"), bench.sensor, reach_rad)
     about = {"recording": recording.folder.name, "frames": [chosen.start, chosen.stop], "bench": write_bench(bench)}
     write_psf_grid(out, grid, bench.field, about)

@@ -19,7 +19,7 @@ from app.recording.reader import Recording
 from app.recording.reprocess import Change, reprocess
 from app.results.dataset import results_in_pieces
 from app.results.frame_tallies import FrameTally
-from app.results.result_file import Variable, about, write_pieces
+from app.results.result_file import VIEW, Variable, about, write_pieces
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.refinement import mean_rms
@@ -27,8 +27,6 @@ from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import Method
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
-
-_VIEW = ("view_row", "view_column")
 
 
 class Verification:
@@ -118,8 +116,8 @@ class Comparison:
         difference = rms(now.wavefront.views - then.wavefront.views)
         self.means_rad = self.means_rad + (np.stack([recorded, again, difference]) - self.means_rad) / self.frames
         return {
-            "recorded_rms": (_VIEW, recorded, about("rad", "RMS of each view's wavefront with the recorded bench")),
-            "difference_rms": (_VIEW, difference, about("rad", "RMS difference of each view's wavefront from it")),
+            "recorded_rms": (VIEW, recorded, about("rad", "RMS of each view's wavefront with the recorded bench")),
+            "difference_rms": (VIEW, difference, about("rad", "RMS difference of each view's wavefront from it")),
         }
 
 

@@ -17,14 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.config import Bench, write_bench
-from app.errors import SETTINGS_CHANGED, InputError, RunError
+from app.errors import NOTHING_TO_WRITE, SETTINGS_CHANGED, InputError, RunError
 from app.files import atomic_write, in_words
 
 if TYPE_CHECKING:
+    import h5netcdf
     import xarray as xr
 
 FRAME = "frame"  # dimension of several frames
-LENSLET = ("lenslet_row", "lenslet_column")
+VIEW, LENSLET = ("view_row", "view_column"), ("lenslet_row", "lenslet_column")
 PIECE = 32  # frames
 _CHECKSUMS = "crc32"  # group with an attribute for each variable, which xarray does not copy to changed files
 _BENCH = "bench attribute"  # its checksum's name, which no variable has
@@ -136,37 +137,36 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
 
     `InputError` if a piece has another shape than the first, because the settings changed between them.
     """
+    import h5netcdf
     import xarray as xr
 
     count, sums = 0, dict[Hashable, int]()
     with atomic_write(path) as temporary:
         for piece, following in pairwise(chain(pieces, [xr.Dataset()])):
-            if count:
-                _append(temporary, piece)
-            else:
+            if not count:
                 temporary.write_bytes(_netcdf(piece, bench, inputs, grows=bool(following)))
+                _verify(temporary, path, piece.sizes.get(FRAME, 1))
+            with HdfFile(temporary) as writable, h5netcdf.File(writable, "r+") as file:
+                if count:
+                    _append(file, piece)
+                _add_sums(file, piece, sums)
             count += piece.sizes.get(FRAME, 1)
             _verify(temporary, path, count)
-            _add_sums(temporary, piece, sums)
         if not count:
-            raise RunError(f"{path}: there is nothing to write: no frame has a wavefront")
-        _verify(temporary, path, count)
+            raise RunError(f"{path}: {NOTHING_TO_WRITE}")
 
 
-def _add_sums(path: Path, piece: xr.Dataset, sums: dict[Hashable, int]) -> None:
+def _add_sums(file: h5netcdf.File, piece: xr.Dataset, sums: dict[Hashable, int]) -> None:
     """Update the checksums of the variables, as they are stored, by those of a piece."""
-    import h5netcdf
-
-    with HdfFile(path) as writable, h5netcdf.File(writable, "r+") as file:
-        group = file.groups[_CHECKSUMS] if sums else file.create_group(_CHECKSUMS)
-        if not sums:
-            group.attrs[_BENCH] = np.uint32(_checksum(np.array(file.attrs["bench"], object)))
-        for name, variable in piece.variables.items():
-            if name not in sums or FRAME in variable.dims:
-                stored = file.variables[name]
-                values = variable.values if variable.dtype.kind in "UO" else variable.values.astype(stored.dtype)
-                sums[name] = _checksum(values, sums.get(name, 0))
-                group.attrs[str(name)] = np.uint32(sums[name])
+    group = file.groups[_CHECKSUMS] if sums else file.create_group(_CHECKSUMS)
+    if not sums:
+        group.attrs[_BENCH] = np.uint32(_checksum(np.array(file.attrs["bench"], object)))
+    for name, variable in piece.variables.items():
+        if name not in sums or FRAME in variable.dims:
+            stored = file.variables[name]
+            values = variable.values if variable.dtype.kind in "UO" else variable.values.astype(stored.dtype)
+            sums[name] = _checksum(values, sums.get(name, 0))
+            group.attrs[str(name)] = np.uint32(sums[name])
 
 
 def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str], *, grows: bool) -> memoryview:
@@ -196,18 +196,15 @@ def _verify(written: Path, path: Path, frames: int) -> None:
         raise RunError(f"{path}: only {found} of {frames} frames were written")
 
 
-def _append(path: Path, piece: xr.Dataset) -> None:
-    import h5netcdf
-
-    with HdfFile(path) as writable, h5netcdf.File(writable, "r+") as file:
-        first = file.dimensions[FRAME].size
-        sizes = {name: dimension.size for name, dimension in file.dimensions.items() if name != FRAME}
-        require_alike(sizes, {name: size for name, size in piece.sizes.items() if name != FRAME})
-        file.resize_dimension(FRAME, first + piece.sizes[FRAME])
-        for name, variable in piece.variables.items():
-            if FRAME in variable.dims:
-                stored = file.variables[name]
-                stored[first:] = variable.values.astype(stored.dtype)
+def _append(file: h5netcdf.File, piece: xr.Dataset) -> None:
+    first = file.dimensions[FRAME].size
+    sizes = {name: dimension.size for name, dimension in file.dimensions.items() if name != FRAME}
+    require_alike(sizes, {name: size for name, size in piece.sizes.items() if name != FRAME})
+    file.resize_dimension(FRAME, first + piece.sizes[FRAME])
+    for name, variable in piece.variables.items():
+        if FRAME in variable.dims:
+            stored = file.variables[name]
+            stored[first:] = variable.values.astype(stored.dtype)
 
 
 def require_alike(sizes: Mapping[Hashable, int], others: Mapping[Hashable, int]) -> None:
