@@ -17,7 +17,7 @@ from app.errors import SETTINGS_CHANGED, InputError
 from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
-from app.progress import Progress, counted
+from app.progress import Progress, counted, counting
 from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, reprocess
@@ -71,6 +71,13 @@ class Summary:
         return self.recording.bench if self.calibration is None else self.calibration.bench
 
     @property
+    def known_statistics(self) -> Statistics:
+        """The statistics; `InputError` if there are none."""
+        if self.statistics is None:
+            raise InputError(f"{self.recording.folder}: no frame has a wavefront: there is nothing to compare")
+        return self.statistics
+
+    @property
     def sampled_frames(self) -> str:
         """Number of frames in the statistics, in words."""
         whole = counted(len(self.lines))
@@ -84,75 +91,68 @@ def summarise(recording: Recording, frames: str | None, progress: Progress, *, c
     lines = [recording.line(index) for index in chosen]
     numbers = [line.calibration for line in lines if line.calibration is not None]
     some = chosen[:: -(-len(chosen) // _SAMPLED_FRAMES)]
-    again: Counter[str] = Counter()
-    sums = _Sums()
-    for done, frame in enumerate(reprocess(recording, some, change), 1):
-        if frame.problem and not recording.line(frame.index).problem:
-            again[frame.problem] += 1
-        sums.take(frame, is_early=2 * done <= len(some) + 1)
-        progress(f"reconstructing {recording.folder.name}", done / len(some))
     problems = Counter(line.problem for line in lines if line.problem)
+
+    def again() -> Iterator[Measurement]:
+        frames = reprocess(recording, some, change)
+        for frame in counting(frames, len(some), progress, f"reconstructing {recording.folder.name}"):
+            if frame.problem and not recording.line(frame.index).problem:
+                problems[frame.problem] += 1
+            yield frame
+
+    statistics = _statistics(again(), (len(some) + 1) // 2)
     first = recording.calibration(numbers[0]) if numbers else None
     return Summary(
         recording=recording,
         lines=lines,
-        problems=problems + again,
+        problems=problems,
         sampled=len(some),
         calibration=first if first is None or change is None else change(first),
         calibrations=len(set(numbers)),
-        statistics=sums.statistics(),
+        statistics=statistics,
     )
 
 
-class _Sums:
-    def __init__(self) -> None:
-        self._frames: list[int] = []
-        self._rms_rad: list[float] = []
-        self._rms_sigma_rad: list[float] = []
-        self._wavefront: Wavefront | None = None
-        self._views = self._known = self._variance = self._variances = np.zeros(())
-        self._outcomes = np.zeros((len(Outcome), 1, 1), np.int64)  # number of frames, (outcome, ...)
-        self._refined = 0
-        self._quality = QualityTally()
-
-    def take(self, frame: Measurement, *, is_early: bool) -> None:
-        """Add a frame; keep the last early wavefront, or the first if none is early."""
-        wavefront = frame.wavefront
-        if wavefront is None:
-            return
+def _statistics(frames: Iterable[Measurement], early: int) -> Statistics | None:
+    """Take the statistics of frames; the wavefront is the last of the first `early` frames, or the first of all."""
+    indices, rms_rad, rms_sigma_rad = list[int](), list[float](), list[float]()
+    middle: Wavefront | None = None
+    total = known = variances = known_variances = np.zeros(())
+    outcomes = np.zeros((len(Outcome), 1, 1), np.int64)  # number of frames, (outcome, ...)
+    refined, quality = 0, QualityTally()
+    for done, frame in enumerate(frames, 1):
+        if (wavefront := frame.wavefront) is None:
+            continue
         views, variance = wavefront.views, wavefront.sigma() ** 2
-        if self._wavefront is not None and not are_alike(wavefront, self._wavefront):
+        if middle is not None and not are_alike(wavefront, middle):
             raise InputError(SETTINGS_CHANGED)
-        if is_early or self._wavefront is None:
-            self._wavefront = wavefront
-        self._views, self._known = self._views + np.nan_to_num(views), self._known + np.isfinite(views)
-        self._variance = self._variance + np.nansum(variance, axis=(0, 1))
-        self._variances = self._variances + np.isfinite(variance).sum(axis=(0, 1))
-        self._outcomes = self._outcomes + (wavefront.displacement.outcome == np.array(Outcome)[:, None, None])
-        self._frames.append(frame.index)
-        self._rms_rad.append(mean_rms(views))
-        self._rms_sigma_rad.append(float(np.sqrt(np.nanmean(variance))) if np.isfinite(variance).any() else np.nan)
-        self._refined += frame.assumed.refinement.bias is not None
-        self._quality.take(frame.quality)
-
-    def statistics(self) -> Statistics | None:
-        if self._wavefront is None:
-            return None
-        lost = self._outcomes.copy()
-        lost[Outcome.CONVERGED] = 0
-        with np.errstate(invalid="ignore"):  # unknown in all frames
-            return Statistics(
-                frames=np.array(self._frames),
-                mean=self._views / self._known,
-                sigma=np.sqrt(self._variance / self._variances),
-                lost=lost.sum(axis=0) / len(self._frames),
-                reason=np.argmax(lost, axis=0).astype(np.int8),
-                rms_rad=np.array(self._rms_rad),
-                rms_sigma_rad=np.array(self._rms_sigma_rad),
-                wavefront=self._wavefront,
-                refined=self._refined,
-                quality=self._quality,
-            )
+        if middle is None or done <= early:
+            middle = wavefront
+        total, known = total + np.nan_to_num(views), known + np.isfinite(views)
+        variances = variances + np.nansum(variance, axis=(0, 1))
+        known_variances = known_variances + np.isfinite(variance).sum(axis=(0, 1))
+        outcomes = outcomes + (wavefront.displacement.outcome == np.array(Outcome)[:, None, None])
+        indices.append(frame.index)
+        rms_rad.append(mean_rms(views))
+        rms_sigma_rad.append(float(np.sqrt(np.nanmean(variance))) if np.isfinite(variance).any() else np.nan)
+        refined += frame.assumed.refinement.bias is not None
+        quality.take(frame.quality)
+    if middle is None:
+        return None
+    outcomes[Outcome.CONVERGED] = 0
+    with np.errstate(invalid="ignore"):  # unknown in all frames
+        return Statistics(
+            frames=np.array(indices),
+            mean=total / known,
+            sigma=np.sqrt(variances / known_variances),
+            lost=outcomes.sum(axis=0) / len(indices),
+            reason=np.argmax(outcomes, axis=0).astype(np.int8),
+            rms_rad=np.array(rms_rad),
+            rms_sigma_rad=np.array(rms_sigma_rad),
+            wavefront=middle,
+            refined=refined,
+            quality=quality,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,11 +186,7 @@ class Residual:
 
 def residual_of(summary: Summary, other: Summary) -> Residual:
     """Subtract the mean wavefronts of `other`; `InputError` if they cannot be subtracted."""
-    one, two = summary.statistics, other.statistics
-    for each in (summary, other):
-        if each.statistics is None:
-            raise InputError(f"{each.recording.folder}: no frame has a wavefront: there is nothing to compare")
-    assert one is not None and two is not None  # noqa: S101, PT018 - checked above
+    one, two = summary.known_statistics, other.known_statistics
     folder, other_folder = summary.recording.folder, other.recording.folder
     if not are_alike(one.wavefront, two.wavefront):
         raise InputError(f"{other_folder}: has other views or lenslets than {folder}: nothing to compare")
