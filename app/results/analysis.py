@@ -38,9 +38,9 @@ Frames = Annotated[
     str | None,
     typer.Option(metavar="FIRST:END", help="Only these frames, counted from 0; END is excluded; -10: is the last 10."),
 ]
+Origin = Literal["lenslets", "mask"]
 From = Annotated[
-    Literal["lenslets", "mask"],
-    typer.Option("--from", help="Where distances are measured from: lenslets, in the collimated beam, or mask."),
+    Origin, typer.Option("--from", help="Where distances are measured from: lenslets, in the collimated beam, or mask.")
 ]
 Set = Annotated[
     list[str] | None,

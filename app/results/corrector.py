@@ -20,7 +20,7 @@ from app.images import fits_file
 from app.measurement.measurement import Measurement
 from app.progress import Progress, between
 from app.results import layers
-from app.results.analysis import Analysis, Frames, From
+from app.results.analysis import Analysis, Frames, From, Origin
 from app.results.result_file import about
 from app.results.sources import mean_wavefront, read_bench_of
 from reconstruction.arrays import Floats
@@ -110,14 +110,9 @@ class BestCorrector(Analysis):
         uncorrected = float(found["uncorrected"])
         label = f"uncorrected: {uncorrected:.2g} rad"
         left.axhline(uncorrected, color="0.5", linewidth=0.8, linestyle="--", label=label)
-        low_m, high_m = layers.shown_range_m(found["corrector_distance_m"].values, found["distance"].values, origin)
-        left.set(
-            xlim=(1e3 * low_m, 1e3 * high_m),
-            ylim=(0, None),
-            xlabel=layers.axis_label(origin),
-            ylabel="residual over the field (rad RMS)",
-            title=f"Best command of {found.attrs['shapes']} {found.attrs['influence']} shapes",
-        )
+        title = f"Best command of {found.attrs['shapes']} {found.attrs['influence']} shapes"
+        left.set(ylabel="residual over the field (rad RMS)", title=title)
+        layers.set_distance_axes(left, found, found["corrector_distance_m"].values)
         left.legend()
         shown = right.scatter(
             found["field_x"] * 1e3, found["field_y"] * 1e3, c=found["field_residual"], s=160, marker="s", vmin=0
@@ -143,7 +138,7 @@ def compare_correctors(
     bench: Bench,
     corrector: Corrector,
     at_m: float | None = None,
-    origin: layers.Origin = "lenslets",
+    origin: Origin = "lenslets",
 ) -> tuple[xr.Dataset, Correction]:
     """Find the best command of correctors at every distance, and choose the best of them, or that at `at_m`.
 
@@ -176,8 +171,7 @@ def compare_correctors(
     curve = list({made.ratio: made for made in sorted(curve, key=lambda made: made.ratio)}.values())
     uncorrected_rad = float(np.sqrt(np.nanmean(rms(wavefronts) ** 2)))
     origin = layers.possible_origin(origin, [made.ratio])
-    distances_m = layers.distance_m(np.array([each.ratio for each in curve]), origin, bench)
-    order = np.argsort(distances_m)[: np.count_nonzero(np.isfinite(distances_m))]  # NaN comes last
+    distances_m, order = layers.tried_distances_m(np.array([each.ratio for each in curve]), origin, bench)
     residual, strehl = np.array([(each.mean_residual_rad, np.nanmean(each.strehl)) for each in curve])[order].T
     of_distance = f"of the corrector; {layers.from_where(origin)}"
     x_m, y_m, phase = made.phase_map(layers.MAP_POINTS)
@@ -194,7 +188,7 @@ def compare_correctors(
             "command_phase": (("y", "x"), phase, about("rad", "phase that the corrector adds, without piston")),
         },
         coords={
-            "distance": ("distance", distances_m[order], about("m", of_distance)),
+            "distance": ("distance", distances_m, about("m", of_distance)),
             "field_x": ("position", positions_m[:, 0], about("m", "field position")),
             "field_y": ("position", positions_m[:, 1], about("m", "field position")),
             "x": ("x", x_m, about("m", "on the plane s = u + r x")),
@@ -238,7 +232,7 @@ def wrapped(phase_rad: Floats) -> NDArray[np.uint8]:
     return np.asarray(np.rint(np.mod(phase_rad, 2 * math.pi) / (2 * math.pi) * _GREY) % _GREY, np.uint8)
 
 
-def find_shown_correctors(measurement: Measurement, origin: layers.Origin, corrector: Corrector) -> xr.Dataset | str:
+def find_shown_correctors(measurement: Measurement, origin: Origin, corrector: Corrector) -> xr.Dataset | str:
     """Compare correctors at every distance; return the problem if there are none."""
     calibration, wavefront = measurement.calibration, measurement.wavefront
     if calibration is None or wavefront is None:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.cache import kept_while_alive
 from app.errors import InputError
 from app.progress import Progress
-from app.results.analysis import Analysis, Frame, From
+from app.results.analysis import Analysis, Frame, From, Origin
 from app.results.result_file import about
 from app.results.sources import measured_frame
 from reconstruction.arrays import Floats
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from app.measurement.measurement import Measurement
     from reconstruction.pipeline import Reconstructor
 
-Origin = Literal["lenslets", "mask"]
 _MOST = 2
 
 
@@ -136,6 +135,13 @@ def distance_m(ratio: Floats | float, origin: Origin, bench: Bench) -> Floats:
     return np.asarray(np.where(ratio <= 0, focal_length_m / (1 + np.abs(ratio)), np.nan))
 
 
+def tried_distances_m(ratios: Floats, origin: Origin, bench: Bench) -> tuple[Floats, NDArray[np.intp]]:
+    """Rising distances of the ratios that have one, m, and the indices of these."""
+    distances_m = distance_m(ratios, origin, bench)
+    order = np.argsort(distances_m)[: np.count_nonzero(np.isfinite(distances_m))]  # NaN comes last
+    return distances_m[order], order
+
+
 def possible_origin(origin: Origin, ratios: Iterable[float]) -> Origin:
     """Return `origin`, but the lenslets if a layer lies behind them: no bench has a distance from the mask there."""
     return "lenslets" if any(ratio > 0 for ratio in ratios) else origin
@@ -214,8 +220,7 @@ def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin = "lenslets"
     *_, sigma = layer_maps(layers, origin, Layer.sigma)
     fits = {"given": found.given, "one layer": found.one, "two layers": found.two}
     made = {name: fit.quality for name, fit in fits.items() if fit is not None} | {"any wavefront": found.any_wavefront}
-    tried_m = distance_m(found.ratios, origin, bench)
-    order = np.argsort(tried_m)[: np.count_nonzero(np.isfinite(tried_m))]  # NaN comes last
+    tried_m, order = tried_distances_m(found.ratios, origin, bench)
     of_distance = from_where(origin)
     return xr.Dataset(
         {
@@ -229,7 +234,7 @@ def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin = "lenslets"
             "model_misfit": ("model", [fit.misfit for fit in made.values()], about("1", "as misfit")),
         },
         coords={
-            "distance": ("distance", tried_m[order], about("m", f"of a single layer; {of_distance}")),
+            "distance": ("distance", tried_m, about("m", f"of a single layer; {of_distance}")),
             "x": ("x", x_m, about("m", "on the layer")),
             "y": ("y", y_m, about("m", "on the layer")),
             "model": ("model", list(made)),
@@ -254,6 +259,13 @@ def from_where(origin: Origin) -> str:
     return "distance from the mask" if origin == "mask" else "distance in front of the lenslets; negative behind them"
 
 
+def set_distance_axes(axes: Axes, found: xr.Dataset, found_m: Floats) -> None:
+    """Make an axis over the distances tried, about those found, m, and one that begins at 0."""
+    origin = found.attrs["distances_from"]
+    low_m, high_m = shown_range_m(found_m, found["distance"].values, origin)
+    axes.set(xlim=(1e3 * low_m, 1e3 * high_m), ylim=(0, None), xlabel=axis_label(origin))
+
+
 def _draw_curve(axes: Axes, found: xr.Dataset) -> None:
     """Unexplained share of the displacements over the distance of a single layer."""
     axes.plot(found["distance"] * 1e3, found["misfit"], color="#35739f", marker=".", label="a single layer there")
@@ -265,14 +277,9 @@ def _draw_curve(axes: Axes, found: xr.Dataset) -> None:
         axes.axvline(at_m * 1e3, color="#d1495b", linewidth=1.2, label=label)
         if np.isfinite(sigma_m):
             axes.axvspan((at_m - sigma_m) * 1e3, (at_m + sigma_m) * 1e3, color="#d1495b", alpha=0.2, linewidth=0)
-    low_m, high_m = shown_range_m(found["distance_m"].values, found["distance"].values, origin)
-    axes.set(
-        xlim=(1e3 * low_m, 1e3 * high_m),
-        ylim=(0, None),
-        xlabel=axis_label(origin),
-        ylabel="unexplained share",
-        title=f"Verdict: {found.attrs['verdict']}{', in doubt: no wavefront fits' if found.attrs['doubt'] else ''}",
-    )
+    doubt = ", in doubt: no wavefront fits" * bool(found.attrs["doubt"])
+    axes.set(ylabel="unexplained share", title=f"Verdict: {found.attrs['verdict']}{doubt}")
+    set_distance_axes(axes, found, found["distance_m"].values)
     axes.legend(fontsize=8)
 
 
@@ -304,62 +311,58 @@ def layers_sentences(found: xr.Dataset) -> list[str]:
 
 _SHOWN_POINTS = 65  # along each side of a map in the window
 NO_WAVEFRONT = "there is no wavefront"
-_none = partial(np.zeros, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundLayers:
-    """Layers found in a measurement, or the problem."""
+    """Layers found in a measurement."""
 
-    problem: str = ""  # why there are none
-    origin: Origin = "lenslets"  # of the distances, see `possible_origin`
-    ratios: tuple[float, ...] = ()  # of the layers
-    distances_m: Floats = field(default_factory=_none)  # (layer,)
-    sigma_m: Floats = field(default_factory=_none)  # (layer,); NaN for a known distance
-    half_width_m: tuple[float, float] = (0.0, 0.0)  # of the maps, x and y
-    maps: Floats = field(default_factory=_none)  # phase, rad, (layer, y, x), see `centred`; NaN where no ray meets it
-    limit_rad: float = 0.0  # that nearly all values lie within
-    misfit: float = math.nan  # unexplained share of the displacements
-    search: LayerSearch | None = None
-    curve_m: Floats = field(default_factory=_none)  # distances tried; NaN where `origin` has none
+    fit: LayerFit
+    search: LayerSearch | None  # None: at a known distance
+    origin: Origin  # of the distances, see `possible_origin`
+    distances_m: Floats  # (layer,)
+    sigma_m: Floats  # (layer,); NaN for a known distance
+    half_width_m: tuple[float, float]  # of the maps, x and y
+    maps: Floats  # phase, rad, (layer, y, x), see `centred`; NaN where no ray meets it
+    limit_rad: float  # that nearly all values lie within
+    tried_m: Floats  # distances of the search, rising
+    misfits: Floats  # unexplained share of the displacements by a single layer there
 
 
 def find_shown_layers(
     measurement: Measurement, origin: Origin, *, count: int, ratio: float, check: Callable[[], None]
-) -> FoundLayers:
+) -> FoundLayers | str:
     """Search for `count` layers, or fit one at a known `ratio` of field to pupil position if `count` is 0.
 
-    Distances are measured from the `origin`, if possible. An exception of `check` ends the search.
+    Distances are measured from the `origin`, if possible. An exception of `check` ends the search. Returns the problem
+    if there are no layers.
     """
     calibration, wavefront = measurement.calibration, measurement.wavefront
     if calibration is None or wavefront is None:
-        return FoundLayers(NO_WAVEFRONT)
+        return NO_WAVEFRONT
     try:
         layers = _reconstructor(calibration).layers(wavefront.displacement)
-        if not count:
-            return _shown(layers.fit(ratio), origin, calibration)
-        search = find_layers(layers, count, check=check)
+        search = find_layers(layers, count, check=check) if count else None
+        fit = layers.fit(ratio) if search is None else search.fit
     except ReconstructionError as error:
-        return FoundLayers(str(error))
-    found = _shown(search.fit, origin, calibration)
-    return replace(found, search=search, curve_m=distance_m(search.ratios, found.origin, calibration.bench))
-
-
-def _shown(fit: LayerFit, wanted: Origin, calibration: Calibration) -> FoundLayers:
-    ratios = tuple(layer.ratio for layer in fit.layers)
-    origin = possible_origin(wanted, ratios)
+        return str(error)
+    origin = possible_origin(origin, (layer.ratio for layer in fit.layers))
     distances_m, sigma_m = distances_and_sigma_m(fit.layers, origin, calibration.bench)
     x_m, y_m, maps = layer_maps(fit.layers, origin, Layer.phase, _SHOWN_POINTS)
     phases, limits_rad = zip(*map(centred, maps), strict=True)
+    ratios, misfits = (np.zeros(0), np.zeros(0)) if search is None else (search.ratios, search.misfits)
+    tried_m, order = tried_distances_m(ratios, origin, calibration.bench)
     return FoundLayers(
+        fit=fit,
+        search=search,
         origin=origin,
-        ratios=ratios,
         distances_m=distances_m,
         sigma_m=sigma_m,
         half_width_m=(float(x_m[-1]), float(y_m[-1])),
         maps=np.array(phases),
         limit_rad=max(limits_rad),
-        misfit=fit.quality.misfit,
+        tried_m=tried_m,
+        misfits=misfits[order],
     )
 
 

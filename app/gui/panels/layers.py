@@ -15,9 +15,9 @@ from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import number, signed
 from app.gui.widgets.scales import AdaptiveScale, diverging
 from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
+from app.results.analysis import Origin
 from app.results.layers import (
     FoundLayers,
-    Origin,
     axis_label,
     distance_in_words,
     distance_m,
@@ -122,20 +122,19 @@ class LayersPanel(Panel):
             _INTERVALS_S[count],
         )
 
-    def show_result(self, found: FoundLayers) -> None:
-        if found.problem:
+    def show_result(self, found: FoundLayers | str) -> None:
+        if isinstance(found, str):
             self.map.empty = "no layer"
-            self.sentence.setText(f"No layer: {found.problem}")
+            self.sentence.setText(f"No layer: {found}")
             self.show_nothing()
             return
         self.sentence.setText(_in_words(found))
         self._choose_origin(found.origin)
         if found.search is not None:
-            self._ratio = found.ratios[0]
+            self._ratio = found.fit.layers[0].ratio
             self._show_distance()
-            order = np.argsort(found.curve_m)[: np.count_nonzero(np.isfinite(found.curve_m))]  # NaN comes last
-            misfits, least = 100 * found.search.misfits[order], 100 * found.search.any_wavefront.misfit
-            self.plot.show_curve(found.curve_m[order], misfits, least, found.distances_m, found.origin)
+            misfits, least = 100 * found.misfits, 100 * found.search.any_wavefront.misfit
+            self.plot.show_curve(found.tried_m, misfits, least, found.distances_m, found.origin)
         self.plot.mark(found.distances_m)
         self._show_maps(found)
 
@@ -190,7 +189,7 @@ class LayersPanel(Panel):
 def _in_words(found: FoundLayers) -> str:
     at = zip(found.distances_m, found.sigma_m, strict=True)
     places = " and ".join(distance_in_words(*each, found.origin) for each in at)
-    share = f"{number(100 * found.misfit, 2)} % of the displacements unexplained"
+    share = f"{number(100 * found.fit.quality.misfit, 2)} % of the displacements unexplained"
     if found.search is None:
         return f"Layer {places}, as given: {share}"
     verdict = found.search.verdict
@@ -199,5 +198,5 @@ def _in_words(found: FoundLayers) -> str:
     if verdict.startswith("nothing"):
         return f"{verdict.capitalize()}: no layer to be found{doubt}"
     if verdict.startswith(("not", "farther")):
-        return f"{verdict.capitalize()}: the best, {places}, leave{'s' * (len(found.ratios) == 1)} {share}{doubt}"
+        return f"{verdict.capitalize()}: the best, {places}, leave{'s' * (len(found.distances_m) == 1)} {share}{doubt}"
     return f"{verdict.capitalize()} {places}: {share}{doubt}"

@@ -21,7 +21,8 @@ from app.gui.shell.main_window import MainWindow
 from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement
-from app.results.layers import FoundLayers, Origin, find_shown_layers
+from app.results.analysis import Origin
+from app.results.layers import FoundLayers, find_shown_layers
 from simulated_devices.sample import make_sample
 
 DISTANCE_M = 0.195  # of the screen in small_demo
@@ -189,7 +190,7 @@ def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: py
 
     def find_until_closed(
         measurement: Measurement, origin: Origin, *, count: int, ratio: float, check: Callable[[], None]
-    ) -> FoundLayers:
+    ) -> FoundLayers | str:
         def check_when_closing() -> None:
             begun.set()
             wait_until(lambda: window.analyses.is_closing)

@@ -18,11 +18,10 @@ from app.bench.config import load_bench
 from app.errors import InputError
 from app.evaluation.frames import simulate
 from app.measurement.bench_reconstructor import BenchReconstructor
-from app.results.analysis import ANALYSES, load
+from app.results.analysis import ANALYSES, Origin, load
 from app.results.corrector import BestCorrector, compare_correctors, correction_sentence, wrapped, write_phase
 from app.results.layers import (
     Layers,
-    Origin,
     centred,
     distance_m,
     distances_and_sigma_m,
