@@ -1,17 +1,16 @@
 """The benchmark: everything on the same frames, side by side, as one tree for JSON, and the ratios to keep."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from app.bench.config import Bench
-from app.evaluation.benchmark import contestants
-from app.evaluation.benchmark.contestants import OURS, OURS_ONE_THREAD, coefficients_of, frames_per_s, ours
+from app.evaluation.benchmark.contestants import OURS, OURS_ONE_THREAD, PEERS, coefficients_of, frames_per_s, ours
 from app.evaluation.benchmark.part_times import (
     forward_times,
     growth,
@@ -31,7 +30,6 @@ Json = dict[str, Any]
 _RATIOS = ("simpleitk_affine", "opencv_ecc_affine", "skimage_phase_correlation", "pyrtc_correlation")
 _OTHER_USES = ("opencv_ecc_affine_cold", "opencv_ecc_affine_one_thread", "pyrtc_correlation_narrow")
 _ONE_THREAD = ("opencv_ecc_affine_one_thread",)  # compared with ours in one thread
-_NARROW_PX = 2  # reach of pyrtcao's correlation that suffices for these frames
 _PACKAGES = ("SimpleITK", "scikit-image", "pyrtcao", "hcipy")
 
 
@@ -43,7 +41,7 @@ class BenchmarkPlan:
     budget_s: float = 1.5  # per contestant
     sizes: tuple[int, ...] = (5, 10, 15, 30, 64, 100)
     with_four_k: bool = True
-    peers: tuple[str, ...] = (*_RATIOS, *_OTHER_USES)
+    peers: tuple[str, ...] = tuple(PEERS)
 
 
 def run_benchmark(plan: BenchmarkPlan, progress: Progress) -> Json:
@@ -75,23 +73,22 @@ def _race(clean: TimedFrames, grainy: TimedFrames, plan: BenchmarkPlan, progress
     """Times on the noisy frame, residuals on both, and the reasons for missing peers."""
     missing: dict[str, str] = {}
     residuals: dict[str, dict[str, float]] = {}
-    with ExitStack() as stack:
-        calls: dict[str, Callable[[], Any]] = dict(ours(grainy))
-        for kind, frames in (("noise_free", clean), ("noisy", grainy)):
-            residuals[kind] = _our_residuals(frames)
-            for name in plan.peers:
-                if name in missing:
-                    continue
-                progress(f"{name}, {kind.replace('_', ' ')}", 0.0)
-                try:
-                    register = stack.enter_context(_peer(name, frames))
-                    residuals[kind][name] = residual_rad(frames, register(frames.frame))
-                except Exception as error:  # noqa: BLE001 - any problem of a peer is reported
-                    missing[name] = f"{type(error).__name__}: {error}"
-                    continue
-                if frames is grainy:
-                    calls[name] = lambda register=register: register(grainy.frame)  # type: ignore[misc] # bound now
-        seconds = side_by_side(calls, plan.budget_s, progress)
+    calls: dict[str, Callable[[], Any]] = dict(ours(grainy))
+    for kind, frames in (("noise_free", clean), ("noisy", grainy)):
+        residuals[kind] = _our_residuals(frames)
+        for name in plan.peers:
+            if name in missing:
+                continue
+            progress(f"{name}, {kind.replace('_', ' ')}", 0.0)
+            try:
+                register = PEERS[name](frames)
+                residuals[kind][name] = residual_rad(frames, register(frames.frame))
+            except Exception as error:  # noqa: BLE001 - any problem of a peer is reported
+                missing[name] = f"{type(error).__name__}: {error}"
+                continue
+            if frames is grainy:
+                calls[name] = partial(register, grainy.frame)
+    seconds = side_by_side(calls, plan.budget_s, progress)
     times = {
         name: {"median_s": float(np.median(each)), "best_s": min(each), "calls": len(each)}
         for name, each in seconds.items()
@@ -121,23 +118,6 @@ def _our_residuals(frames: TimedFrames) -> dict[str, float]:
         if name == OURS and frames.truth is not None:
             residuals[f"{name}, modal"] = float(np.nanmean(rms(wavefront.views - frames.truth)))
     return residuals
-
-
-@contextmanager
-def _peer(name: str, frames: TimedFrames) -> Iterator[contestants.Register]:
-    match name:
-        case "simpleitk_affine":
-            yield contestants.simple_itk(frames)
-        case "skimage_phase_correlation":
-            yield contestants.scikit_image(frames)
-        case "pyrtc_correlation":
-            yield contestants.pyrtc(frames, reach_px=contestants.reach_px(frames))
-        case "pyrtc_correlation_narrow":
-            yield contestants.pyrtc(frames, reach_px=_NARROW_PX)
-        case _:
-            threads, is_warm = 1 if name.endswith("one_thread") else 2, not name.endswith("cold")
-            with contestants.opencv_ecc(frames, is_warm=is_warm, threads=threads) as register:
-                yield register
 
 
 _TOLERANCE = 0.2

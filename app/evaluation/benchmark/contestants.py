@@ -16,7 +16,7 @@ displacements only, ours to wavefronts and coefficients. Only pyrtcao processes 
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from itertools import product
 from typing import Any
@@ -40,6 +40,7 @@ _THREADS = 2
 _TENTH = 10
 _ECC_STEPS, _ECC_TOLERANCE = 50, 1e-3  # defaults of findTransformECC
 _NO_SEARCH_PX = 1.0
+_NARROW_PX = 2  # reach of pyrtcao's correlation that suffices for these frames
 
 
 class _Windows:
@@ -70,8 +71,7 @@ def simple_itk(frames: TimedFrames) -> Register:
     return lambda frame: coefficients_of(reconstructor.register(frame))
 
 
-@contextmanager
-def opencv_ecc(frames: TimedFrames, *, is_warm: bool = True, threads: int = _THREADS) -> Iterator[Register]:
+def opencv_ecc(frames: TimedFrames, *, is_warm: bool = True, threads: int = _THREADS) -> Register:
     """Prepare OpenCV's maximisation of the enhanced correlation coefficient."""
     windows = _Windows(frames)
     references = windows(frames.reference)
@@ -81,6 +81,7 @@ def opencv_ecc(frames: TimedFrames, *, is_warm: bool = True, threads: int = _THR
     half_width_px = frames.bench.field.half_width_px(frames.bench.sensor)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, _ECC_STEPS, _ECC_TOLERANCE)
     starts = np.tile(np.eye(2, 3, dtype=np.float32), (len(references), 1, 1))
+    over_all: Callable[..., Iterator[Image]] = map if threads == 1 else ThreadPoolExecutor(threads).map
 
     def align(reference: Image, subimage: Image, start: Image) -> Image:
         warp = start.copy()
@@ -90,25 +91,21 @@ def opencv_ecc(frames: TimedFrames, *, is_warm: bool = True, threads: int = _THR
             return np.full_like(start, np.nan)
         return np.asarray(found[1], np.float32)
 
-    with ThreadPoolExecutor(threads) as pool:
+    def warps(frame: NDArray[Any]) -> Image:
+        return np.stack(list(over_all(align, references, windows(frame) / brightest, starts)))
 
-        def warps(frame: NDArray[Any]) -> Image:
-            subimages = windows(frame) / brightest
-            over_all = map if threads == 1 else pool.map
-            return np.stack(list(over_all(align, references, subimages, starts)))
+    if is_warm:
+        before = warps(frames.before)
+        known = np.isfinite(before).all(axis=(1, 2))
+        starts[known] = before[known]
 
-        if is_warm:
-            before = warps(frames.before)
-            known = np.isfinite(before).all(axis=(1, 2))
-            starts[known] = before[known]
+    def register(frame: NDArray[Any]) -> Floats:
+        found = warps(frame)
+        stretch = found[:, :, :2] - np.eye(2)
+        shift = stretch @ middle + found[:, :, 2]
+        return np.concatenate([shift[..., None], stretch * half_width_px], axis=2)
 
-        def register(frame: NDArray[Any]) -> Floats:
-            found = warps(frame)
-            stretch = found[:, :, :2] - np.eye(2)
-            shift = stretch @ middle + found[:, :, 2]
-            return np.concatenate([shift[..., None], stretch * half_width_px], axis=2)
-
-        yield register
+    return register
 
 
 def scikit_image(frames: TimedFrames) -> Register:
@@ -128,11 +125,10 @@ def scikit_image(frames: TimedFrames) -> Register:
     return register
 
 
-def pyrtc(frames: TimedFrames, *, reach_px: int) -> Register:
-    """Prepare pyrtcao's correlation, which searches `reach_px` pixels in each direction."""
+def pyrtc(frames: TimedFrames, *, reach_px: int | None = None) -> Register:
+    """Prepare pyrtcao's correlation, which searches `reach_px` pixels in each direction, by default all of a cell."""
     kernels = import_module("pyrtc.slopes_process")  # an optional extra
-
-    windows = _Windows(frames)
+    windows, reach_px = _Windows(frames), _free_px(frames) if reach_px is None else reach_px
     lenslets, width = windows.rows, windows.pitch_px
     if windows.columns != lenslets:
         raise ValueError("pyrtcao's correlation needs a square lattice")
@@ -153,12 +149,23 @@ def pyrtc(frames: TimedFrames, *, reach_px: int) -> Register:
     return register
 
 
-def reach_px(frames: TimedFrames) -> int:
-    """Return the whole pixels by which a subimage may move before it leaves its cell."""
+def _free_px(frames: TimedFrames) -> int:
+    """Whole pixels by which a subimage may move before it leaves its cell."""
     light, sensor = frames.reference - frames.dark, frames.bench.sensor
     reference = ReferenceSubimages(light, sensor=sensor, lattice=frames.lattice, field=frames.bench.field)
     return int(max(reference.reach_px - reference.half_width_px, _NO_SEARCH_PX))
 
+
+PEERS: dict[str, Callable[[TimedFrames], Register]] = {
+    "simpleitk_affine": simple_itk,
+    "opencv_ecc_affine": opencv_ecc,
+    "skimage_phase_correlation": scikit_image,
+    "pyrtc_correlation": pyrtc,
+    # other uses of these
+    "opencv_ecc_affine_cold": partial(opencv_ecc, is_warm=False),
+    "opencv_ecc_affine_one_thread": partial(opencv_ecc, threads=1),
+    "pyrtc_correlation_narrow": partial(pyrtc, reach_px=_NARROW_PX),
+}
 
 WARPS: tuple[Warp, ...] = ("affine", "quadratic", "cubic")
 THREADS = (1, 2)

@@ -12,8 +12,8 @@ import pytest
 from app import cli
 from app.bench.config import Bench, load_bench
 from app.commands.benchmark import print_benchmark
-from app.evaluation.benchmark import BenchmarkPlan, Json, contestants, load_baseline, run_benchmark, worsened
-from app.evaluation.benchmark.contestants import OURS
+from app.evaluation.benchmark import BenchmarkPlan, Json, load_baseline, run_benchmark, worsened
+from app.evaluation.benchmark.contestants import OURS, PEERS, Register
 from app.evaluation.benchmark.timed_frames import noise_free, side_by_side, tiled
 from app.run_facts import write_record
 from reconstruction.settings import RegistrationSettings
@@ -72,10 +72,10 @@ def test_svwfs_measures_the_wavefront_better_than_peers(result: Json, bench: Ben
 @pytest.mark.slow
 @pytest.mark.long
 def test_missing_peer_is_reported(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(*_: object) -> contestants.Register:
+    def missing(*_: object) -> Register:
         raise ImportError("No module named 'skimage'")
 
-    monkeypatch.setattr(contestants, "scikit_image", missing)
+    monkeypatch.setitem(PEERS, "skimage_phase_correlation", missing)
     peers = ("skimage_phase_correlation", "opencv_ecc_affine")
     found = run_benchmark(
         BenchmarkPlan(bench=bench, budget_s=0.01, sizes=(), with_four_k=False, peers=peers),
