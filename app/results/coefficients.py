@@ -16,7 +16,7 @@ from app.errors import InputError
 from app.files import write_csv
 from app.progress import Progress
 from app.results.analysis import Analysis, Frame
-from app.results.result_file import Variable, about
+from app.results.result_file import about
 from app.results.sources import read_fit
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
@@ -195,7 +195,8 @@ def field_dataset(
     maps = coefficient_maps(found, field, *[evenly_spread(positions)] * 2)
     if found.basis != "zernike":
         return maps
-    return maps.assign(double_zernike_variables(found, field_order)).assign_attrs(circles(sensor, field))
+    zernikes = _double_zernikes(found, sensor, field, field_order)
+    return maps.assign(zernikes.data_vars).assign_attrs(zernikes.attrs | maps.attrs)
 
 
 def coefficient_maps(found: FieldCoefficients, field: Field, x: Floats, y: Floats) -> xr.Dataset:
@@ -238,21 +239,21 @@ def table_of(maps: xr.Dataset) -> tuple[list[str], list[list[float]]]:
     return names, np.concatenate([each[:, inside] for each in (place_m, values, sigma)]).T.tolist()
 
 
-def double_zernike_variables(found: FieldCoefficients, field_order: int | None = None) -> dict[str, Variable]:
-    """Return double Zernikes and their standard deviations as variables of a dataset."""
-    dimensions = ("k", "j")
+def _double_zernikes(
+    found: FieldCoefficients, sensor: Sensor, field: Field, field_order: int | None = None
+) -> xr.Dataset:
+    """Double Zernikes with their standard deviations; radii of their circles, named as GalSim names its arguments."""
+    import xarray as xr
+
+    dimensions, radius_m = ("k", "j"), min(sensor.pupil_half_width_m)
     rad, sigma = found.double_zernikes(field_order)
     long_name = "d[k, j] Z_k(field) Z_j(pupil), Noll's counts from 1; the first row and column are unused"
-    return {
+    variables = {
         "double_zernike": (dimensions, rad, about("rad", long_name)),
         "double_zernike_sigma": (dimensions, sigma, about("rad", "standard deviation of double_zernike")),
     }
-
-
-def circles(sensor: Sensor, field: Field) -> dict[str, float]:
-    """Return the radii of the double Zernikes' circles as attributes, named as GalSim names its arguments."""
-    radius_m = min(sensor.pupil_half_width_m)
-    return {"uv_outer": field.half_width_m, "uv_inner": 0.0, "xy_outer": radius_m, "xy_inner": 0.0}
+    circles = {"uv_outer": field.half_width_m, "uv_inner": 0.0, "xy_outer": radius_m, "xy_inner": 0.0}
+    return xr.Dataset(variables, attrs={"title": "Double Zernike coefficients", **circles})
 
 
 STRONGEST = 6  # maps by default
@@ -300,10 +301,7 @@ def _draw_map(axes: Axes, values: xr.DataArray, title: str, colours: str, ticks:
 
 def double_zernikes(wavefront: Wavefront, _quality: Quality | None = None) -> xr.Dataset:
     """Return the double Zernikes of a wavefront with their standard deviations."""
-    import xarray as xr
-
-    attributes = {"title": "Double Zernike coefficients", **circles(wavefront.sensor, wavefront.field)}
-    return xr.Dataset(double_zernike_variables(_zernikes(wavefront)), attrs=attributes)
+    return _double_zernikes(_zernikes(wavefront), wavefront.sensor, wavefront.field)
 
 
 def zernikes_of_views(wavefront: Wavefront) -> xr.Dataset:
