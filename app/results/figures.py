@@ -23,6 +23,7 @@ from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
 _CURVES_HEIGHT = 2.6  # inches
+_SHOWN_PERCENT = (0.5, 99.8)  # percentiles at the ends of the grey scale
 _SMALLEST = 10.0, 4.2  # width of the figure and height of its maps, inches; titles need them
 
 
@@ -113,6 +114,12 @@ def draw_structure(axis: Axes, found: Isoplanatism) -> None:
     axis.legend(fontsize=8)
 
 
+def show_grey(axes: Axes, image: NDArray[Any]) -> None:
+    """Show an image in grey; the few darkest and brightest pixels do not count."""
+    darkest, brightest = np.percentile(image, _SHOWN_PERCENT)
+    axes.imshow(image, cmap="gray", vmin=darkest, vmax=brightest)
+
+
 def place_of_view(field: Field, row: int, column: int) -> str:
     """Return the position of a view in words."""
     return f"({field.view_x_m[column] * 1e3:+.2f}, {field.view_y_m[row] * 1e3:+.2f}) mm"
@@ -125,7 +132,6 @@ def _with_places(field: Field, captions: list[list[str]]) -> list[list[str]]:
     ]
 
 
-_SHOWN_PERCENT = (0.5, 99.8)  # percentiles at the ends of the grey scale
 _LIT, _DARK, _BESIDE, _CUT = "#35d0ba", "#ff5a5f", "#ffd166", "#9aa5b1"
 _CENTER = "#d1495b"
 
@@ -150,8 +156,7 @@ def lattice_figure(reference: NDArray[Any], found: Survey) -> Figure:
 
 def _draw_frame(axes: Axes, reference: NDArray[Any], found: Survey) -> None:
     lattice, lit = found.lattice, found.illuminated
-    darkest, brightest = np.percentile(reference, _SHOWN_PERCENT)
-    axes.imshow(reference, cmap="gray", vmin=darkest, vmax=brightest)
+    show_grey(axes, reference)
     own = lenslet_centers(lattice.arrangement, *lit.shape)
     beside, cut = _others(lattice, lit.shape, reference.shape)
     width = np.clip(lattice.pitch_px / 25, 0.4, 1.3)

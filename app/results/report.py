@@ -20,7 +20,7 @@ from app.files import atomic_write
 from app.progress import Progress, between, part
 from app.recording.reader import Recording
 from app.results.coefficients import coefficient_maps, draw_field, evenly_spread, strongest
-from app.results.figures import draw_maps, draw_structure, draw_transfer, place_of_view
+from app.results.figures import draw_maps, draw_structure, draw_transfer, place_of_view, show_grey
 from app.results.replay import change_of
 from app.results.report_summary import Fact, Residual, Statistics, Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
@@ -59,18 +59,20 @@ def all_pages(pages: Sequence[Page]) -> Figure:
     return figure
 
 
-def parts(figure: FigureBase, heights: Sequence[float]) -> list[SubFigure]:
-    """Divide a page into parts of these heights, one below the other, above an empty margin."""
-    ratios = [*heights, _FOOT_INCHES]
-    return list(figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:-1, 0])
+def _page_parts(
+    figure: FigureBase, title: str, sentence: str, shares: Sequence[float], *, head: float = TITLE_INCHES
+) -> list[SubFigure]:
+    """Divide a page into a head of this height, inches, and shares of the rest, above an empty margin.
 
-
-def write_title(figure: SubFigure, height: float, title: str, below: str) -> None:
-    """Write a title and a sentence at the top of a part of this height, inches."""
+    Title and sentence are at the top of the head.
+    """
+    heights = [head, *(share * (PAGE_INCHES[1] - head) for share in shares), _FOOT_INCHES]
+    top, *others, _ = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
     left = MARGIN_INCHES / PAGE_INCHES[0]
     shown = textwrap.shorten(title, _LONGEST_TITLE, placeholder=" ...") or title[:_LONGEST_TITLE]
-    figure.text(left, 1 - 0.3 / height, shown, fontsize=17, weight="bold", color=_ACCENT, va="top", parse_math=False)
-    figure.text(left, 1 - 0.63 / height, below, fontsize=9.5, color=QUIET, va="top", parse_math=False)
+    top.text(left, 1 - 0.3 / head, shown, fontsize=17, weight="bold", color=_ACCENT, va="top", parse_math=False)
+    top.text(left, 1 - 0.63 / head, sentence, fontsize=9.5, color=QUIET, va="top", parse_math=False)
+    return [top, *others]
 
 
 def _spaced() -> ConstrainedLayoutEngine:
@@ -84,15 +86,13 @@ _MOST_VIEWS = 5  # along each axis; more would be too small
 _LARGEST_POINTS = 8.0
 _LETTER = 0.62  # width of a letter over its size, on average
 _MAPS_PART = 0.82  # of the width; the rest is for the colour bar
-_GREY_PERCENT = (0.5, 99.8)  # percentiles at the ends of the grey scale
 
 
 def draw_overview(figure: FigureBase, summary: Summary) -> None:
     """Draw the page; without any wavefront, with images instead."""
     lines = _lines(facts(summary))
     head = TITLE_INCHES + _LINE_INCHES * (len(lines) + 1)
-    top, below = parts(figure, [head, PAGE_INCHES[1] - head])
-    write_title(top, head, summary.name, _headline(summary))
+    top, below = _page_parts(figure, summary.name, _headline(summary), [1], head=head)
     for index, (label, text) in enumerate(lines):
         y, left = 1 - (TITLE_INCHES + _LINE_INCHES * (index + 0.5)) / head, MARGIN_INCHES
         top.text(left / PAGE_INCHES[0], y, label, fontsize=8.5, color=QUIET, va="center")
@@ -151,8 +151,7 @@ def _draw_images(figure: SubFigure, summary: Summary) -> None:
     images: list[tuple[str, NDArray[Any]]] = [(f"frame {line.index}", summary.recording.pixels(line.index))]
     images += [] if calibration is None else [("reference", calibration.reference.mean)]
     for axis, (name, image) in zip(figure.subplots(1, len(images), squeeze=False)[0], images, strict=True):
-        darkest, brightest = np.percentile(image, _GREY_PERCENT)
-        axis.imshow(image, cmap="gray", vmin=darkest, vmax=brightest)
+        show_grey(axis, image)
         axis.set_title(f"{name}: {image.min():.0f} ... {image.max():.0f} counts", fontsize=10)
         axis.set(xticks=[], yticks=[])
 
@@ -182,9 +181,8 @@ _VALID = np.array([0.91, 0.94, 0.91])  # red, green, blue
 
 def draw_certainty(figure: FigureBase, summary: Summary, stats: Statistics) -> None:
     """Draw the page."""
-    rest = PAGE_INCHES[1] - TITLE_INCHES
-    title, trend, maps, curves = parts(figure, [TITLE_INCHES, 0.3 * rest, 0.36 * rest, 0.34 * rest])
-    write_title(title, TITLE_INCHES, summary.name, "stability, uncertainty and range of validity of the wavefront")
+    sentence = "stability, uncertainty and range of validity of the wavefront"
+    _, trend, maps, curves = _page_parts(figure, summary.name, sentence, [0.3, 0.36, 0.34])
     _draw_trend(trend.subplots(), summary, stats)
     lost, sigma = maps.subplots(1, 2)
     _draw_lost(lost, stats)
@@ -260,19 +258,17 @@ def over_field(stats: Statistics) -> FieldCoefficients | None:
 
 def draw_over_field(figure: FigureBase, summary: Summary, stats: Statistics, found: FieldCoefficients) -> None:
     """Draw the page."""
-    title, maps = parts(figure, [TITLE_INCHES, PAGE_INCHES[1] - TITLE_INCHES])
     frame = int(stats.frames[(len(stats.frames) - 1) // 2])
-    below = f"strongest Zernike coefficients of frame {frame} over the field (mm), and their errors (rad)"
-    write_title(title, TITLE_INCHES, summary.name, below)
+    sentence = f"strongest Zernike coefficients of frame {frame} over the field (mm), and their errors (rad)"
+    _, maps = _page_parts(figure, summary.name, sentence, [1])
     dataset = coefficient_maps(found, stats.wavefront.field, *[evenly_spread(_POSITIONS)] * 2)
     draw_field(maps, dataset, strongest(dataset, _MODES))
 
 
 def draw_comparison(figure: FigureBase, residual: Residual) -> None:
     """Draw the page; both recordings share a colour scale, the difference has its own."""
-    rest = PAGE_INCHES[1] - TITLE_INCHES
-    title, above, below = parts(figure, [TITLE_INCHES, 0.42 * rest, 0.58 * rest])
-    write_title(title, TITLE_INCHES, f"{residual.name} beside {residual.other_name}", residual.sentence)
+    title = f"{residual.name} beside {residual.other_name}"
+    _, above, below = _page_parts(figure, title, residual.sentence, [0.42, 0.58])
     limit = float(np.nanmax(np.abs([residual.mean, residual.other_mean]), initial=0))
     ((own, other),) = above.subfigures(1, 2, squeeze=False)
     draw_views(own, residual.mean, residual.field, "the first", limit=limit, with_places=False)
