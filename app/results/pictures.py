@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, TypeAlias
 
 import contourpy
@@ -47,7 +46,7 @@ def frame_statistics(pixels: NDArray[np.integer[Any]], full_scale: int) -> Frame
         raise ValueError(f"{pixels.dtype} may be negative: no counts of a camera")
     peak = int(pixels.max())
     top = full_scale or peak
-    edges = _edges(max(top, peak) + 1)
+    edges = np.unique(np.linspace(0, max(top, peak) + 1, _BINS + 1).astype(np.intp))
     by_count = np.zeros(edges[-1], np.intp)
     _count(np.ascontiguousarray(pixels), by_count)
     of_bins = np.add.reduceat(by_count, edges[:-1])
@@ -61,12 +60,6 @@ def _count(pixels: NDArray[np.integer[Any]], by_count: NDArray[np.intp]) -> None
     for row in range(pixels.shape[0]):
         for column in range(pixels.shape[1]):
             by_count[pixels[row, column]] += 1
-
-
-@lru_cache(maxsize=4)
-def _edges(end: int) -> NDArray[np.intp]:
-    """Lower edges of the bins from 0 to an end, and the end."""
-    return np.unique(np.linspace(0, end, _BINS + 1).astype(np.intp))
 
 
 def _clip_level(by_count: NDArray[np.intp], peak: int, full_scale: int) -> int:
