@@ -11,7 +11,7 @@ from typing import Any
 
 import xarray as xr
 
-from app.batch.store import BatchInput, Job, ResultStore, find_sources, is_store, store_attributes
+from app.batch.store import BatchInput, Job, ResultStore, is_store, store_attributes
 from app.bench.config import write_bench
 from app.errors import InputError, Interrupted, RunError
 from app.files import check_writable, in_words, make_folder, remove_partial
@@ -29,7 +29,7 @@ from app.run_facts import software_facts
 class Batch:
     """Outcome of a run."""
 
-    recordings: int  # that were named, each once
+    recordings: int = 0  # that were named, each once
     frames: int = 0  # of the recordings that are done
     wavefronts: int = 0
     computed: int = 0  # frames of this run; the others were there
@@ -55,10 +55,8 @@ class _DoneBlock:
     facts: dict[str, Any]  # bench in force, software and computer
 
 
-def check_batch(
-    folders: Sequence[Path], out: Path, job: Job
-) -> tuple[list[BatchInput], dict[Path, str], dict[Path, Path]]:
-    """Check what a batch reads, without workers; return what `find_sources` does.
+def check_batch(folders: Sequence[Path], out: Path, job: Job) -> tuple[list[BatchInput], Batch]:
+    """Check what a batch reads, without workers; return the complete recordings, and the others in a `Batch`.
 
     `InputError` if no recording can be used, `out` cannot be the store of this job, or its settings fit no recording.
     """
@@ -68,11 +66,21 @@ def check_batch(
     _check_free(out)
     if is_store(out):
         ResultStore(out).check(job)
-    sources, failed, copies = find_sources(folders, job.frames)
+    found, batch = dict[str, BatchInput](), Batch()
+    for folder in folders:
+        try:
+            source = BatchInput.of(folder, job.frames)
+        except InputError as error:
+            batch.failed[folder] = str(error)
+            continue
+        first = found.setdefault(source.fingerprint, source)
+        if first.folder != source.folder:
+            batch.copies[folder] = first.folder
+    sources, batch.recordings = list(found.values()), len(found) + len(batch.failed)
     if not sources:
-        raise InputError("; ".join(dict.fromkeys(failed.values())))
+        raise InputError("; ".join(dict.fromkeys(batch.failed.values())))
     _check_settings(sources, job.settings)
-    return sources, failed, copies
+    return sources, batch
 
 
 def _check_settings(sources: Sequence[BatchInput], settings: tuple[str, ...]) -> None:
@@ -96,12 +104,11 @@ def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, 
     recording can be used, or the store is of another job; `RunError` if nothing can be written, or the workers are
     lost; `Interrupted` on Ctrl-C. What was finished stays, and the text says how much that is.
     """
-    sources, failed, copies = check_batch(folders, out, job)
-    batch = Batch(len(sources) + len(failed), failed=failed, copies=copies)
+    sources, batch = check_batch(folders, out, job)
     with _only_writer(out):
         store = _opened(out, job, sources, evaluate, progress)
         numbered, changed = store.register(sources)
-        failed |= changed
+        batch.failed |= changed
         filling = _Filling(store, numbered, batch)
 
         def state() -> str:
@@ -120,7 +127,7 @@ def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, 
             raise Interrupted(f"interrupted: {state()} are in {out}, the same command does the rest") from None
         remove_partial(out)  # of workers that were killed
         for number, source in numbered:
-            if source.folder not in failed:
+            if source.folder not in batch.failed:
                 batch.frames += len(source.chosen)
                 batch.wavefronts += store.count(number, source)
     return batch
@@ -150,14 +157,13 @@ class _Filling:
     def __init__(self, store: ResultStore, numbered: Sequence[tuple[int, BatchInput]], batch: Batch) -> None:
         self._store, self._numbered, self._batch = store, numbered, batch
         self._missing = {number: store.missing(number, source) for number, source in numbered}
-        self._undone = {number: len(blocks) for number, blocks in self._missing.items()}
         self.frames = sum(len(source.chosen) for _, source in numbered)
         self.done = self.frames - sum(len(frames) for blocks in self._missing.values() for frames in blocks)
 
     def blocks(self) -> Iterator[_Block]:
         """Yield the missing blocks, recording by recording; the rest of a failed one is left out."""
         for number, source in self._numbered:
-            for frames in self._missing[number]:
+            for frames in tuple(self._missing[number]):
                 if source.folder in self._batch.failed:
                     break
                 yield _Block(source, number, frames)
@@ -171,12 +177,12 @@ class _Filling:
             self._batch.problem = self._batch.problem or result.problem
             if result.damaged:
                 self._batch.damaged.setdefault(source.folder, []).extend(result.damaged)
-            self._undone[number] -= 1
+            self._missing[number].remove(block.frames)
         else:
             failed.setdefault(source.folder, _reason(result))
         if source.folder in failed:
             self._store.write_provenance(number, source, {"failed": failed[source.folder]})
-        elif isinstance(result, _DoneBlock) and not self._undone[number]:
+        elif isinstance(result, _DoneBlock) and not self._missing[number]:
             self._store.write_provenance(number, source, result.facts)
 
 

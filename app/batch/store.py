@@ -11,10 +11,10 @@ import hashlib
 import json
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import xarray as xr
@@ -33,13 +33,13 @@ from app.recording.frame_array import METADATA
 from app.recording.reader import selected
 from app.recording.reprocess import BLOCK_FRAMES, Change
 from app.results.replay import change_of
-from app.results.result_file import about
+from app.results.result_file import FRAME, about
 
 FORMAT = "svwfs batch 1"
 STATE = "state"
 WAVEFRONT, NO_WAVEFRONT, DAMAGED = 1, 2, 3  # values of `state`; 0: not done
 
-_RECORDING, _FRAME = "recording", "frame"
+_RECORDING = "recording"
 _PROVENANCE, _FRAMES = "provenance", "frames"
 _COORDINATES = ("frame_index", "time", "bias_age", _PROVENANCE, _FRAMES)
 _NAMES_CHUNK, _FRAME_CHUNK = 4096, 1 << 16
@@ -67,7 +67,7 @@ class ResultStore:
         self._of_frames = {
             name: array
             for name, array in self._arrays.items()
-            if _dimensions(array)[:2] == (_RECORDING, _FRAME) and name != STATE
+            if _dimensions(array)[:2] == (_RECORDING, FRAME) and name != STATE
         }
 
     @classmethod
@@ -80,13 +80,13 @@ class ResultStore:
         state = about("1", "whether the frame has a wavefront") | meanings
         of_frames: list[tuple[Any, xr.Variable]] = []
         for name, variable in template.variables.items():
-            if variable.dims[:1] == (_FRAME,):
+            if variable.dims[:1] == (FRAME,):
                 of_frames.append((name, variable))
             else:
                 is_text = variable.dtype.kind == "U"
                 values = variable.values.astype(np.dtypes.StringDType()) if is_text else variable.values
                 _make(group, name, variable.dims, variable.attrs, data=values)
-        of_frames.append((STATE, xr.Variable((_FRAME,), np.zeros(1, np.uint8), state)))
+        of_frames.append((STATE, xr.Variable((FRAME,), np.zeros(1, np.uint8), state)))
         for name, variable in of_frames:
             if name != "recording_index":  # it is the position along `frame`
                 kind, shape = variable.dtype.kind, variable.shape[1:]
@@ -105,7 +105,7 @@ class ResultStore:
             (_RECORDING, text, _RECORDING, _NAMES_CHUNK, "name of the recording"),
             (_PROVENANCE, text, _RECORDING, 1, "JSON: folder, bench, software, computer, failure"),
             (_FRAMES, np.int64, _RECORDING, _NAMES_CHUNK, "number of recorded frames"),
-            (_FRAME, np.int64, _FRAME, _FRAME_CHUNK, "the frame's index in the recording"),
+            (FRAME, np.int64, FRAME, _FRAME_CHUNK, "the frame's index in the recording"),
         ):
             _make(group, name, (along,), {"long_name": long_name}, shape=(0,), chunks=(chunk,), dtype=dtype)
         more = [str(name) for name in template.coords if name not in template.dims and name != "recording_index"]
@@ -146,8 +146,8 @@ class ResultStore:
             array.resize((len(frames), max(frames, default=0), *array.shape[2:]))
         for name in (_RECORDING, _PROVENANCE, _FRAMES):
             self._arrays[name].resize((len(frames),))
-        self._arrays[_FRAME].resize((max(frames, default=0),))
-        self._arrays[_FRAME][:] = np.arange(max(frames, default=0))
+        self._arrays[FRAME].resize((max(frames, default=0),))
+        self._arrays[FRAME][:] = np.arange(max(frames, default=0))
         self._arrays[_FRAMES][:] = np.array(frames, np.int64)
         self._arrays[_RECORDING][:] = np.array(names, np.dtypes.StringDType())
         registered = [(numbers[source.fingerprint], source) for source in sources if source.fingerprint in numbers]
@@ -208,14 +208,14 @@ class ResultStore:
             for array in self._of_frames.values()
             for dimension, size in zip(_dimensions(array)[2:], array.shape[2:], strict=True)
         }
-        found = {dimension: size for dimension, size in piece.sizes.items() if dimension != _FRAME}
+        found = {dimension: size for dimension, size in piece.sizes.items() if dimension != FRAME}
         differing = [
             f"{found.get(name, 'no')} {name} instead of {sizes.get(str(name), 'no')}"
             for name in sorted({*map(str, found), *sizes})
             if found.get(name) != sizes.get(name)
         ]
         if not differing:
-            along = [name for name in piece.coords if _FRAME not in piece[name].dims and piece[name].dtype.kind == "f"]
+            along = [name for name in piece.coords if FRAME not in piece[name].dims and piece[name].dtype.kind == "f"]
             differing = [
                 f"another {name}" for name in along if not np.array_equal(piece[name], self._arrays[str(name)][:])
             ]
@@ -281,10 +281,7 @@ class Job:
     settings: tuple[str, ...] = ()  # changes of the recorded benches
     rounds: int = 0  # of refinement, at most
     frames: str = ""  # of each recording, FIRST:END; empty: all
-    software: str = ""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "software", self.software or _software())
+    software: str = field(default_factory=_software)
 
     def check_software(self) -> None:
         """Raise `RunError` unless this process runs the same version of svwfs."""
@@ -313,39 +310,19 @@ class BatchInput:
     frames: int
     chosen: range
 
-
-def find_sources(
-    folders: Iterable[Path], frames: str = ""
-) -> tuple[list[BatchInput], dict[Path, str], dict[Path, Path]]:
-    """Check recordings; return the complete ones, each once, the reason for each other folder, and copies of which.
-
-    `frames` as FIRST:END chooses some of each; empty: all.
-    """
-    found: dict[str, BatchInput] = {}
-    problems: dict[Path, str] = {}
-    copies: dict[Path, Path] = {}
-    for folder in folders:
-        try:
-            source = _source(folder, frames)
-            first = found.setdefault(source.fingerprint, source)
-            if first.folder != source.folder:
-                copies[folder] = first.folder
-        except InputError as error:
-            problems[folder] = str(error)
-    return list(found.values()), problems, copies
-
-
-def _source(folder: Path, chosen: str) -> BatchInput:
-    run = read_run(folder)
-    if not run["complete"]:
-        raise InputError(f"{folder}: is not complete: it still grows, or svwfs recover finishes it")
-    frames = recorded_frames(run)
-    if frames is None:
-        raise InputError(f"{folder / RUN}: does not tell the number of frames; svwfs recover counts them")
-    if not frames:
-        raise InputError(f"{folder}: holds no frame")
-    fingerprint = hashlib.sha256((folder / RUN).read_bytes()).hexdigest()[:16]
-    return BatchInput(folder.absolute(), fingerprint, frames, selected(chosen or None, frames, folder))
+    @classmethod
+    def of(cls, folder: Path, chosen: str) -> Self:
+        """Take the frames FIRST:END of a recording, or all if `chosen` is empty; `InputError` if it is not complete."""
+        run = read_run(folder)
+        if not run["complete"]:
+            raise InputError(f"{folder}: is not complete: it still grows, or svwfs recover finishes it")
+        frames = recorded_frames(run)
+        if frames is None:
+            raise InputError(f"{folder / RUN}: does not tell the number of frames; svwfs recover counts them")
+        if not frames:
+            raise InputError(f"{folder}: holds no frame")
+        fingerprint = hashlib.sha256((folder / RUN).read_bytes()).hexdigest()[:16]
+        return cls(folder.absolute(), fingerprint, frames, selected(chosen or None, frames, folder))
 
 
 def unique_names(folders: Iterable[Path], taken: Iterable[str]) -> list[str]:
