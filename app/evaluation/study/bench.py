@@ -5,9 +5,8 @@ lenslets, apart from the wavelengths: each has its own images, which add up.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,75 +106,62 @@ _CASES = (
 )
 
 
-class ImperfectBench:
-    """Noise-free images of a bench with imperfections of its optics; those of the detector follow, see `detected`."""
+def imperfect_images(bench: Bench, imperfections: Imperfections) -> tuple[tuple[Image, Image], Floats]:
+    """Noise-free reference and frame, (row, column), m^2, of a bench with imperfect optics, and the true wavefronts.
 
-    def __init__(self, bench: Bench, imperfections: Imperfections) -> None:
-        self._imperfections, screen = imperfections, bench.simulation.screen
-        self._random = np.random.default_rng([bench.simulation.seed, _STREAM])
-        focal_length_m = bench.sensor.lenslet_focal_length_m * (1 + imperfections.defocus)
-        seen = with_screen(
-            replace(bench, sensor=replace(bench.sensor, lenslet_focal_length_m=focal_length_m)),
-            transmission_rms=imperfections.absorption_rms or screen.transmission_rms,
-        )
-        scene, offset_m = scene_of(seen), imperfections.bandwidth_m
-        if offset_m:
-            scene = replace(scene, lines=tuple((bench.sensor.wavelength_m + n * offset_m, 1 / 3) for n in (-1, 0, 1)))
-        self._renderer = Renderer(scene)
-        self._bench = bench
+    They are of all wavelengths; the truth is the phase at the bench's own, see `Renderer.truth_wavefront`. The
+    imperfections of the detector follow, see `detected`.
+    """
+    focal_length_m = bench.sensor.lenslet_focal_length_m * (1 + imperfections.defocus)
+    seen = with_screen(
+        replace(bench, sensor=replace(bench.sensor, lenslet_focal_length_m=focal_length_m)),
+        transmission_rms=imperfections.absorption_rms or bench.simulation.screen.transmission_rms,
+    )
+    scene, offset_m = scene_of(seen), imperfections.bandwidth_m
+    if offset_m:
+        scene = replace(scene, lines=tuple((bench.sensor.wavelength_m + n * offset_m, 1 / 3) for n in (-1, 0, 1)))
+    whole = Renderer(scene)
+    amplitude, phase = _pupil(bench, imperfections, whole.lines[0][1].model)
+    images = []
+    for share, renderer in whole.lines:
+        ratio = bench.sensor.wavelength_m / renderer.scene.sensor.wavelength_m
+        points = renderer.points(bench.simulation.source.mask)
+        along = points.position_m[:, 0] / bench.field.half_width_m
+        points = replace(points, area_m2=points.area_m2 * (1 + imperfections.uneven_source * along))
+        pupil = np.asarray(amplitude * np.exp(1j * ratio * phase), np.complex64)
+        fields = _through(lambda *_: np.ones((1, 1), np.complex64), pupil), _through(renderer.light(0), pupil)
+        images.append([share * renderer.model.irradiance(points, field) for field in fields])
+    reference, frame = np.sum(np.array(images), axis=0)
+    return (reference, frame), whole.truth_wavefront(0)
 
-    @cached_property
-    def truth(self) -> Floats:
-        """Phase of the light at the bench's wavelength, see `Renderer.truth_wavefront`."""
-        return self._renderer.truth_wavefront(0)
 
-    def images(self) -> tuple[Image, Image]:
-        """Reference and frame, (row, column), m^2, of all wavelengths."""
-        lines = self._renderer.lines
-        pupil = self._pupil(lines[0][1].model)
-        mask, images = self._bench.simulation.source.mask, []
-        for share, renderer in lines:
-            ratio = self._bench.sensor.wavelength_m / renderer.scene.sensor.wavelength_m
-            points = renderer.points(mask)
-            along = points.position_m[:, 0] / self._bench.field.half_width_m
-            points = replace(points, area_m2=points.area_m2 * (1 + self._imperfections.uneven_source * along))
-            amplitude = pupil(ratio)
-            fields = (
-                _through(lambda *_: np.ones((1, 1), np.complex64), amplitude),
-                _through(renderer.light(0), amplitude),
-            )
-            images.append([share * renderer.model.irradiance(points, field) for field in fields])
-        reference, frame = np.sum(np.array(images), axis=0)
-        return reference, frame
-
-    def _pupil(self, model: ForwardModel) -> Callable[[float], NDArray[np.complex64]]:
-        """Amplitude and phase that lenslets and beam add at the pupil samples, (y, x), by the ratio of wavelengths."""
-        imperfections, sensor = self._imperfections, self._bench.sensor
-        x_m, y_m, pitch_m = model.sample_x_m, model.sample_y_m, sensor.lenslet_pitch_m
-        shape = sensor.lenslet_rows, sensor.lenslet_columns, _DEGREE + 1, _DEGREE + 1
-        n, m = np.indices(shape[2:])
-        of_lenslet = self._random.standard_normal(shape)  # coefficients of P_n(eta) P_m(xi) of unit RMS
-        of_lenslet[..., (n + m < 2) | (n + m > _DEGREE)] = 0
-        rms_rad = 2 * np.pi * imperfections.aberration_waves
-        of_lenslet *= rms_rad / np.sqrt(np.sum(of_lenslet**2, axis=(2, 3), keepdims=True))
-        wavenumber, focal_length_m = sensor.wavenumber_rad_per_m, sensor.lenslet_focal_length_m
-        slope_rad_per_m = wavenumber * imperfections.lattice_px * sensor.pixel_pitch_m / focal_length_m
-        tilt_rad = self._random.standard_normal((2, *shape[:2])) * slope_rad_per_m * pitch_m / 2 / np.sqrt(3)
-        of_lenslet[..., 0, 1], of_lenslet[..., 1, 0] = tilt_rad
-        # the lenslet's focus seen by a camera at the distance f (1 + defocus)
-        bent = 1 / (1 + imperfections.defocus) - 1
-        quadratic = wavenumber / (2 * focal_length_m) * bent * (pitch_m / 2) ** 2
-        norm = np.sqrt(2 * np.arange(_DEGREE + 1) + 1)
-        of_lenslet *= np.multiply.outer(norm, norm)
-        for order in ((0, 2), (2, 0)):
-            of_lenslet[..., *order] += quadratic * 2 / 3  # of P_2, apart from a piston
-        phase = model.phase_of_lenslets(of_lenslet)
-        beam_x, beam_y = (
-            imperfections.uneven_beam * along_m / half_m - 0.2 * bool(imperfections.uneven_beam)
-            for along_m, half_m in zip((x_m, y_m), sensor.pupil_half_width_m, strict=True)
-        )
-        amplitude = np.exp(-(beam_x**2) - beam_y[:, None] ** 2)
-        return lambda ratio: np.asarray(amplitude * np.exp(1j * ratio * phase), np.complex64)
+def _pupil(bench: Bench, imperfections: Imperfections, model: ForwardModel) -> tuple[Floats, Floats]:
+    """Amplitude and phase, rad, that beam and lenslets add at the pupil samples, (y, x), at the bench's wavelength."""
+    sensor, random = bench.sensor, np.random.default_rng([bench.simulation.seed, _STREAM])
+    x_m, y_m, pitch_m = model.sample_x_m, model.sample_y_m, sensor.lenslet_pitch_m
+    shape = sensor.lenslet_rows, sensor.lenslet_columns, _DEGREE + 1, _DEGREE + 1
+    n, m = np.indices(shape[2:])
+    of_lenslet = random.standard_normal(shape)  # coefficients of P_n(eta) P_m(xi) of unit RMS
+    of_lenslet[..., (n + m < 2) | (n + m > _DEGREE)] = 0
+    rms_rad = 2 * np.pi * imperfections.aberration_waves
+    of_lenslet *= rms_rad / np.sqrt(np.sum(of_lenslet**2, axis=(2, 3), keepdims=True))
+    wavenumber, focal_length_m = sensor.wavenumber_rad_per_m, sensor.lenslet_focal_length_m
+    slope_rad_per_m = wavenumber * imperfections.lattice_px * sensor.pixel_pitch_m / focal_length_m
+    tilt_rad = random.standard_normal((2, *shape[:2])) * slope_rad_per_m * pitch_m / 2 / np.sqrt(3)
+    of_lenslet[..., 0, 1], of_lenslet[..., 1, 0] = tilt_rad
+    # the lenslet's focus seen by a camera at the distance f (1 + defocus)
+    bent = 1 / (1 + imperfections.defocus) - 1
+    quadratic = wavenumber / (2 * focal_length_m) * bent * (pitch_m / 2) ** 2
+    norm = np.sqrt(2 * np.arange(_DEGREE + 1) + 1)
+    of_lenslet *= np.multiply.outer(norm, norm)
+    for order in ((0, 2), (2, 0)):
+        of_lenslet[..., *order] += quadratic * 2 / 3  # of P_2, apart from a piston
+    phase = model.phase_of_lenslets(of_lenslet)
+    beam_x, beam_y = (
+        imperfections.uneven_beam * along_m / half_m - 0.2 * bool(imperfections.uneven_beam)
+        for along_m, half_m in zip((x_m, y_m), sensor.pupil_half_width_m, strict=True)
+    )
+    return np.exp(-(beam_x**2) - beam_y[:, None] ** 2), phase
 
 
 def _through(light: PointField, amplitude: NDArray[np.complex64]) -> PointField:
@@ -210,8 +196,7 @@ def _bench(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResul
             progress(case.name, (done + index / len(_CASES)) / len(seeds))
             size = case.imperfections
             if kept is None or kept[0] != size.of_optics:
-                imperfect = ImperfectBench(screen, size.of_optics)
-                kept = size.of_optics, imperfect.images(), imperfect.truth
+                kept = size.of_optics, *imperfect_images(screen, size.of_optics)
             yield from _measured(screen, case, detected(kept[1], size, screen.simulation.seed), kept[2])
 
 

@@ -12,7 +12,7 @@ from app.acquisition.devices import scene_of
 from app.bench.config import Bench, load_bench
 from app.evaluation.studies import collect
 from app.evaluation.study import bench as study
-from app.evaluation.study.bench import BENCH, NONE, ImperfectBench, Imperfections, detected
+from app.evaluation.study.bench import BENCH, NONE, Imperfections, detected, imperfect_images
 from reconstruction.arrays import Floats, Image
 from reconstruction.quality.verdict import Fault
 from simulated_devices.rendering import Renderer
@@ -38,32 +38,31 @@ def cells(image: Image, bench: Bench) -> Floats:
 
 
 def test_perfect_bench_has_the_images_of_the_simulated_bench(bench: Bench) -> None:
-    imperfect, renderer = ImperfectBench(bench, NONE), Renderer(scene_of(bench))
-    reference, frame = imperfect.images()
+    ((reference, frame), truth), renderer = imperfect_images(bench, NONE), Renderer(scene_of(bench))
     assert reference == pytest.approx(renderer.reference(MASK), abs=1e-4 * float(reference.max()))
     assert frame == pytest.approx(renderer.state(MASK, 0), abs=1e-4 * float(frame.max()))
-    assert np.array_equal(imperfect.truth, renderer.truth_wavefront(0))
+    assert np.array_equal(truth, renderer.truth_wavefront(0))
 
 
 def test_lattice_moves_subimages(bench: Bench) -> None:
-    light, *moments = cells(ImperfectBench(bench, NONE).images()[0], bench)
+    light, *moments = cells(imperfect_images(bench, NONE)[0][0], bench)
     at_rest = np.array(moments) / light
-    light, *moments = cells(ImperfectBench(bench, Imperfections(lattice_px=0.3)).images()[0], bench)
+    light, *moments = cells(imperfect_images(bench, Imperfections(lattice_px=0.3))[0][0], bench)
     assert np.std(np.array(moments) / light - at_rest) == pytest.approx(0.3, rel=0.25)  # of 70 numbers
 
 
 def test_camera_out_of_focus_sees_larger_and_blurred_subimages(bench: Bench) -> None:
-    sharp, _ = ImperfectBench(bench, NONE).images()
+    (sharp, _), _ = imperfect_images(bench, NONE)
     farther = Imperfections(defocus=0.04)
-    blurred, _ = ImperfectBench(bench, farther).images()
+    (blurred, _), _ = imperfect_images(bench, farther)
     told = replace(bench.sensor, lenslet_focal_length_m=1.04 * bench.sensor.lenslet_focal_length_m)
-    enlarged, _ = ImperfectBench(replace(bench, sensor=told), NONE).images()
+    (enlarged, _), _ = imperfect_images(replace(bench, sensor=told), NONE)
     assert blurred.max() < enlarged.max() < 1.02 * sharp.max()
     assert np.std(blurred - enlarged) < np.std(blurred - sharp)
 
 
 def test_wavelengths_add_up(bench: Bench) -> None:
-    reference, _ = ImperfectBench(bench, Imperfections(bandwidth_m=20e-9)).images()
+    (reference, _), _ = imperfect_images(bench, Imperfections(bandwidth_m=20e-9))
     lines = []
     for offset_m in (-20e-9, 0.0, 20e-9):
         sensor = replace(bench.sensor, wavelength_m=bench.sensor.wavelength_m + offset_m)
@@ -73,8 +72,8 @@ def test_wavelengths_add_up(bench: Bench) -> None:
 
 
 def test_absorption_changes_the_frame_alone(bench: Bench) -> None:
-    reference, frame = ImperfectBench(bench, NONE).images()
-    its_reference, its_frame = ImperfectBench(bench, Imperfections(absorption_rms=0.16)).images()
+    (reference, frame), _ = imperfect_images(bench, NONE)
+    (its_reference, its_frame), _ = imperfect_images(bench, Imperfections(absorption_rms=0.16))
     assert np.array_equal(its_reference, reference)
     assert 0.05 < np.std(its_frame - frame) / np.std(frame) < 0.5
 
