@@ -46,9 +46,10 @@ class StoredWavefront:
     by_mode: Floats  # wavefront of each field mode, rad, (field_mode, lenslet_row, lenslet_column); NaN where unknown
 
     @classmethod
-    def of(cls, wavefront: Wavefront, name: str) -> Self:
-        """Store the wavefront of one frame."""
-        return cls(name, wavefront.field, wavefront.displacement.modes, _by_mode(wavefront))
+    def of(cls, wavefront: Wavefront, name: str, mean: Floats | None = None) -> Self:
+        """Store the wavefront of one frame, or a mean that ends with it, by field mode."""
+        by_mode = _by_mode(wavefront) if mean is None else mean
+        return cls(name, wavefront.field, wavefront.displacement.modes, by_mode)
 
     @classmethod
     def from_results(cls, path: Path, lenslets: tuple[int, ...] | None = None) -> Self:
@@ -120,8 +121,7 @@ class WavefrontDisplay:
             field = with_views(field, options.views)
             shown = Wavefront.of(wavefront.sensor, field, wavefront.displacement, wavefront.solution)
         if by_mode is not None:
-            mean = replace(StoredWavefront.of(wavefront, "mean"), by_mode=by_mode)
-            shown = replace(shown, views=without_piston(mean.at(field)))
+            shown = replace(shown, views=without_piston(StoredWavefront.of(wavefront, "mean", by_mode).at(field)))
         if options.stored is not None:
             shown = replace(shown, views=without_piston(shown.views - options.stored.at(field)))
         if options.without_tilt or options.without_defocus:
@@ -132,9 +132,7 @@ class WavefrontDisplay:
 
     def store(self, wavefront: Wavefront, name: str) -> StoredWavefront:
         """Return the wavefront, averaged like the shown one, to be subtracted later."""
-        by_mode = self._mean(wavefront)
-        stored = StoredWavefront.of(wavefront, name)
-        return stored if by_mode is None else replace(stored, by_mode=by_mode)
+        return StoredWavefront.of(wavefront, name, self._mean(wavefront))
 
     def _mean(self, wavefront: Wavefront) -> Floats | None:
         """Include a wavefront in the mean, and return that, by field mode; None without averaging."""
