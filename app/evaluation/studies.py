@@ -366,7 +366,7 @@ _Measured = Iterator[tuple[Study, Sequence[CaseResult]]]
 def run_studies(
     bench: Bench, studies: Sequence[Study], seeds: int, out: Path, progress: Progress, evaluate: Evaluate | None = None
 ) -> list[StudyResult]:
-    """Run studies and write the results into the folder `out` after each; see `write_newest` for the files.
+    """Run studies and write the results into the folder `out` after each; see `Study.files`.
 
     With `evaluate`, each seed of each study is a task; the results do not depend on that. `InputError` if the lattice
     is hexagonal, `Interrupted` on Ctrl-C, with how many studies are finished.
@@ -425,10 +425,7 @@ def files_of(studies: Iterable[Study], out: Path) -> list[Path]:
 
 
 def write_newest(results: Sequence[StudyResult], out: Path) -> None:
-    """Write the files of the newest result into the folder `out`.
-
-    All sweeps so far share study.json, study.csv and estimator.png; other studies have files of their own name.
-    """
+    """Write the files of the newest result into the folder `out`, those of sweeps for all sweeps so far."""
     study = results[-1].study
     made = study.output(results)
     numbers, table, picture = (out / name for name in study.files)
