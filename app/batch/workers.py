@@ -131,9 +131,7 @@ def _check_address(scheduler: str) -> None:
     """Raise `InputError` unless an address has a host and a port."""
     try:
         parts = urlsplit(scheduler if "://" in scheduler else f"tcp://{scheduler}")
-        is_complete = parts.scheme in _SCHEMES and bool(
-            parts.hostname and parts.port
-        )  # a port out of range: ValueError
+        is_complete = parts.scheme in _SCHEMES and bool(parts.hostname and parts.port)  # ValueError: out of range
     except ValueError:
         is_complete = False
     if not is_complete:
