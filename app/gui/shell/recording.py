@@ -11,6 +11,7 @@ from PyQt6.QtCore import QSettings, QStandardPaths, Qt, QUrl
 from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtWidgets import QFileDialog, QFrame, QMenu, QSizePolicy, QWidget
 
+from app.acquisition.carrier import Carrier
 from app.errors import InputError, RunError
 from app.gui.shell.background_commands import BackgroundCommands
 from app.gui.shell.controller import Controller
@@ -107,14 +108,13 @@ class RecordingBar(QFrame):
         documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
         self.recordings_folder = Path(documents or ".") / "svwfs"
         self._starting: Future[None] | None = None  # the last start of a recording
-        self._reported: set[Path] = set()  # recordings whose end was shown
+        self._ended: set[Path] = set()  # recordings whose end was shown
         self._free_minutes, self._disk_due_s = math.inf, -math.inf
         self._asked_disk: Future[float] | None = None  # a network disk may not answer
         self.recent = RecentFiles(settings, "recent/recordings")
         self.commands = BackgroundCommands(controller.messages, self)
         self._of: Path | None = None  # the recording as it began
         self.folder: Path | None = None  # with its name, once it is finished
-        self._kept: Path | None = None
         self.text = ElidedLabel()
         self._name_problem = ""
         self.name = TextField(tool_tip=_NAME_TIP, hint="name")
@@ -176,10 +176,34 @@ class RecordingBar(QFrame):
             self._controller.ask(question, then, "End it and open", "Keep recording", loses=True)
 
     def refresh(self) -> None:
-        """Show the state of the recordings; report each end once."""
+        """Show the state of the recordings, and each end once."""
         acquisition = self._controller.acquisition
         if acquisition is None:
             return
+        self._query_disk(acquisition)
+        state, kept = acquisition.recording, acquisition.kept
+        is_starting = self._starting is not None and not self._starting.done()
+        self._panel.show_state(state, self._free_minutes, is_starting=is_starting)
+        if state is not None and state.folder != self._of:
+            if self.folder is not None:
+                self._forget()
+            self._of = state.folder
+            self.show()
+        is_recording = state is not None and not _is_over(state)
+        if is_recording:
+            self._show_stage(state)
+        for ended in (state, kept):
+            if ended is not None and _is_over(ended) and ended.folder not in self._ended:
+                self._ended.add(ended.folder)
+                show = self._messages.alarm if ended.stage == "ended early" else self._messages.inform
+                show(recording_ended(ended))
+                if ended is kept and not is_recording:
+                    self._forget()  # name and note were not for it
+                if not is_recording:
+                    self._finish(ended)
+
+    def _query_disk(self, acquisition: Carrier) -> None:
+        """Ask for the free disk space every two seconds."""
         if self._asked_disk is not None and self._asked_disk.done():
             is_unknown = self._asked_disk.exception() is not None  # the start of a recording reports it
             self._free_minutes = math.inf if is_unknown else self._asked_disk.result()
@@ -187,31 +211,6 @@ class RecordingBar(QFrame):
         if self._asked_disk is None and time.monotonic() > self._disk_due_s:
             self._disk_due_s = time.monotonic() + _DISK_INTERVAL_S
             self._asked_disk = acquisition.free_minutes(self.recordings_folder)
-        state, kept = acquisition.recording, acquisition.kept
-        is_starting = self._starting is not None and not self._starting.done()
-        self._panel.show_state(state, self._free_minutes, is_starting=is_starting)
-        self._report_ends(state, kept)
-        if state is not None and state.folder != self._of:
-            if self.folder is not None:
-                self._forget()
-            self._of = state.folder
-            self.show()
-        if kept is not None and kept.folder != self._kept and _is_over(kept):
-            self._kept = kept.folder
-            if state is None or _is_over(state):
-                self._forget()
-                self._finish(kept)
-        if state is not None and state.folder == self._of and self.folder is None:
-            self._show_stage(state)
-            if _is_over(state):
-                self._finish(state)
-
-    def _report_ends(self, *states: RecordingState | None) -> None:
-        for state in states:
-            if state is not None and _is_over(state) and state.folder not in self._reported:
-                self._reported.add(state.folder)
-                show = self._messages.alarm if state.stage == "ended early" else self._messages.inform
-                show(recording_ended(state))
 
     def recent_menu(self) -> QMenu:
         return self.recent.menu(self, lambda folder: folder.name, self.play)

@@ -102,6 +102,10 @@ def test_recording_ends_by_itself_with_name_and_note(
     assert opened == [folder]
     bar.done.click()
     assert not bar.isVisible()
+    bar.prepare()
+    window.update_text()
+    assert bar.text.text() == "Next recording"  # the finished one does not come back, to take its name
+    assert bar.stop_after.isVisible()
 
 
 @pytest.mark.slow
