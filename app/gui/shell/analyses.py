@@ -4,24 +4,17 @@ import math
 import time
 from collections.abc import Iterable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
 from PyQt6.QtCore import QObject, pyqtSignal
-from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] # ships no types
 
 from app.gui.panels.panel import Check, Panel, Request, Shown
 from app.gui.widgets.basics import timer
+from reconstruction.runtime.threads import one_blas_thread
 
 _SHARE = 0.2  # of a core: the measurement needs the rest
 
-
-class Result(NamedTuple):
-    """Result of a panel's request: its value, or the error."""
-
-    panel: Panel
-    request: Request
-    value: Any
-    error: Exception | None
+Results = list[tuple[Panel, Request, Future[Any]]]
 
 
 class AnalysisThread:
@@ -30,17 +23,16 @@ class AnalysisThread:
     def __init__(self, check: Check) -> None:
         """`check` raises to end a computation."""
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="analysis")
-        self._libraries = ThreadpoolController()
         self._check = check
         self.requests: dict[Panel, Request] = {}  # the last ones
-        self._future: Future[list[Result]] | None = None
+        self._results: Results = []  # of those, until they are taken
         self._requested_s = -math.inf
-        self._taken_s = 0.0  # by the last analysis
+        self._taken_s = 0.0  # by the last analyses
 
     @property
     def is_busy(self) -> bool:
         """True until the results are taken."""
-        return self._future is not None
+        return bool(self._results)
 
     def submit(self, requests: dict[Panel, Request]) -> None:
         """Compute requests unless the thread is busy or all are unchanged.
@@ -58,34 +50,33 @@ class AnalysisThread:
             interval_s = max(request.interval_s for request in requests.values())
             if time.monotonic() < self._requested_s + max(interval_s, self._taken_s / _SHARE):
                 return
-        self.requests, self._requested_s = requests, time.monotonic()
-        self._future = self._executor.submit(self._run, requests)
+        self.requests, self._requested_s, self._taken_s = requests, time.monotonic(), 0.0
+        self._results = [
+            (panel, request, self._executor.submit(self._compute, request)) for panel, request in requests.items()
+        ]
 
-    def take(self) -> list[Result]:
-        """Return finished results once."""
-        if self._future is None or not self._future.done():
+    def take(self) -> Results:
+        """Return the results once, when all are finished."""
+        if not all(future.done() for _, _, future in self._results):
             return []
-        future, self._future = self._future, None
-        return future.result()
+        results, self._results = self._results, []
+        return results
 
     def forget(self) -> None:
-        self.requests, self._future = {}, None
+        self.requests, self._results = {}, []
 
     def close(self) -> None:
         """Wait for the current analysis and end the thread."""
         self._executor.shutdown(cancel_futures=True)
 
-    def _run(self, requests: dict[Panel, Request]) -> list[Result]:
+    def _compute(self, request: Request) -> Any:
         """Compute on one core: waiting BLAS threads take five times as long beside a measurement."""
-        begun_s, results = time.monotonic(), []
-        with self._libraries.limit(limits=1, user_api="blas"):
-            for panel, request in requests.items():
-                try:
-                    results.append(Result(panel, request, request.compute(self._check), None))
-                except Exception as error:  # noqa: BLE001 - reported; the measurement continues
-                    results.append(Result(panel, request, None, error))
-        self._taken_s = time.monotonic() - begun_s
-        return results
+        begun_s = time.monotonic()
+        try:
+            with one_blas_thread():
+                return request.compute(self._check)
+        finally:
+            self._taken_s += time.monotonic() - begun_s
 
 
 class Analyses(QObject):
@@ -107,7 +98,7 @@ class Analyses(QObject):
         self._shown.has_open_tabs = any(panel.isVisible() for panel in self._panels if panel.place == "tab")
         for thread in dict.fromkeys(self.threads.values()):
             for result in thread.take():
-                self._show(thread, result)
+                self._show(thread, *result)
             requests = ((panel, panel.request()) for panel in self._panels if self.threads[panel] is thread)
             thread.submit({panel: request for panel, request in requests if request is not None})
         if self._shown.wavefront is None:
@@ -124,15 +115,15 @@ class Analyses(QObject):
         for thread in self.threads.values():
             thread.close()
 
-    def _show(self, thread: AnalysisThread, result: Result) -> None:
+    def _show(self, thread: AnalysisThread, panel: Panel, request: Request, result: Future[Any]) -> None:
         """Show a result unless another choice was made meanwhile, or the panel was hidden."""
-        now = result.panel.request()
-        if result.error is not None:
-            self.failed.emit(f"Analysis failed: {result.error}")
-        elif now is not None and now.choice == result.request.choice:
-            result.panel.show_result(result.value)
+        now = panel.request()
+        if (error := result.exception()) is not None:
+            self.failed.emit(f"Analysis failed: {error}")
+        elif now is not None and now.choice == request.choice:
+            panel.show_result(result.result())
         else:
-            thread.requests.pop(result.panel, None)  # to be computed again when it is seen
+            thread.requests.pop(panel, None)  # to be computed again when it is seen
 
     def _check(self) -> None:
         if self.is_closing:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,7 @@ from support.patience import HANG_S
 from support.wavefronts import bowl
 
 from app.gui.panels.panel import Panel, Request, Shown
-from app.gui.shell.analyses import AnalysisThread, Result
+from app.gui.shell.analyses import AnalysisThread
 from app.results.view_analysis import Quantity, quantity_maps
 
 
@@ -42,7 +43,7 @@ def made(of: object, compute: Callable[[], Any], *, choice: object = None, inter
     return Request(of, choice, lambda _: compute(), interval_s)
 
 
-def wait(thread: AnalysisThread) -> Result:
+def wait(thread: AnalysisThread) -> tuple[Panel, Request, Future[Any]]:
     deadline_s = time.monotonic() + HANG_S
     while time.monotonic() < deadline_s:
         if results := thread.take():
@@ -56,7 +57,7 @@ def test_repeated_request_is_ignored_and_new_wavefront_waits(thread: AnalysisThr
     first = request(Quantity.PSF)
     began_s = time.monotonic()  # the second waits from here, however long the first takes
     thread.submit({panel: first})
-    assert wait(thread).request is first
+    assert wait(thread)[:2] == (panel, first)
     thread.submit({panel: first})
     assert not thread.is_busy
     while not thread.is_busy:
@@ -72,11 +73,11 @@ def test_error_of_analysis_is_returned_and_thread_continues(thread: AnalysisThre
         raise NotImplementedError("broken")
 
     thread.submit({panel: made(1, fail)})
-    result = wait(thread)
-    assert result.value is None
-    assert isinstance(result.error, NotImplementedError)
+    *_, result = wait(thread)
+    assert isinstance(result.exception(), NotImplementedError)
     thread.submit({panel: request(Quantity.PSF)})
-    assert wait(thread).value is not None
+    *_, result = wait(thread)
+    assert result.result() is not None
 
 
 def test_error_of_one_panel_leaves_the_others_their_results(thread: AnalysisThread, qtbot: QtBot) -> None:
@@ -87,8 +88,9 @@ def test_error_of_one_panel_leaves_the_others_their_results(thread: AnalysisThre
     deadline_s = time.monotonic() + HANG_S
     while not (results := thread.take()) and time.monotonic() < deadline_s:
         time.sleep(0.005)
-    assert [result.value for result in results] == [None, (7, 0), (3, 1)]
-    assert [type(result.error) for result in results] == [ZeroDivisionError, type(None), type(None)]
+    failed, *others = [future for _, _, future in results]
+    assert isinstance(failed.exception(), ZeroDivisionError)
+    assert [future.result() for future in others] == [(7, 0), (3, 1)]
 
 
 def test_slow_analysis_leaves_the_measurement_most_of_a_core(thread: AnalysisThread, panel: Panel) -> None:
