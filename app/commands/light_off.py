@@ -31,4 +31,4 @@ def light_off(bench: Annotated[str, options.bench_option("Bench TOML file.")]) -
             name = opened.name
     except BadValue as error:
         raise InputError(f"light: {error}") from error
-    typer.echo(terminal.printable(f"{name} is off"))
+    terminal.print_sentence(f"{name} is off")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
-
 from app.commands import options, terminal
 from app.errors import RunError
 
@@ -36,7 +34,7 @@ def print_recovered(recovered: Recovered, folder: Path) -> None:
     """Print the state of a recording, what was repaired, and its damage."""
     state = "was complete" if recovered.was_complete else "is complete now"
     damaged = ", but damaged" if recovered.damage else ""
-    typer.echo(terminal.printable(f"{folder}: {state}{damaged}: {recovered.summary}"))
+    terminal.print_sentence(f"{folder}: {state}{damaged}: {recovered.summary}")
     for sentence in (*recovered.rebuilt, *recovered.damage, recovered.readable, recovered.put_aside):
         if sentence:
-            typer.echo(terminal.printable(f"{folder}: {sentence}"))
+            terminal.print_sentence(f"{folder}: {sentence}")

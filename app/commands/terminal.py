@@ -10,6 +10,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import typer
+
 from app.errors import InputError
 from app.progress import LINE_START, LINES
 
@@ -52,9 +54,7 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 def print_sentence(text: str) -> None:
     """Print text that may come from a file."""
-    from rich.console import Console
-
-    Console().print(printable(text), markup=False, highlight=False, soft_wrap=True)
+    typer.echo(printable(text))
 
 
 def print_warning(sentence: str) -> None:
@@ -62,7 +62,8 @@ def print_warning(sentence: str) -> None:
     from rich.console import Console
     from rich.markup import escape
 
-    Console().print(f"[yellow]warning:[/] {escape(printable(sentence))}", highlight=False, soft_wrap=True)
+    text = f"[yellow]warning:[/] {escape(printable(sentence))}"
+    Console(highlight=False, emoji=False, soft_wrap=True).print(text)
 
 
 def print_table(
@@ -131,23 +132,18 @@ def print_version_notice(*sources: Path, settings: tuple[str, ...] = ()) -> None
                 print_sentence(f"{source}: {notice}")
 
 
-def warn_of_missing(folder: Path) -> None:
-    """Warn if a complete recording has fewer lines than frames."""
+def print_notes(folder: Path, settings: list[str] | None = None, *, is_own: bool = True) -> None:
+    """Print the version notice of a reconstructed recording if that had its own bench, and warn of missing lines."""
     from app.recording.reader import Recording
 
+    if is_own:
+        print_version_notice(folder, settings=tuple(settings or ()))
     recording = Recording(folder)
     missing = (recording.recorded_frames or 0) - len(recording)
     if recording.is_complete and missing > 0:
         print_warning(
             f"{folder}: {missing} of {recording.recorded_frames} frames have no line; svwfs recover lists them"
         )
-
-
-def print_notes(recording: Path, settings: list[str] | None = None, *, is_own: bool = True) -> None:
-    """Print what must be known of a recording whose frames were reconstructed; `is_own`: with its own bench."""
-    if is_own:
-        print_version_notice(recording, settings=tuple(settings or ()))
-    warn_of_missing(recording)
 
 
 def remind(sentence: str) -> None:
