@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
-import inspect
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.main import get_command_from_info
@@ -68,24 +67,17 @@ def command_of(kind: type[Analysis]) -> Callable[..., None]:
         typer.echo("\n".join(analysis.sentences(found)) + kind.closing.format(out=out))
         terminal.print_version_notice(source)
 
-    own = {field.name: field.default for field in dataclasses.fields(kind)}  # type: ignore[arg-type] # it is one
-    needed = [name for name, default in own.items() if default is dataclasses.MISSING]
-    defaults = {name: default for name, default in own.items() if name not in needed}
-    defaults |= ({"plot": None} if kind.picture_dpi else {}) | {"overwrite": False}
-    hints = get_type_hints(kind, include_extras=True)
-    hints |= {"source": kind.source, "out": Annotated[Path, typer.Option(help=kind.file_help)]}
-    hints |= {"plot": options.Plot, "overwrite": options.Overwrite}
-    run.__annotations__ = {name: hints[name] for name in (*needed, "source", "out", *defaults)}
-    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined] # typer reads it
-        [
-            inspect.Parameter(
-                name,
-                inspect.Parameter.KEYWORD_ONLY,
-                annotation=hint,
-                default=defaults.get(name, inspect.Parameter.empty),
-            )
-            for name, hint in run.__annotations__.items()
-        ]
-    )
+    own = [each.replace(kind=each.KEYWORD_ONLY) for each in signature(kind, eval_str=True).parameters.values()]
+    needed = [each for each in own if each.default is each.empty]
+    others = [each for each in own if each not in needed]
+    out = Annotated[Path, typer.Option(help=kind.file_help)]
+    files = [_parameter("source", kind.source), _parameter("out", out)]
+    plot = [_parameter("plot", options.Plot, None)] if kind.picture_dpi else []
+    overwrite = _parameter("overwrite", options.Overwrite, False)
+    run.__signature__ = Signature([*needed, *files, *others, *plot, overwrite])  # type: ignore[attr-defined] # for typer
     run.__doc__ = kind.__doc__
     return run
+
+
+def _parameter(name: str, annotation: Any, default: Any = Parameter.empty) -> Parameter:
+    return Parameter(name, Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
