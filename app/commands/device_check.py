@@ -8,8 +8,8 @@ import re
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -175,33 +175,25 @@ class Trace:
         self.calls: deque[str] = deque(maxlen=_MOST_CALLS)
 
     def __getattr__(self, name: str) -> Any:
-        with self._noted(name) as answers:
-            value = getattr(self._device, name)
-            if not callable(value):
-                answers.append(value)
-                return value
-
         def call(*arguments: object) -> Any:
-            with self._noted(f"{name}({', '.join(map(repr, arguments))})") as answers:
-                answers.append(value(*arguments))
-            return answers[0]
+            what = f"{name}({', '.join(map(repr, arguments))})"
+            return self._note(what, lambda: getattr(self._device, name)(*arguments))
 
-        return call
+        is_method = callable(getattr(type(self._device), name, None))
+        return call if is_method else self._note(name, lambda: getattr(self._device, name))
 
-    @contextmanager
-    def _noted(self, what: str) -> Iterator[list[Any]]:
-        """Note the answer that the block appends, or its error; nothing if there is neither."""
-        answers: list[Any] = []
-        start_s = time.perf_counter()
+    def _note(self, what: str, ask: Callable[[], Any]) -> Any:
+        """Return the device's answer, and note it or the error."""
+        start_s, noted = time.perf_counter(), None
         try:
-            yield answers
+            noted = ask()
         except Exception as error:
-            answers.append(f"{type(error).__name__}: {error}")
+            noted = f"{type(error).__name__}: {error}"
             raise
         finally:
-            if answers:
-                took_s = time.perf_counter() - start_s
-                self.calls.append(f"{what} -> {_short(answers[0])}, {took_s:.3f} s")
+            took_s = time.perf_counter() - start_s
+            self.calls.append(f"{what} -> {_short(noted)}, {took_s:.3f} s")
+        return noted
 
 
 def identifying_texts(name: str, settings: Mapping[str, object], properties: Mapping[str, Property]) -> frozenset[str]:
