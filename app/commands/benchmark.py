@@ -18,7 +18,6 @@ from app.progress import Progress, between, named
 
 if TYPE_CHECKING:
     from app.acquisition.remote.own_instrument import OwnInstrument
-    from app.bench.config import Bench
     from app.evaluation.benchmark.live_path import Course, LiveFigures, LivePlan
     from app.gui.shell.main_window import MainWindow
     from app.timing import StageTimes
@@ -67,10 +66,13 @@ def benchmark(
     check_outputs([json], overwrite=overwrite)
     check_suffix(json, ".json")
     if live is not None:
+        from app.evaluation.benchmark.live_path import LivePlan
+
         settings = (f"camera.exposure_s={_LIVE_EXPOSURE_S}", "reconstruction.refine=false", *(setting or ()))
         loaded = options.load(bench or _LIVE_BENCH, list(settings))
         folder = None if no_record else record_in or Path(gettempdir())
-        _benchmark_live(loaded, live, folder, with_panels=panels, json=json, check=check)
+        live_plan = LivePlan(bench=loaded, seconds=live, record_in=folder, with_panels=panels)
+        _benchmark_live(live_plan, json, check=check)
         return
     if bench or setting or record_in or no_record or panels:
         raise InputError(
@@ -89,13 +91,9 @@ def benchmark(
         raise RunError("slower relative to the peers than the baseline: " + "; ".join(slower))
 
 
-def _benchmark_live(
-    bench: Bench, seconds: float, record_in: Path | None, *, with_panels: bool, json: Path | None, check: bool
-) -> None:
-    from app.evaluation.benchmark.live_path import LivePlan
+def _benchmark_live(plan: LivePlan, json: Path | None, *, check: bool) -> None:
     from app.run_facts import write_record
 
-    plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in, with_panels=with_panels)
     with terminal.progress_bar() as progress:
         figures = benchmark_acquisition(plan, progress)
     print_figures(figures)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -81,36 +80,29 @@ def study(
 
     Example: svwfs study masks optimised pictures --seeds 1 --out study
     """
+    from app.evaluation.studies import files_of
     from app.evaluation.study import chosen_studies
 
     studies = chosen_studies(names or [], frames)
     loaded = options.load(bench, setting)
     inputs = [*options.files_of_bench(bench, loaded), *(Path(name) for name in names or [])]
-    start = None
-    if workers is not None or scheduler is not None:
-        from app.batch.workers import workers as starting
+    check_outputs(files_of(studies, out), inputs=inputs, overwrite=overwrite)
+    if workers is None and scheduler is None:
+        _run(studies, loaded, seeds, out)
+        return
+    from app.batch.workers import workers as start
 
-        start = starting(workers, scheduler, dashboard=dashboard)
-    _run(studies, loaded, seeds, out, inputs=inputs, overwrite=overwrite, workers=start)
-
-
-def _run(
-    studies: Sequence[Study],
-    bench: Bench,
-    seeds: int,
-    out: Path,
-    *,
-    inputs: Iterable[Path] = (),
-    overwrite: bool,
-    workers: AbstractContextManager[Workers] | None = None,
-) -> None:
-    """Run studies under a progress bar and print their results; `workers` start after the files are checked."""
-    from app.evaluation.studies import files_of, run_studies
-
-    check_outputs(files_of(studies, out), inputs=[*inputs, *bench.files], overwrite=overwrite)
-    with workers or nullcontext() as evaluate, terminal.progress_bar() as progress:
-        if evaluate is not None and evaluate.dashboard:
+    with start(workers, scheduler, dashboard=dashboard) as evaluate:
+        if evaluate.dashboard:
             typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
+        _run(studies, loaded, seeds, out, evaluate)
+
+
+def _run(studies: Sequence[Study], bench: Bench, seeds: int, out: Path, evaluate: Workers | None = None) -> None:
+    """Run studies under a progress bar, and print their results."""
+    from app.evaluation.studies import run_studies
+
+    with terminal.progress_bar() as progress:
         results = run_studies(bench, studies, seeds, out, progress, evaluate)
     print_results(results)
 
@@ -136,6 +128,13 @@ OutOption = Annotated[Path, options.folder_option("Folder for the table (JSON, C
 PeersOption = Annotated[bool, typer.Option(help="Include the slow methods of SimpleITK (extra: peers).")]
 
 
+def _reproduce(table: Study, bench: Bench, seeds: int, out: Path, *, overwrite: bool) -> None:
+    from app.evaluation.studies import files_of
+
+    check_outputs(files_of([table], out), inputs=bench.files, overwrite=overwrite)
+    _run([table], bench, seeds, out)
+
+
 @paper.command(cls=options.OnceCommand)
 def table1(
     *,
@@ -152,7 +151,7 @@ def table1(
     """
     from app.evaluation import paper as tables
 
-    _run([tables.table1(peers=peers)], options.load(bench, setting), seeds, out, overwrite=overwrite)
+    _reproduce(tables.table1(peers=peers), options.load(bench, setting), seeds, out, overwrite=overwrite)
 
 
 @paper.command(cls=options.OnceCommand)
@@ -171,7 +170,7 @@ def table2(
     """
     from app.evaluation import paper as tables
 
-    _run([tables.table2(peers=peers)], options.load(bench, setting), seeds, out, overwrite=overwrite)
+    _reproduce(tables.table2(peers=peers), options.load(bench, setting), seeds, out, overwrite=overwrite)
 
 
 @paper.command(cls=options.OnceCommand)
@@ -189,4 +188,4 @@ def sources(
     """
     from app.evaluation import paper as tables
 
-    _run([tables.sources()], options.load(bench, setting), seeds, out, overwrite=overwrite)
+    _reproduce(tables.sources(), options.load(bench, setting), seeds, out, overwrite=overwrite)
