@@ -32,10 +32,9 @@ class TransmissionPanel(Panel):
         wavefront = self.shown.wavefront
         if wavefront is None or not self.isVisible():
             return None
-        return Request(wavefront, None, lambda _: (wavefront.transmission,))
+        return Request(wavefront, None, lambda _: wavefront.transmission)
 
-    def show_result(self, result: tuple[tuple[Floats, Floats] | None]) -> None:
-        (found,) = result
+    def show_result(self, found: tuple[Floats, Floats] | None) -> None:
         known = np.zeros(0) if found is None else found[0][np.isfinite(found[0])]
         if found is None or not known.size:
             self.show_nothing()

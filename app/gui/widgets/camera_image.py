@@ -26,7 +26,7 @@ from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, lenslet_centers
 
 _MICRO = "\N{MICRO SIGN}m"
-_AROUND = [0, 1, 1, 2, 2, 3, 3, 0]  # corners at the ends of a cell's four borders
+_AROUND = [0, 1, 1, 2, 2, 3, 3, 0]  # corners at the ends of four borders
 _INSET = 0.88  # size of a lost lenslet's box over that of its cell
 _USUAL = 0.98  # share of the arrows that are not the longest few
 _HEAD = 0.35  # length of an arrow's head, in arrow lengths
@@ -156,17 +156,11 @@ def arrows(lattice: Lattice, displacement_px: Floats, magnification: float) -> F
     Lenslets without a displacement (NaN), or with one of 0, have no arrow.
     """
     known = np.isfinite(displacement_px).all(axis=-1) & displacement_px.any(axis=-1)
-    tail = _middles(lattice, *displacement_px.shape[:2])[known]
+    tail = lenslet_centers(lattice.arrangement, *known.shape)[known] * lattice.pitch_px
     shaft = displacement_px[known] * magnification
     tip = tail + shaft
     barbs = tip + _HEAD * shaft @ _BARBS
     return lattice.to_camera_px(np.stack([tail, tip, tip, barbs[0], tip, barbs[1]], axis=1).reshape(-1, 2))
-
-
-@lru_cache(maxsize=4)
-def _middles(lattice: Lattice, lenslet_rows: int, lenslet_columns: int) -> Floats:
-    """Return the lenslets' centres (lenslet_row, lenslet_column, xy) along the lattice, px."""
-    return lenslet_centers(lattice.arrangement, lenslet_rows, lenslet_columns) * lattice.pitch_px
 
 
 def arrow_length_px(displacement_px: Floats) -> float:
@@ -202,7 +196,7 @@ def rectangle(start: QPointF, end: QPointF) -> Floats:
     """Return the borders of a rectangle as pairs of ends (2 * border, xy)."""
     (left, right), (top, bottom) = (start.x(), end.x()), (start.y(), end.y())
     corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
-    return corners[[0, 1, 1, 2, 2, 3, 3, 0]]
+    return corners[_AROUND]
 
 
 class Measuring(QWidget):
