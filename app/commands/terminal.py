@@ -10,8 +10,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
-
 from app.errors import InputError
 from app.progress import LINE_START, LINES
 
@@ -54,6 +52,8 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 def print_sentence(text: str) -> None:
     """Print text that may come from a file."""
+    import typer
+
     typer.echo(printable(text))
 
 
