@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from app.acquisition.place import NAME
-from app.bench.presets import PRESETS
 from app.commands import options, terminal
 from app.errors import InputError, Interrupted, RunError
 from app.files import MEASURED, check_outputs
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
 def measure(
     *,
-    bench: Annotated[str | None, options.bench_option(f"Bench TOML file, or a preset: {', '.join(PRESETS)}.")] = None,
+    bench: Annotated[str | None, options.bench_option()] = None,
     frames: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of frames to measure.")],
     out: Annotated[Path, options.folder_option("New folder for the recording, with results.nc beside the frames.")],
     mask: Annotated[

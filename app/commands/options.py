@@ -23,7 +23,7 @@ FOLDER = "FOLDER"  # in the help, of an option that names a folder
 PICTURES = (".png", ".pdf", ".svg")  # Matplotlib writes others, some by programs that may be missing
 
 
-def bench_option(text: str) -> Any:
+def bench_option(text: str = f"Bench TOML file, or a preset: {', '.join(PRESETS)}.") -> Any:
     """Return the option `--bench` with this help."""
     return typer.Option("--bench", "-b", metavar="TOML", help=text)
 
@@ -33,7 +33,7 @@ def folder_option(text: str) -> Any:
     return typer.Option(metavar=FOLDER, help=text)
 
 
-Bench = Annotated[str, bench_option(f"Bench TOML file, or a preset: {', '.join(PRESETS)}.")]
+Bench = Annotated[str, bench_option()]
 Attach = Annotated[
     bool, typer.Option("--attach", help="Use the instrument that runs already, in place of devices of a bench.")
 ]
