@@ -62,7 +62,6 @@ class ControlsPanel(Panel):
         self._make_calibration()
         self.choices = {name: _choice(tip, partial(self._choose, name)) for name, tip in _CHOICES.items()}
         amplifier, speed, mask, self.registration, self.warp, self.method, self.basis = self.choices.values()
-        self.amplifier, self.readout_speed, self.mask_choice = amplifier, speed, mask
         self.pupil_modes = NumberField(name="Modes", tool_tip=_MODES_TIP, lowest=AUTOMATIC)
         self.pupil_modes.entered.connect(self._enter_modes)
         about = "Correct systematic errors by a simulation of your bench, updated about every second (F)"

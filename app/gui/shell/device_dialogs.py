@@ -38,7 +38,6 @@ class SensorRegionDialog(QDialog):
             NumberField(name=name, unit="px", tool_tip=f"{about}. Unbinned pixels; rounded to the camera's steps")
             for name, about in _SIDES.items()
         ]
-        self.top, self.left, self.rows, self.columns = self._sides
         self.binning = Choice("Sensor pixels per frame pixel, along both axes")
         self.limits, self.in_force = label("", "dim"), label("", "dim")
         self.whole = Button("Whole sensor", "Fill in the whole sensor", self._fill_whole)

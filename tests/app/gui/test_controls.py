@@ -48,7 +48,7 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
     assert camera.is_running
     qtbot.waitUntil(lambda: controls.exposure.value() == 30.0)  # as rounded by the camera
     qtbot.waitUntil(lambda: controls.light.text() == "Light off")  # after "Switching off"
-    assert controls.amplifier.currentText() == "normal"
+    assert controls.choices["amplifier"].currentText() == "normal"
     controls.light.click()
     qtbot.waitUntil(lambda: "was taken with another amplifier" in window.messages.text.text())
 

@@ -146,7 +146,7 @@ def test_devices_are_disabled_and_reconstruction_is_not(window: MainWindow, qtbo
     )
     assert [widget.isEnabled() for widget in devices] == [False] * len(devices)
     assert controls.method.isEnabled()
-    assert controls.readout_speed.currentText() == "3"  # as recorded
+    assert controls.choices["readout_speed"].currentText() == "3"  # as recorded
     assert window.replay.badge.isVisible()
     assert not controls.start.isVisible()  # the bar has its own
     assert controls.light.text() == "Light\nwas on"

@@ -53,11 +53,8 @@ def window(make_window: MakeWindow, qtbot: QtBot) -> MainWindow:
 
 def fill_in(window: MainWindow, region: Region) -> None:
     dialog = window.region_dialog
-    for field, value in zip(
-        (dialog.top, dialog.left, dialog.rows, dialog.columns),
-        (region.top, region.left, region.rows, region.columns),
-        strict=True,
-    ):
+    values = region.top, region.left, region.rows, region.columns
+    for field, value in zip(dialog._sides, values, strict=True):
         field.setValue(value)
 
 
