@@ -67,12 +67,10 @@ class Places:
         return QRect(self.first + QPoint(view_column * self.step.width(), view_row * self.step.height()), self.size)
 
 
-def arrange_views(room: QSize, shape: tuple[int, ...], *, bar_space: int, lines: int, below: int, gap: int) -> Places:
-    """Arrange maps (view_row, view_column, row, column) in a room, with so many pixels below and between them.
-
-    The pixels below are for so many `lines` of captions.
-    """
+def arrange_views(room: QSize, shape: tuple[int, ...], *, bar_space: int, lines: int, line_px: int) -> Places:
+    """Arrange maps (view_row, view_column, row, column) in a room, each above so many lines of captions."""
     view_rows, view_columns, rows, columns = shape
+    below, gap = (lines * line_px + 4, _GAP) if lines else (0, _NARROW_GAP)
     if not min(shape):
         return Places(QPoint(), QSize(), QSize(), 0, caption_lines=0, tiles=QRegion())
     width = (room.width() - 2 * MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
@@ -248,10 +246,10 @@ class ViewGrid(QWidget):
             space, has_bar = self.bar_space, self.has_bar
             if has_bar is None:
                 has_bar = self.width() >= 2 * space + line and self.height() >= LEAST_LINES * line
-            arrange = partial(arrange_views, self.size(), shape, bar_space=space if has_bar else 0)
-            self._places = arrange(lines=0, below=0, gap=_NARROW_GAP)
+            arrange = partial(arrange_views, self.size(), shape, bar_space=space if has_bar else 0, line_px=line)
+            self._places = arrange(lines=0)
             for lines, least in _CAPTIONED if self._is_captioned else ():
-                captioned = arrange(lines=lines, below=lines * line + 4, gap=_GAP)
+                captioned = arrange(lines=lines)
                 if captioned.size.width() >= least:
                     self._places = captioned
                     break
