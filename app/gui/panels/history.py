@@ -287,7 +287,7 @@ class LimitLine(NumberLine):
         self.setObjectName(key)  # under which its text is kept between two starts
         self.setMinimumWidth(110)  # px
         self._shown, self._unit = shown, UNITS.get(series, "").partition(" ")[0]
-        self.editingFinished.connect(self._add_unit)
+        self.editingFinished.connect(lambda: self.setText(self.with_unit()))
 
     def value_of(self, text: str) -> float:
         """Return the limit that a text stands for, phases in rad; NaN if it is none."""
@@ -307,9 +307,6 @@ class LimitLine(NumberLine):
         text = self.text().strip()
         value, unit = self.typed(text)
         return f"{text} {unit}" if math.isfinite(value) and not text.endswith(unit) else text
-
-    def _add_unit(self) -> None:
-        self.setText(self.with_unit())
 
 
 class LimitsForm(QDialog):

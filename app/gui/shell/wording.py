@@ -37,7 +37,9 @@ class Situation:
 
     def follow(self, status: Status) -> None:
         """Note when the conditions of the frames change: what is wrong with earlier frames is over then."""
-        if (conditions := _conditions_of(status)) != self._conditions:
+        notes = (status.dark_note, status.reference_note)
+        conditions = (status.bench, status.mask, status.is_sample_in, status.is_light_on, status.exposure_s, *notes)
+        if conditions != self._conditions:
             self._conditions, self._changed_s = conditions, time.perf_counter()
 
     def alarm(self, status: Status | None, activity: Activity, measurement: Measurement | None) -> str:
@@ -98,12 +100,6 @@ def warning(
         rotation = rotation_of(wavefront)
         return ROTATES if rotation is not None and rotation.contradicts_layers else ""
     return f"{status.warning}  ({keys})" if status.warning and keys else status.warning
-
-
-def _conditions_of(status: Status) -> tuple[object, ...]:
-    """Return the conditions of the frames: what is wrong with a frame tells nothing of later ones under others."""
-    notes = (status.dark_note, status.reference_note)
-    return (status.bench, status.mask, status.is_sample_in, status.is_light_on, status.exposure_s, *notes)
 
 
 def advice(status: Status | None, activity: Activity, measurement: Measurement | None) -> str:

@@ -109,17 +109,14 @@ def _intensity_captions(intensities: Floats) -> list[tuple[str, ...]]:
 
 
 def _sigma_captions(sigmas: Floats) -> list[tuple[str, ...]]:
-    return [_wordings("mean", number(_mean(sigma)), f"max {number(_most(sigma))}") for sigma in sigmas]
+    most = np.max(sigmas, axis=(1, 2), initial=-np.inf, where=np.isfinite(sigmas)).tolist()
+    both = zip(sigmas, most, strict=True)
+    return [_wordings("mean", number(_mean(sigma)), f"max {number(each)}") for sigma, each in both]
 
 
 def _mean(values: Floats) -> float:
     known = values[np.isfinite(values)]
     return float(known.mean()) if known.size else float("nan")
-
-
-def _most(values: Floats) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.max()) if known.size else float("nan")
 
 
 PRESENTATIONS = {
