@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from drivers.interface import LightSource, Range, Stage
 from reconstruction.runtime.background import BackgroundProcess
 from simulated_devices.clock import Clock
+from simulated_devices.detector import compile_ahead
 from simulated_devices.optics.forward_model import OnFraction
 from simulated_devices.rendering import ImageCache, Renderer, Scene, rendering_ahead
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings
@@ -128,6 +129,7 @@ class SimulatedBench:
         self._changing = threading.Lock()
         condition = Condition(current_a=light_settings.current_a, mask=scene.simulation.source.mask)
         self._history: deque[tuple[float, Condition]] = deque([(self.clock.now(), condition)], maxlen=256)
+        compile_ahead()
         self._prepare(condition.mask, progress)
 
     @property

@@ -11,7 +11,9 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
+from threading import Thread
 
 import numpy as np
 from numpy.typing import NDArray
@@ -270,3 +272,16 @@ class Detector:
         hashed_seed = int(splitmix64(np.uint64(self._seed)))  # Numba returns it as Python's integer
         key = np.uint64(splitmix64(np.uint64((hashed_seed + exposure.index) % 2**64)))
         expose_rows(photons, key, parameters, start, end, counts)
+
+
+@cache
+def compile_ahead() -> None:
+    """Let a thread compile the detector, for as long as the first images take to render."""
+
+    def expose() -> None:
+        detector = Detector(SimulatedCameraSettings(), seed=0)
+        exposure = Exposure(index=0, exposure_s=1.0, amplifier="normal", em_gain=1.0, readout_speed=1)
+        detector.begin(lambda: np.zeros((1, 1), np.float32), exposure).result()
+        detector.close()
+
+    Thread(target=expose, name="compile-detector", daemon=True).start()
