@@ -17,6 +17,7 @@ MODULES = sorted({".".join(path.relative_to(ROOT).with_suffix("").parts).removes
 PATHS_OF_ONE_SYSTEM = {
     "app/acquisition/remote/ring.py": {"/proc/"},
     "app/commands/live.py": {"/tmp/.X11-unix/X"},  # noqa: S108 - asked on Linux only
+    "app/evaluation/benchmark/live_path.py": {"/proc/"},
     "app/run_facts.py": {"/proc/cpuinfo"},
     "drivers/genicam/library.py": {"/opt/homebrew/lib/libaravis-0.8.dylib", "/usr/local/lib/libaravis-0.8.dylib"},
     "drivers/usb_lights/usbtmc.py": {"/etc/udev/rules.d/70-svwfs.rules"},
