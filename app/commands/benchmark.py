@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from pathlib import Path
 from tempfile import gettempdir
@@ -137,7 +136,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
 def _own_instrument() -> OwnInstrument:
     from app.acquisition.remote.own_instrument import OwnInstrument
 
-    return OwnInstrument(f"benchmark_{os.getpid()}")
+    return OwnInstrument("benchmark")
 
 
 def _run_in_window(course: Course, *, with_panels: bool) -> None:

@@ -105,7 +105,7 @@ def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: b
     with OwnInstrument(name) as own:
         with suppress(InputError):  # the window explains it
             bench = load_bench(source, overrides)
-            if trust or not unconfirmed(bench):
+            if not unconfirmed(bench):
                 own.start(bench)  # while the window is loaded
         from app.gui.splash import Splash
 

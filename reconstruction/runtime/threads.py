@@ -1,13 +1,14 @@
 """Persistent worker threads, and settings of the whole process, such as a limit on the threads of BLAS."""
 
 import os
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
-from functools import cache
+from functools import cache, lru_cache
 from threading import RLock
 
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped] # ships no types
+from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] # ships no types
 
 
 class ProcessSetting:
@@ -57,8 +58,14 @@ def one_blas_thread() -> AbstractContextManager[None]:
 
 
 def _limit_blas() -> Callable[[], object]:
-    limit: Callable[[], object] = threadpool_limits(1, user_api="blas").restore_original_limits
+    limit: Callable[[], object] = _libraries(len(sys.modules)).limit(limits=1, user_api="blas").restore_original_limits
     return limit
+
+
+@lru_cache(maxsize=1)
+def _libraries(_modules: int) -> ThreadpoolController:
+    """The loaded libraries, which take a millisecond to find; more are loaded only with more modules."""
+    return ThreadpoolController()
 
 
 _one_blas_thread = ProcessSetting(_limit_blas)

@@ -1,6 +1,7 @@
 """The instrument of a window: a process that the window starts, and that ends with it unless its user lets it go on."""
 
 import subprocess
+import sys
 import tempfile
 import time
 from contextlib import suppress
@@ -8,13 +9,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from app.acquisition.place import NAME, is_taken
+from app.acquisition.place import NAME, Place, is_taken
 from app.acquisition.remote.connection import Connection
 from app.bench.config import Bench, save_bench
 from app.errors import RunError
 from app.run_facts import command_line
 
 _LOOK_S = 0.05  # between two looks for an instrument that starts
+_LEAVES_S = 5.0  # the window has waited for its end already
+_STARTS_S = 60.0  # on a busy computer
 _ENDS_S = 45.0  # a frame of the slowest method takes up to half of it
 
 
@@ -35,9 +38,13 @@ class OwnConnection(Connection):
 
     def begin_close(self) -> None:
         """End the instrument, light first, or leave it."""
-        if super().is_alive and not self.goes_on and not self.is_of_another:
-            self._ends = True
-            self.end()
+        if not self._ends and self.process.poll() is None:
+            self.goes_on |= self.is_of_another
+            self._ends = not self.goes_on
+            if self._ends and super().is_alive:
+                self.end()
+            elif self._ends:  # only this end has failed
+                self.process.terminate()
         super().begin_close()
 
     def close(self, timeout_s: float | None = None) -> None:
@@ -54,8 +61,9 @@ class OwnInstrument:
     def __init__(self, name: str = NAME) -> None:
         """`RunError` if another instrument has the name."""
         if is_taken(name):
+            named = "" if name == NAME else f" --name {name}"
             raise RunError(
-                f"an instrument runs as {name} already: svwfs live --attach shows it; another one needs a --name"
+                f"an instrument runs as {name} already: svwfs live --attach{named} shows it; another one needs a --name"
             )
         self._name = name
         self._bench: Bench | None = None  # of the process
@@ -68,55 +76,70 @@ class OwnInstrument:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        """End a process that nobody has been connected to."""
-        if self._connection is None:
+        """End the process, unless it is to go on."""
+        if self._connection is not None:
+            self._connection.close(_LEAVES_S)
+        else:
             self._end()
         self._folder.cleanup()
 
     def start(self, bench: Bench) -> subprocess.Popen[bytes]:
-        """Start the process for a bench, whose libraries are trusted, unless it runs; return at once."""
+        """Start the process for a bench, whose libraries are confirmed, unless it runs; return at once."""
         if self._process is not None and self._process.poll() is None and self._bench == bench:
             return self._process
         self._end()
         file, self._bench = Path(self._folder.name, "bench.toml"), bench
         save_bench(file, bench)
-        program, arguments = command_line("serve", "--bench", file, "--name", self._name, "--trust-library", "--idle")
-        with self._said.open("wb") as said:
-            # In a session of its own: Ctrl-C in the terminal ends the window, which decides what becomes of it.
-            self._process = subprocess.Popen(  # noqa: S603 - this program
-                [program, *arguments], stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True
-            )
+        program, arguments = command_line("serve", "--bench", file, "--name", self._name, "--idle")
+        try:
+            with self._said.open("wb") as said:
+                self._process = subprocess.Popen(  # noqa: S603 - this program
+                    [program, *arguments],
+                    stdin=subprocess.DEVNULL,
+                    stdout=said,
+                    stderr=said,
+                    # Ctrl-C in the terminal ends the window, which decides what becomes of the instrument.
+                    start_new_session=True,
+                    creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # exists on Windows only
+                )
+        except OSError as error:
+            raise RunError(f"the instrument's process cannot be started: {error}") from error
         return self._process
 
     def connect(self, bench: Bench) -> OwnConnection:
-        """Connect to the process of a bench, started if need be; `RunError` with its last words if it ends before.
+        """Connect to the process of a bench, started if need be, after the end of the one before.
 
-        The connection before is closed, or its instrument has ended.
+        `RunError` with the last words of a process that ends before, or if the one before does not end, or goes on.
         """
         if self._connection is not None:
+            self._connection.close(_ENDS_S)
+            if self._connection.process.poll() is None:
+                why = "goes on" if self._connection.goes_on else "does not end"
+                raise RunError(f"the instrument's process {self._connection.process.pid} {why}: its devices are in use")
             self._connection = None
-            self._wait()
-        process = self.start(bench)
-        while not is_taken(self._name):
+        process, until_s = self.start(bench), time.monotonic() + _STARTS_S
+        while not self._is_reached(process):
             if process.poll() is not None:
                 said = self._said.read_text(errors="replace").strip().splitlines()
-                raise RunError(f"the instrument's process has ended: {said[-1] if said else 'it said nothing'}")
+                last = said[-1].removeprefix("svwfs: ") if said else "it said nothing"
+                raise RunError(f"the instrument's process has ended: {last}")
+            if time.monotonic() > until_s:
+                process.kill()
+                raise RunError(f"the instrument's process could not be reached within {_STARTS_S:g} s, and was ended")
             time.sleep(_LOOK_S)
         self._connection = OwnConnection(self._name, process)
         return self._connection
 
+    def _is_reached(self, process: subprocess.Popen[bytes]) -> bool:
+        """True if the process has the name; another one may have taken it."""
+        if not is_taken(self._name):
+            return False
+        # On Windows, the process of a virtual environment starts another one.
+        return sys.platform == "win32" or Place.of(self._name).process == process.pid
+
     def _end(self) -> None:
+        """End a process that nobody has been connected to."""
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
-            self._wait()
-
-    def _wait(self) -> None:
-        """Wait until the devices are closed; `RunError` if they do not close."""
-        if self._process is None:
-            return
-        try:
-            self._process.wait(_ENDS_S)
-        except subprocess.TimeoutExpired as error:
-            raise RunError(
-                f"the instrument's process {self._process.pid} does not end: its devices are still open"
-            ) from error
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_ENDS_S)

@@ -446,7 +446,7 @@ class MainWindow(BaseWindow):
         """Paint what the window waits for, without taking any command."""
         for panel in (self.controls, self.recording_panel):
             panel.setEnabled(False)
-        if (status := self.controller.status) is not None and not self.controller.is_attached:
+        if (status := self.controller.status) is not None and not self.controller.left:
             self.show_status(replace(status, is_running=False))
             self.messages.show_closing(light_when_closing(status))
         QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)

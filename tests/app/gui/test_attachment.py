@@ -241,6 +241,7 @@ def test_window_runs_its_instrument_in_a_process_that_ends_with_it(
     def act(window: MainWindow) -> None:
         qtbot.waitUntil(lambda: is_measured(window))
         assert connection_of(window).place.process == started[-1].pid != os.getpid()
+        assert "--trust-library" not in started[-1].args  # the window has asked
         assert "attached" not in window.windowTitle()
         assert window.controller.left == ""
         asked = answer(monkeypatch, "End it")
@@ -313,16 +314,66 @@ def test_another_bench_and_a_new_start_have_processes_of_their_own(
     assert not is_taken(NAME)
 
 
+@pytest.mark.long
+def test_instrument_of_a_window_goes_on_for_the_client_that_has_control(
+    started: list[subprocess.Popen[bytes]],
+    small_toml: Path,
+    tmp_path: Path,
+    qtbot: QtBot,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    other = tmp_path / "other.toml"
+    save_bench(other, load_bench(small_toml, ("registration.warp=affine",)))
+
+    def act(window: MainWindow) -> None:
+        qtbot.waitUntil(lambda: is_measured(window))
+        notebook.append(Connection("notebook", controls=False))
+        notebook[0].take_control().result(HANG_S)
+        qtbot.waitUntil(lambda: "this window only watches: notebook" in told(window))
+        window.benches.open(str(other))
+        qtbot.waitUntil(lambda: f"process {started[0].pid} goes on: its devices are in use" in told(window))
+        window.benches.open(str(other))  # again
+        assert window.controller.left == "the instrument goes on"
+
+    notebook: list[Connection] = []
+    assert live_window(monkeypatch, small_toml, act) == 0
+    assert notebook[0].has_control
+    assert [each.poll() for each in started] == [None]
+    notebook[0].shut_down().result(HANG_S)
+    notebook[0].close()
+    assert started[0].wait(HANG_S) == 0
+
+
+@pytest.mark.long
+def test_instrument_ends_although_the_window_cannot_read_it_any_more(
+    started: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def act(window: MainWindow) -> None:
+        for _ in range(2):
+            qtbot.waitUntil(lambda: is_measured(window))
+            connection_of(window)._frames.error = RuntimeError("no memory")
+            qtbot.waitUntil(lambda: "cannot be shown: no memory" in told(window))
+            if len(started) == 1:
+                window.messages.reconnect.click()
+
+    assert live_window(monkeypatch, small_toml, act) == 0
+    assert [each.poll() is None for each in started] == [False, False]
+    assert not is_taken(NAME)
+
+
 def test_process_that_ends_at_once_is_told_with_its_last_words(
     started: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.acquisition.remote.own_instrument.is_taken", lambda _: False)  # another one came between
+    """Of two windows that start together, one has the name; the other must not take its instrument for its own."""
+    looks = iter([False])
+    monkeypatch.setattr("app.acquisition.remote.own_instrument.is_taken", lambda name: next(looks, is_taken(name)))
 
     def act(window: MainWindow) -> None:
-        qtbot.waitUntil(lambda: "process has ended: svwfs: an instrument runs as" in told(window))
+        qtbot.waitUntil(lambda: "process has ended: an instrument runs as" in told(window))
         assert window.controller.acquisition is None
 
-    with taken_place():
+    with taken_place() as place:
+        place.announce()
         assert live_window(monkeypatch, small_toml, act) == 0
     assert [each.poll() for each in started] == [1]
 
