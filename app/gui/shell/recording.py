@@ -190,7 +190,8 @@ class RecordingBar(QFrame):
             self._of = state.folder
             self.show()
         is_recording = state is not None and not _is_over(state)
-        if is_recording:
+        if state is not None and is_recording:
+            self._ended.discard(state.folder)  # one of this name was removed
             self._show_stage(state)
         for ended in (state, kept):
             if ended is not None and _is_over(ended) and ended.folder not in self._ended:
