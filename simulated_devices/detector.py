@@ -276,7 +276,7 @@ class Detector:
 
 @cache
 def compile_ahead() -> None:
-    """Let a thread compile the detector, for as long as the first images take to render."""
+    """Begin to compile the detector in a thread of its own, beside the rendering of the first images."""
 
     def expose() -> None:
         detector = Detector(SimulatedCameraSettings(), seed=0)

@@ -88,6 +88,7 @@ class Connection:
         self.place = Place.of(name)
         number = next(_COUNT)
         self.name = f"{what} {os.getpid()}{f'.{number}' * (number > 1)}"
+        self.goes_on = True  # whether the instrument does when this connection is closed
         self.timings = _Timings()
         self.bench: Bench  # as the instrument was started with; the attributes are those of its newest state
         self.status: Status | None  # None until the devices are open
@@ -102,7 +103,6 @@ class Connection:
         self._pending: dict[int, tuple[Future[Any], float]] = {}  # with the time when it was sent
         self._accepted: set[int] = set()
         self._numbers, self._sending = itertools.count(1), threading.Lock()
-        self.goes_on = True  # whether the instrument does when this connection is closed
         self._outgoing: list[tuple[int, bytearray]] = []  # messages, with the number of a command
         self._has_left = False
         self._arrivals = Arrivals(self._ask)

@@ -128,7 +128,7 @@ _DONE = object()
 class Span:
     """Measurements after the warm-up."""
 
-    first_wavefront_s: float  # since the course was made, with opening and calibrating the devices
+    first_wavefront_s: float  # since the instrument was reached, with opening and calibrating the devices
     began_s: float  # by time.perf_counter()
     seconds: float
     frames: FrameTotals

@@ -70,7 +70,7 @@ class Controller(QObject):
 
     @property
     def left(self) -> str:
-        """What becomes of the instrument when the window closes; empty if it ends with it."""
+        """What becomes of the instrument when the window closes; empty if both end together."""
         if not isinstance(self.acquisition, Connection):
             return ""
         return self.acquisition.loss or "the instrument goes on" * self.acquisition.goes_on

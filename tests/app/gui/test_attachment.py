@@ -218,6 +218,13 @@ def live_window(monkeypatch: pytest.MonkeyPatch, bench: Path, act: Callable[[Mai
     return run(monkeypatch, "live", "--bench", bench, *more)
 
 
+@pytest.fixture
+def other_toml(small_toml: Path, tmp_path: Path) -> Path:
+    other = tmp_path / "other.toml"
+    save_bench(other, load_bench(small_toml, ("registration.warp=affine",)))
+    return other
+
+
 def is_measured(window: MainWindow) -> bool:
     return window.status_line.valid.text() == "35 of 35"
 
@@ -286,26 +293,23 @@ def test_instrument_of_a_window_goes_on_if_its_user_says_so(
 def test_another_bench_and_a_new_start_have_processes_of_their_own(
     started: list[subprocess.Popen[bytes]],
     small_toml: Path,
-    tmp_path: Path,
+    other_toml: Path,
     qtbot: QtBot,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    other = tmp_path / "other.toml"
-    save_bench(other, load_bench(small_toml, ("registration.warp=affine",)))
-
     def act(window: MainWindow) -> None:
         qtbot.waitUntil(lambda: is_measured(window))
-        window.benches.open(str(other))
+        window.benches.open(str(other_toml))
         assert started[0].poll() == 0  # two must not have the devices
         qtbot.waitUntil(lambda: is_measured(window))
-        assert connection_of(window).bench == load_bench(other)
+        assert connection_of(window).bench == load_bench(other_toml)
         window.light.switch(on=False)
         qtbot.waitUntil(lambda: is_dark(window))
         started[1].kill()
         qtbot.waitUntil(lambda: "the instrument's process" in told(window) and "has ended" in told(window))
         window.messages.reconnect.click()
         qtbot.waitUntil(lambda: (status := window.controller.status) is not None and status.is_running)
-        assert connection_of(window).bench == load_bench(other)
+        assert connection_of(window).bench == load_bench(other_toml)
         qtbot.waitUntil(lambda: window.controller.is_settled)
         assert is_dark(window)  # as its user left it
 
@@ -318,21 +322,18 @@ def test_another_bench_and_a_new_start_have_processes_of_their_own(
 def test_instrument_of_a_window_goes_on_for_the_client_that_has_control(
     started: list[subprocess.Popen[bytes]],
     small_toml: Path,
-    tmp_path: Path,
+    other_toml: Path,
     qtbot: QtBot,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    other = tmp_path / "other.toml"
-    save_bench(other, load_bench(small_toml, ("registration.warp=affine",)))
-
     def act(window: MainWindow) -> None:
         qtbot.waitUntil(lambda: is_measured(window))
         notebook.append(Connection("notebook", controls=False))
         notebook[0].take_control().result(HANG_S)
         qtbot.waitUntil(lambda: "this window only watches: notebook" in told(window))
-        window.benches.open(str(other))
+        window.benches.open(str(other_toml))
         qtbot.waitUntil(lambda: f"process {started[0].pid} goes on: its devices are in use" in told(window))
-        window.benches.open(str(other))  # again
+        window.benches.open(str(other_toml))  # again
         assert window.controller.left == "the instrument goes on"
 
     notebook: list[Connection] = []

@@ -13,9 +13,11 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, press
 
+from app.acquisition.worker import Acquisition
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.menus import RecentFiles
 from app.recording.reader import Recording
+from app.recording.recorder import RecordingState
 
 
 def type_into(qtbot: QtBot, field: QLineEdit, text: str) -> None:
@@ -249,3 +251,17 @@ def test_recording_in_the_dark_is_announced(live: tuple[MainWindow, FakeCamera],
     assert "Recording with the light off" in window.messages.log
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     assert window.controls.start.text() == "Stop"  # of the camera: another word
+
+
+def test_end_is_told_again_of_a_recording_with_the_name_of_a_removed_one(
+    live: tuple[MainWindow, FakeCamera], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    window, _ = live
+    told: list[str] = []
+    monkeypatch.setattr(window.messages, "inform", told.append)
+    for stage in ("finished", "recording", "finished"):
+        state = RecordingState(tmp_path / "run", stage, 3, 0, 1.0, 60.0, "")
+        monkeypatch.setattr(Acquisition, "recording", state)
+        window.recording_bar.refresh()
+        window.recording_bar.refresh()
+    assert [text.startswith("recorded 3 frames") for text in map(str.lower, told)] == [True, True]

@@ -1,4 +1,4 @@
-"""Deferred values: computed once, whoever asks first, and without waiting for others."""
+"""A deferred value is computed once, by the first thread that reads it, and waits for no other value."""
 
 from __future__ import annotations
 
