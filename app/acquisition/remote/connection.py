@@ -106,14 +106,15 @@ class Connection:
         self._outgoing: list[tuple[int, bytearray]] = []  # messages, with the number of a command
         self._has_left = False
         self._arrivals = Arrivals(self._ask)
-        self._frames = NewestFrames(self._arrivals.find, (self._note, *sinks), 0.0 if sinks else _SHOWN_S)
+        self._pause_s = 0.0 if sinks else _SHOWN_S
+        self._frames = NewestFrames(self._arrivals.find, (self._note, *sinks), self._pause_s)
         self._takers: dict[type, Callable[[Any], None]] = {
             State: self._take_state,
             Notice: self._frames.announce,
             Traveller: lambda _: self._frames.try_again(),
             Accepted: lambda accepted: self._accepted.add(accepted.number),
             Answer: self._take_answer,
-            Sign: lambda _: self._say(Hello(self.name, controls=False)),  # it has forgotten this client
+            Sign: lambda _: self._say(Hello(self.name, False, self._pause_s)),  # it has forgotten this client
         }
         self._heard_s = self._said_s = time.monotonic()
         self._context = zmq.Context()
@@ -125,7 +126,7 @@ class Connection:
         self._wake.bind("inproc://wake")
         self._woken = self._context.socket(zmq.PAIR)
         self._woken.connect("inproc://wake")
-        self._say(Hello(self.name, controls))
+        self._say(Hello(self.name, controls, self._pause_s))
         self._thread = threading.Thread(target=self._work, name="connection", daemon=True)
         self._thread.start()
         if not self._has_state.wait(_ANSWER_S) or self._ended is not None:

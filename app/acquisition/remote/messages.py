@@ -38,10 +38,11 @@ _ERRORS: dict[str, type[Exception]] = {
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """A client enters; with `controls`, it takes control if nobody has it."""
+    """A client enters; with `controls`, it takes control if nobody has it. It reads no record sooner after another."""
 
     name: str
     controls: bool
+    pause_s: float
 
 
 @dataclass(frozen=True, slots=True)

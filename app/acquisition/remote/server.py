@@ -5,6 +5,7 @@ control; the others watch. Whoever falls silent loses it; the measurement goes o
 """
 
 import inspect
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -78,6 +79,7 @@ _FOR_ALL = {"take_control", "switch_light_off", "free_minutes"}
 @dataclass(slots=True)
 class _Client:
     name: str
+    pause_s: float
     heard_s: float
     is_behind: bool = False  # news were left out for it
 
@@ -99,6 +101,7 @@ class Server:
             on_show=partial(self._publish, is_shown_only=True),
         )
         self._unwritten: tuple[Measurement, bool] | None = None  # and whether it is shown only
+        self._pause_s, self._written_s = math.inf, -math.inf
         self._folder = runtime_folder()
         self._ring: RingWriter | None = None
         self._older_rings: deque[RingWriter] = deque()
@@ -107,7 +110,7 @@ class Server:
         self._controller = b""
         self._done: deque[tuple[bytes, int, Future[Any]]] = deque()
         self._state: State | None = None
-        self._sent_s, self._timings_s = -float("inf"), -float("inf")
+        self._sent_s, self._timings_s = -math.inf, -math.inf
         self._timings: dict[Stage, StageTimes] = {}
         self._noticed = ("", 0)
         self._is_over = False
@@ -168,8 +171,12 @@ class Server:
         """Write a measurement into the ring, unless a newer one follows at once; called by the worker."""
         if measurement.problem != SKIPPED:
             self._unwritten = measurement, is_shown_only
-            if self._clients:
-                self._write()
+            self._write_if_due()
+
+    def _write_if_due(self) -> None:
+        """Write twice as often as a client reads, so that it reads what is new: each frame takes milliseconds."""
+        if time.monotonic() > self._written_s + self._pause_s / 2:
+            self._write()
 
     def _write(self) -> None:
         """Write the newest measurement into the ring, if that has not been done; without clients it waits for one."""
@@ -190,6 +197,7 @@ class Server:
                         self._older_rings.popleft().close()
                 self._ring = RingWriter(int(_SPARE * packed.nbytes), self._folder, count=count)
             self._ring.write(packed)
+            self._written_s = time.monotonic()
         self._wake.notify()
 
     def _turn(self) -> None:
@@ -204,6 +212,7 @@ class Server:
                 self._hear(identity, message, now_s)
         for identity in [each for each, client in self._clients.items() if now_s > client.heard_s + _SILENT_S]:
             self._forget(identity)
+        self._write_if_due()
         while self._done:
             self._answer(*self._done.popleft())
         noticed = ("", 0) if (ring := self._ring) is None else (ring.place, ring.count)
@@ -215,7 +224,8 @@ class Server:
 
     def _hear(self, identity: bytes, message: Any, now_s: float) -> None:
         if isinstance(message, Hello):
-            self._clients[identity] = _Client(message.name, now_s)
+            self._clients[identity] = _Client(message.name, message.pause_s, now_s)
+            self._pause_s = min(self._pause_s, message.pause_s)
             if message.controls and not self._controller:
                 self._controller = identity
             self._write()
@@ -238,6 +248,7 @@ class Server:
 
     def _forget(self, identity: bytes) -> None:
         del self._clients[identity]
+        self._pause_s = min((client.pause_s for client in self._clients.values()), default=math.inf)
         if self._controller == identity:
             self._controller = b""
 
@@ -293,6 +304,7 @@ class Server:
 
     def _answer(self, identity: bytes, number: int, future: Future[Any]) -> None:
         error = future.exception()
+        self._write()  # what was measured before the command was done
         count = 0 if self._ring is None else self._ring.count
         result = None if error is not None else future.result()
         failure = None if error is None else Failure.of(error)

@@ -328,7 +328,7 @@ def test_strangers_are_not_heard(server: Server) -> None:
     with connected(controls=False) as watching, zmq.Context() as context:
         wait_until(lambda: server.acquisition.status is not None)
         messages: list[list[bytes | bytearray]] = [
-            [b"wrong key", Packed(Hello("stranger", controls=True)).message()],
+            [b"wrong key", Packed(Hello("stranger", True, 0.0)).message()],
             [server.place.key.encode(), b"no message"],
             [server.place.key.encode(), text_message('{"of":[]}')],
             [server.place.key.encode(), text_message('{"tuple":[' * 5000 + "]}" * 5000)],
@@ -354,7 +354,7 @@ def silent_client(server: Server) -> Iterator[zmq.Socket[bytes]]:
     with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
         socket.setsockopt(zmq.RCVHWM, 1)
         socket.connect(server.place.endpoint)
-        say(socket, server, Hello("silent", controls=True))
+        say(socket, server, Hello("silent", True, 0.0))
         wait_until(lambda: server._clients)
         yield socket
 
@@ -409,6 +409,22 @@ def test_a_client_that_does_not_read_gets_no_news_until_it_does(
     assert server._ring is not None
     assert told
     assert told[0] > 20
+
+
+@pytest.mark.parametrize("is_every_frame_read", [False, True])
+def test_frames_are_passed_on_as_often_as_they_are_read(server: Server, is_every_frame_read: bool) -> None:
+    sinks = (lambda _: None,) if is_every_frame_read else ()
+    with closing(Connection("client", sinks=sinks)) as connection:
+        newest(connection)
+        connection.submit(Instrument.set, "is_running", False).result(HANG_S)
+        assert server._ring is not None
+        frame, before, began_s = make_frame(np.zeros((3, 4), np.uint16)), server._ring.count, time.monotonic()
+        for number in range(100):
+            time.sleep(0.002)
+            server._publish(Measurement(frame, None, str(number)), is_shown_only=False)
+        written, seconds = server._ring.count - before, time.monotonic() - began_s
+        assert written == 100 if is_every_frame_read else 0 < written <= seconds / 0.02 + 1
+        newest(connection, lambda made: made.problem == "99")
 
 
 def test_a_disk_that_does_not_answer_holds_up_nobody(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
