@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -48,6 +49,7 @@ def serve(
         for step in () if idle else start_up(acquisition):
             step.add_done_callback(tell)
 
+    faulthandler.enable()  # a crash, as in a vendor's library, tells where
     loaded = options.load(bench, setting)
     terminal.confirm_libraries(loaded, trust=trust_library)
     with taken_place(name) as place:

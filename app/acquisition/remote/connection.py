@@ -346,9 +346,8 @@ class Connection:
                 self._takers.get(type(message), lambda _: None)(message)
         if is_gone and self._ended is None:
             clear_abandoned(self.place.name, _DYING_S)
-            self._ended = RunError(
-                f"the instrument's process {self.place.process} has ended: its light is off, unless that is manual"
-            )
+            process = f"the instrument's process {self.place.process}"
+            self._ended = RunError(f"{process} {self._how_it_ended()}: its light is off, unless that is manual")
         if self._frames.error is not None and self._ended is None:
             self._ended = RunError(f"frames of the instrument cannot be shown: {self._frames.error}")
         now_s = time.monotonic()
@@ -358,6 +357,9 @@ class Connection:
             if number not in self._accepted and now_s > sent_s + _ANSWER_S:
                 del self._pending[number]
                 future.set_exception(RunError("the instrument does not answer"))
+
+    def _how_it_ended(self) -> str:
+        return "has ended"
 
     def _take_answer(self, answer: Answer) -> None:
         self._frames.outdate(answer.count)

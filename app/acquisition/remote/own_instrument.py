@@ -1,5 +1,6 @@
 """The instrument of a window: a process that the window starts, and that ends with it unless its user lets it go on."""
 
+import signal
 import subprocess
 import sys
 import tempfile
@@ -18,6 +19,7 @@ from app.run_facts import command_line
 _LOOK_S = 0.05  # between two looks for an instrument that starts
 _LEAVES_S = 5.0  # the window has waited for its end already
 _STARTS_S = 60.0  # on a busy computer
+_ENDED_S = 0.5  # from the end of its connections to that of a process that crashes
 _ENDS_S = 45.0  # a frame of the slowest method takes up to half of it
 
 
@@ -35,6 +37,12 @@ class OwnConnection(Connection):
     def is_alive(self) -> bool:
         """True while the instrument runs and this connection is open, and until it has ended if it ends."""
         return super().is_alive or (self._ends and self.process.poll() is None)
+
+    def _how_it_ended(self) -> str:
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(_ENDED_S)
+        code = self.process.returncode
+        return super()._how_it_ended() if code is None or code >= 0 else f"was ended by {signal.Signals(-code).name}"
 
     def begin_close(self) -> None:
         """End the instrument, light first, or leave it."""
@@ -81,6 +89,7 @@ class OwnInstrument:
             self._connection.close(_LEAVES_S)
         else:
             self._end()
+        self._tell_crash()
         self._folder.cleanup()
 
     def start(self, bench: Bench) -> subprocess.Popen[bytes]:
@@ -88,6 +97,7 @@ class OwnInstrument:
         if self._process is not None and self._process.poll() is None and self._bench == bench:
             return self._process
         self._end()
+        self._tell_crash()
         file, self._bench = Path(self._folder.name, "bench.toml"), bench
         save_bench(file, bench)
         program, arguments = command_line("serve", "--bench", file, "--name", self._name, "--idle")
@@ -136,6 +146,11 @@ class OwnInstrument:
             return False
         # On Windows, the process of a virtual environment starts another one.
         return sys.platform == "win32" or Place.of(self._name).process == process.pid
+
+    def _tell_crash(self) -> None:
+        """Print what a process said that a signal has ended: where it crashed."""
+        if self._process is not None and (self._process.poll() or 0) < 0:
+            sys.stderr.write(self._said.read_text(errors="replace"))
 
     def _end(self) -> None:
         """End a process that nobody has been connected to."""

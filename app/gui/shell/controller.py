@@ -278,13 +278,13 @@ class Attachment:
 
     def take_control(self) -> None:
         if (connection := self.connection) is None:
-            self._controller.messages.warn(_NOT_ATTACHED)
+            self._controller.messages.warn(self._controller.failure or _NOT_ATTACHED)
         else:
             self._controller.send(lambda _: connection.take_control())
 
     def end_instrument(self) -> None:
         if (connection := self.connection) is None:
-            self._controller.messages.warn(_NOT_ATTACHED)
+            self._controller.messages.warn(self._controller.failure or _NOT_ATTACHED)
         elif connection.is_of_another:
             self._controller.messages.warn(self.notice)
         else:

@@ -296,6 +296,7 @@ def test_another_bench_and_a_new_start_have_processes_of_their_own(
     other_toml: Path,
     qtbot: QtBot,
     monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     def act(window: MainWindow) -> None:
         qtbot.waitUntil(lambda: is_measured(window))
@@ -305,8 +306,10 @@ def test_another_bench_and_a_new_start_have_processes_of_their_own(
         assert connection_of(window).bench == load_bench(other_toml)
         window.light.switch(on=False)
         qtbot.waitUntil(lambda: is_dark(window))
-        started[1].kill()
-        qtbot.waitUntil(lambda: "the instrument's process" in told(window) and "has ended" in told(window))
+        started[1].send_signal(signal.SIGSEGV)
+        qtbot.waitUntil(lambda: f"the instrument's process {started[1].pid} was ended by sigsegv" in told(window))
+        window.attachment.take_control()
+        assert "runs the instrument itself" not in window.messages.log
         window.messages.reconnect.click()
         qtbot.waitUntil(lambda: (status := window.controller.status) is not None and status.is_running)
         assert connection_of(window).bench == load_bench(other_toml)
@@ -314,7 +317,8 @@ def test_another_bench_and_a_new_start_have_processes_of_their_own(
         assert is_dark(window)  # as its user left it
 
     assert live_window(monkeypatch, small_toml, act) == 0
-    assert [each.poll() for each in started] == [0, -signal.SIGKILL, 0]
+    assert [each.poll() for each in started] == [0, -signal.SIGSEGV, 0]
+    assert "Segmentation fault" in capfd.readouterr().err  # where it crashed
     assert not is_taken(NAME)
 
 
