@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, nullcontext
 from functools import reduce
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
@@ -24,6 +25,7 @@ from support.batches import Counting, batch
 from support.command_line import run
 from support.documents import commands, named_commands, python_blocks
 from support.gui_bench import FakeCamera
+from support.optics import SmallBench
 from support.paths import DOCS, FOREIGN_FRAMES, ROOT
 from support.patience import HANG_S
 from support.recordings import record
@@ -34,6 +36,8 @@ from app.bench.config import Bench
 from app.bench.device_kinds import DRIVERS
 from app.bench.presets import PRESETS
 from app.cli.application import cli
+from reconstruction.registration import prepare_registration
+from reconstruction.settings import RegistrationSettings
 
 DOCUMENTS = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 # These have tests of their own, on a bench like theirs and with a program that sends.
@@ -208,6 +212,20 @@ def test_commands_run(document: Path, at_work: Path, monkeypatch: pytest.MonkeyP
 def test_programs_run(document: Path) -> None:
     with served(FakeCamera()) if document.stem == "processes" else nullcontext():
         exec(compile(python_blocks(document), document.name, "exec"), {})  # noqa: S102 - our own document
+
+
+@pytest.mark.slow
+def test_methods_of_the_documents_can_be_made_part_of_svwfs(small_bench: SmallBench) -> None:
+    names: dict[str, Any] = {}
+    for document in ("own_methods", "contributing"):
+        exec(compile(python_blocks(DOCS / f"{document}.md"), document, "exec"), names)  # noqa: S102 - our own document
+    module = SimpleNamespace(prepare=names["prepare"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("reconstruction.registration.import_module", lambda _: module)
+        settings = RegistrationSettings()
+        made = prepare_registration(small_bench.subimages(), settings, small_bench.field)
+    assert isinstance(made, names["CentreOfMass"])
+    names["test_tilt_is_recovered"](small_bench)
 
 
 def test_program_that_needs_hardware_is_left_out(tmp_path: Path) -> None:
