@@ -70,7 +70,7 @@ def run_window(
     settings = settings_file() if remembers and unattended is None else None
     if settings is not None:
         apply_preferences(application, settings)
-    window = MainWindow(None, settings=settings, make_for=make_for)
+    window = MainWindow(settings=settings, make_for=make_for)
     if unattended is not None:
         steps = _steps(window, unattended)
         next(steps)  # it takes note of measurements from now on

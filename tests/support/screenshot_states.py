@@ -112,13 +112,13 @@ def show_export(of: Photographer, window: MainWindow) -> None:
 
 def show_other_windows(of: Photographer) -> None:
     """Take a window without a bench, and the question of a light that is switched by hand."""
-    empty = of._open(MainWindow(None))
+    empty = of._open(MainWindow())
     of._save("no_bench", empty, settle_ms=300)
     of._close(empty)
     camera, bench = FakeCamera(), replace(MANUAL, light=ManualLightSettings())
     camera.light = ManualLight()  # type: ignore[assignment] # the camera sees whether it is on
-    window = of._open(MainWindow(lambda: Acquisition(bench, opener(camera))))
-    window.connect_devices()
+    window = of._open(MainWindow())
+    window.open(lambda: Acquisition(bench, opener(camera)))
     of._wait(lambda: camera.is_running and window.controller.is_settled)
     window.controls.dark.click()
     QApplication.processEvents()

@@ -84,9 +84,9 @@ class Photographer:
     def take_all(self) -> None:
         """Take the pictures of the variant."""
         bench = load_bench("live_demo")
-        window = self._open(MainWindow(lambda: Acquisition(bench, open_devices)))
+        window = self._open(MainWindow())
         window.recording_bar.recordings_folder = self._runs
-        window.connect_devices()
+        window.open(lambda: Acquisition(bench, open_devices))
         self._wait(lambda: window.controller.status is not None)
         self._save("starting", window, settle_ms=0)
         self._wait(lambda: self._is_live(window))
@@ -109,7 +109,7 @@ class Photographer:
     def _show_replay(self) -> None:
         (run,) = self._runs.iterdir()
         player = Player(run)
-        replayed = self._open(MainWindow(None))
+        replayed = self._open(MainWindow())
         replayed.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
         self._wait(lambda: self._is_live(replayed))
         replayed.replay.slider.setValue(20)

@@ -15,6 +15,7 @@ from PyQt6.QtGui import QFont, QFontDatabase, QImage
 from PyQt6.QtWidgets import QApplication, QTabBar, QWidget
 from pytestqt.qtbot import QtBot
 
+from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.gui.panels.panel import Panel
 from app.gui.shell.main_window import MainWindow
@@ -56,7 +57,8 @@ def windows() -> Iterator[MakeWindow]:
 
     def make(*cameras: FakeCamera, settings: QSettings | None = None, resized: bool = True) -> MainWindow:
         spare = iter(cameras)
-        window = MainWindow(lambda: Acquisition(BENCH, opener(next(spare))), settings=settings)
+        window = MainWindow(settings=settings)
+        window.controller.use(lambda: Acquisition(BENCH, opener(next(spare))), start_up, lambda: None)
         if resized:
             window.resize(1000, 760)
         window.show()

@@ -35,16 +35,16 @@ _NOT_ATTACHED = "this window runs the instrument itself: svwfs live --attach ope
 class Controller(QObject):
     """Owns the acquisition; passes results of commands to callbacks, and shows their errors as warnings.
 
-    There is no acquisition before `connect_devices`, and another one after each reconnection.
+    There is no acquisition before `use` and `connect_devices`, and another one after each reconnection.
     """
 
     connected = pyqtSignal()  # another acquisition has started
     question_closed = pyqtSignal()  # it was answered, or belongs to a closed acquisition
 
-    def __init__(self, make_acquisition: Callable[[], Carrier] | None, messages: MessageStrip) -> None:
+    def __init__(self, messages: MessageStrip) -> None:
         super().__init__()
         self.messages = messages
-        self._make_acquisition = make_acquisition
+        self._make_acquisition: Callable[[], Carrier] | None = None
         self._begin: Begin = start_up
         self.acquisition: Carrier | None = None
         self.is_stuck = False  # whether the worker did not end on `close`

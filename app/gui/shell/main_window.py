@@ -59,13 +59,9 @@ class MainWindow(BaseWindow):
     measurement_shown = pyqtSignal(object)  # the Measurement, by reference
 
     def __init__(
-        self,
-        make_acquisition: Callable[[], Carrier] | None,
-        *,
-        settings: QSettings | None = None,
-        make_for: Callable[[Bench], Carrier] = Acquisition,
+        self, *, settings: QSettings | None = None, make_for: Callable[[Bench], Carrier] = Acquisition
     ) -> None:
-        """Make an empty window; `connect_devices` starts an acquisition, unless `open` does.
+        """Make an empty window.
 
         `make_for` makes the acquisition of a bench that is opened in the window. The window looks as saved in
         `settings`, and saves how it looks when it closes.
@@ -82,7 +78,7 @@ class MainWindow(BaseWindow):
         self.messages = MessageStrip()
         self.errors = ErrorReports(self.messages.alarm)
         self.status_line = StatusLine()
-        self.controller = Controller(make_acquisition, self.messages)
+        self.controller = Controller(self.messages)
         self.attachment = Attachment(self.controller, self)
         self.settings = SettingsControl(self.controller)
         self.light = LightControl(self.controller, self.controls)

@@ -204,7 +204,7 @@ def live_window(monkeypatch: pytest.MonkeyPatch, bench: Path, act: Callable[[Mai
     """Run `svwfs live`, act on its window, and close that; returns the exit status."""
 
     def run_window(open_first: Callable[[MainWindow], None], *, make_for: Callable[[Bench], Connection]) -> int:
-        window = MainWindow(None, make_for=make_for)
+        window = MainWindow(make_for=make_for)
         window.show()
         try:
             open_first(window)

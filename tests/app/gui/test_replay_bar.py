@@ -49,7 +49,7 @@ def window(qapp: QApplication, qtbot: QtBot, recording: Recording, played: list[
     def make() -> Acquisition:
         return Acquisition(player.bench, player.open_devices, (player.take, played.append))
 
-    shown = MainWindow(None)
+    shown = MainWindow()
     shown.resize(1200, 800)
     shown.show()
     shown.open(make, player.begin, player)
@@ -236,7 +236,7 @@ def test_recording_of_an_earlier_version_says_that_propagation_was_neglected(
 ) -> None:
     assert Player(recording.folder).notice == ""
     player = Player(VERSION_0_1)
-    window = MainWindow(None)
+    window = MainWindow()
     window.show()
     window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
     window.messages.clear_notice()  # gone after some seconds

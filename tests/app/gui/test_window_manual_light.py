@@ -27,8 +27,7 @@ def by_hand(make_window: MakeWindow, qtbot: QtBot) -> tuple[MainWindow, ManualLi
     camera, light = FakeCamera(), ManualLight()
     camera.light = light  # type: ignore[assignment] # the camera sees whether it is on
     window = make_window()
-    window.controller._make_acquisition = lambda: Acquisition(BENCH, opener(camera))
-    window.connect_devices()
+    window.open(lambda: Acquisition(BENCH, opener(camera)))
     qtbot.waitUntil(lambda: window.controls.light.text() == "Light\nby hand")
     qtbot.waitUntil(lambda: camera.is_running and window.controller.is_settled)
     window.activateWindow()
