@@ -148,14 +148,14 @@ def _run_in_window(course: Course, *, with_panels: bool) -> None:
             window.docks.float_panels(panels.coefficients, panels.history, panels.histogram)
         window.open(lambda: course.acquisition, lambda _: course.begin())
 
-    run_window(open_course, until=course.poll, remembers=False)
+    run_window(open_course, steps=lambda _: course.steps())
 
 
 def _run(course: Course) -> None:
     course.acquisition.start()
     try:
         course.begin()
-        while not course.poll():
+        for _ in course.steps():
             time.sleep(_POLL_S)
     finally:
         course.acquisition.close()

@@ -193,7 +193,7 @@ def unattended_window(
     if (out / FRAME_LINES).exists():
         raise InputError(f"{out}: holds a recording; choose another folder with --out")
     check_outputs([picture, results, run], inputs=bench.files, overwrite=overwrite)
-    from app.gui.application import Unattended, run_window
+    from app.gui.application import run_window, unattended_steps
 
     made: list[Carrier] = []  # one more after each reconnection
 
@@ -216,7 +216,7 @@ def unattended_window(
         begin = lambda _: ()  # noqa: E731 - it runs already
     status = run_window(
         lambda window: window.open(make, begin, player),
-        unattended=Unattended(seconds or _UNATTENDED_S, picture, finish),
+        steps=lambda window: unattended_steps(window, seconds or _UNATTENDED_S, picture, finish),
     )
     sys.stdout.write(f"screenshot: {picture}\nresults: {results}\ntimings: {run}\n")
     return status

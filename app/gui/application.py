@@ -3,8 +3,6 @@
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
@@ -24,22 +22,11 @@ from app.gui.widgets.theme import styled_application
 _FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run
 
 
-@dataclass(frozen=True, slots=True)
-class Unattended:
-    """A run without a user, which always looks the same."""
-
-    seconds: float  # after the first wavefront, the window closes
-    screenshot: Path | None = None  # image file to save
-    on_finish: Callable[[Measurement], object] | None = None  # receives the last measurement with a wavefront
-
-
 def run_window(
     open_first: Callable[[MainWindow], object],
     *,
-    unattended: Unattended | None = None,
-    until: Callable[[], bool] | None = None,
+    steps: Callable[[MainWindow], Iterator[object]] | None = None,
     make_for: Callable[[Bench], Carrier] = Acquisition,
-    remembers: bool = True,
 ) -> int:
     """Run the window until it closes, and return the exit status.
 
@@ -47,14 +34,11 @@ def run_window(
     ----------
     open_first
         Opens a bench or a recording in the new window.
-    unattended
-        Close by itself in place of a user.
-    until
-        Polled at 10 Hz; the window closes when it returns True. Its errors are raised here.
+    steps
+        Run without a user: the first step comes before `open_first`, the others at 10 Hz, and the window closes after
+        the last. Their errors are raised here. Such a window always looks the same; others look as at their last end.
     make_for
         Makes the acquisition of a bench that is opened in the window.
-    remembers
-        The window looks as at its last end, and offers the tour once, unless it is unattended.
 
     Raises
     ------
@@ -67,15 +51,11 @@ def run_window(
     """
     qInstallMessageHandler(_pass_on)
     application = styled_application()
-    settings = settings_file() if remembers and unattended is None else None
+    settings = settings_file() if steps is None else None
     if settings is not None:
         apply_preferences(application, settings)
     window = MainWindow(settings=settings, make_for=make_for)
-    if unattended is not None:
-        steps = _steps(window, unattended)
-        next(steps)  # it takes note of measurements from now on
-        until = partial(next, steps, True)
-    watch = None if until is None else _Watch(window, until)
+    watch = None if steps is None else _Watch(window, steps(window))
     signals: list[int] = []
 
     def end(number: int, _frame: object) -> None:
@@ -123,10 +103,11 @@ def _pass_on(_kind: QtMsgType, _context: QMessageLogContext, text: str | None) -
 
 
 class _Watch:
-    """Closes the window when its run is done or has failed."""
+    """Makes the steps of an unattended run, and closes the window when it is done or has failed."""
 
-    def __init__(self, window: MainWindow, is_done: Callable[[], bool]) -> None:
-        self._window, self._is_done = window, is_done
+    def __init__(self, window: MainWindow, steps: Iterator[object]) -> None:
+        self._window, self._steps = window, steps
+        next(steps)
         self._error: Exception | None = RunError("the window was closed before the run had finished")
         self._timer = timer(window, 100, self._poll)
         self._timer.start()
@@ -140,17 +121,24 @@ class _Watch:
         try:
             if self._window.controller.failure:
                 raise self._window.controller.error  # noqa: TRY301 - one way out
-            if not self._is_done():
-                return
+            next(self._steps)
+        except StopIteration:
             self._error = None
         except Exception as error:  # noqa: BLE001 - an error in a Qt slot would abort the program
             self._error = error
+        else:
+            return
         self._timer.stop()
         self._window.close()
 
 
-def _steps(window: MainWindow, run: Unattended) -> Iterator[bool]:
-    """Yield False until the time of an unattended run is over, and save its results then."""
+def unattended_steps(
+    window: MainWindow,
+    seconds: float,
+    screenshot: Path | None = None,
+    on_finish: Callable[[Measurement], object] = lambda _: None,
+) -> Iterator[None]:
+    """Wait for a wavefront and then for `seconds`; save a screenshot, and pass on the last measurement with one."""
     first, newest = FirstWavefront(_FIRST_WAVEFRONT_S), list[Measurement]()
 
     def note(measurement: Measurement) -> None:
@@ -160,11 +148,10 @@ def _steps(window: MainWindow, run: Unattended) -> Iterator[bool]:
             first.take(measurement)
 
     window.measurement_shown.connect(note)
-    while first.came_s is None or time.perf_counter() < first.came_s + run.seconds:
-        yield False
+    while first.came_s is None or time.perf_counter() < first.came_s + seconds:
+        yield
         first.check()
     window.update_text()
-    if run.screenshot is not None and not window.save_screenshot(run.screenshot):
-        raise RunError(f"{run.screenshot}: cannot be written")
-    if run.on_finish is not None and newest:
-        run.on_finish(newest[0])
+    if screenshot is not None and not window.save_screenshot(screenshot):
+        raise RunError(f"{screenshot}: cannot be written")
+    on_finish(newest[0])

@@ -121,7 +121,6 @@ def resident_mb(*processes: int) -> float | None:
 
 
 _GIVE_UP_S = 600.0  # for rendering the bench and compiling
-_DONE = object()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,16 +166,11 @@ class Course:
         self._expected: tuple[Future[Any], ...] = ()
         self._span: Span | None = None
         self._made_s = time.perf_counter()
-        self._steps = self._run()
 
     def begin(self) -> tuple[Future[Any], ...]:
         """Calibrate the bench and turn to the sample."""
         self._expected = start_up(self.acquisition)
         return self._expected
-
-    def poll(self) -> bool:
-        """Run the steps that are due; True at the end. Raises `RunError` or `InputError` if a step fails."""
-        return next(self._steps, _DONE) is _DONE
 
     @property
     def span(self) -> Span:
@@ -185,7 +179,8 @@ class Course:
             raise RunError("the run ended before all was measured")
         return self._span
 
-    def _run(self) -> Iterator[None]:
+    def steps(self) -> Iterator[None]:
+        """Make the steps that are due, some times a second; `RunError` or `InputError` if one fails."""
         acquisition, seen = self.acquisition, None
         while (first_s := self._first.came_s) is None:
             self._check()

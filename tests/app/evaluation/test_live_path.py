@@ -488,7 +488,7 @@ def test_camera_failure_ends_the_bare_run(camera: FakeCamera) -> None:
     watched.acquisition.start()
     watched.begin()
     with pytest.raises(RunError, match="the camera is gone"):  # noqa: PT012 - it goes on until then
-        while not watched.poll():
+        for _ in watched.steps():
             if watched.acquisition.counts.reconstructed:
                 camera.fault = Disconnected("the camera is gone")
             time.sleep(0.02)
@@ -511,7 +511,7 @@ def test_folder_with_a_recording_is_rejected(camera: FakeCamera, tmp_path: Path)
     watched.acquisition.start()
     watched.begin()
     with pytest.raises(InputError, match="holds a recording already"):  # noqa: PT012 - it goes on until then
-        while not watched.poll():
+        for _ in watched.steps():
             time.sleep(0.02)
     watched.acquisition.close()
     assert camera.is_closed

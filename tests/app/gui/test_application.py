@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PyQt6.QtCore import QTimer
@@ -20,7 +21,7 @@ from support.patience import HANG_S, wait_until
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition, Measurement
 from app.errors import Interrupted, RunError
-from app.gui.application import Unattended, run_window
+from app.gui.application import run_window, unattended_steps
 from app.gui.shell.main_window import MainWindow
 from drivers.interface import Disconnected
 
@@ -43,6 +44,13 @@ def when_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:
     timer.stop()
 
 
+Steps = Callable[[MainWindow], Iterator[None]]
+
+
+def steps(*run: Any) -> Steps:
+    return lambda window: unattended_steps(window, *run)
+
+
 def opening(camera: FakeCamera) -> Callable[[MainWindow], object]:
     return lambda window: window.open(lambda: Acquisition(BENCH, opener(camera)))
 
@@ -52,7 +60,7 @@ def opening(camera: FakeCamera) -> Callable[[MainWindow], object]:
 def test_unattended_run_saves_screenshot_and_result(qapp: QApplication, tmp_path: Path) -> None:
     camera = FakeCamera()
     finished: list[Measurement] = []
-    status = run_window(opening(camera), unattended=Unattended(0.3, tmp_path / "window.png", finished.append))
+    status = run_window(opening(camera), steps=steps(0.3, tmp_path / "window.png", finished.append))
     assert status == 0
     assert finished[0].wavefront is not None
     image = QImage(str(tmp_path / "window.png"))
@@ -74,7 +82,7 @@ def test_full_disk_leaves_no_screenshot(qapp: QApplication, tmp_path: Path, monk
     monkeypatch.setattr(os, "fsync", fill_up)
     camera = FakeCamera()
     with pytest.raises(RunError, match=r"window\.png: cannot be written"):
-        run_window(opening(camera), unattended=Unattended(0.1, tmp_path / "window.png"))
+        run_window(opening(camera), steps=steps(0.1, tmp_path / "window.png"))
     assert not list(tmp_path.iterdir())
 
 
@@ -82,7 +90,7 @@ def test_unattended_run_raises_device_error(qapp: QApplication) -> None:
     camera = FakeCamera()
     camera.fault = Disconnected("no camera was found")
     with pytest.raises(RunError, match=r"^no camera was found"):
-        run_window(opening(camera), unattended=Unattended(0.3))
+        run_window(opening(camera), steps=steps(0.3))
     assert qapp is QApplication.instance()
 
 
@@ -116,15 +124,15 @@ def test_slow_computation_raises_no_false_alarm_about_the_light(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("unattended", [None, Unattended(HANG_S)])
+@pytest.mark.parametrize("unattended", [None, steps(HANG_S)])
 def test_signal_closes_window_and_turns_light_off(
-    qapp: QApplication, number: signal.Signals, unattended: Unattended | None
+    qapp: QApplication, number: signal.Signals, unattended: Steps | None
 ) -> None:
     assert qapp is QApplication.instance()
     camera = FakeCamera()
     before = signal.getsignal(number)
     with when_lit(camera, lambda: os.kill(os.getpid(), number)), pytest.raises(Interrupted):
-        run_window(opening(camera), unattended=unattended)
+        run_window(opening(camera), steps=unattended)
     assert camera.is_closed
     assert not camera.light.shines
     assert signal.getsignal(number) == before
@@ -134,7 +142,7 @@ def test_unattended_run_closed_early_raises_and_saves_nothing(qapp: QApplication
     camera = FakeCamera()
     finished: list[Measurement] = []
     with when_lit(camera, qapp.closeAllWindows), pytest.raises(RunError, match="closed before the run had finished"):
-        run_window(opening(camera), unattended=Unattended(HANG_S, tmp_path / "window.png", finished.append))
+        run_window(opening(camera), steps=steps(HANG_S, tmp_path / "window.png", finished.append))
     assert not finished
     assert not list(tmp_path.iterdir())
     assert camera.is_closed
