@@ -141,12 +141,13 @@ def _own_instrument() -> OwnInstrument:
 
 def _run_in_window(course: Course, *, with_panels: bool) -> None:
     from app.gui.application import run_window
+    from app.gui.shell.access import Access
 
     def open_course(window: MainWindow) -> None:
         if with_panels:
             panels = window.panels
             window.docks.float_panels(panels.coefficients, panels.history, panels.histogram)
-        window.open(lambda: course.acquisition, lambda _: course.begin())
+        window.open(Access(lambda: course.acquisition, lambda _: course.begin()))
 
     run_window(open_course, steps=lambda _: course.steps())
 

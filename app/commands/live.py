@@ -8,6 +8,7 @@ import socket
 import sys
 from contextlib import suppress
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,15 +22,13 @@ from app.errors import InputError
 from app.files import check_outputs, make_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from app.acquisition.carrier import Carrier
     from app.acquisition.remote.own_instrument import OwnConnection
     from app.acquisition.worker import Measurement
     from app.bench.config import Bench
-    from app.gui.shell.controller import Begin
+    from app.gui.shell.access import Access
     from app.gui.shell.main_window import MainWindow
-    from app.results.player import Player
+    from app.gui.splash import Splash
 
 _LIVE_OUT = Path("svwfs-output")
 _LIVE_BENCH = "live_demo"
@@ -84,13 +83,21 @@ def live(
             raise typer.Exit(bench_window(source, overrides, name, trust=trust_library, offers_last=offers_last))
         loaded = options.load(bench or _LIVE_BENCH, setting)
         terminal.confirm_libraries(loaded, trust=trust_library)
-        raise typer.Exit(unattended_window(loaded, seconds=seconds, out=out, overwrite=overwrite))
+        from app.acquisition.worker import Acquisition
+        from app.gui.shell.access import Access
+
+        access = Access(partial(Acquisition, loaded))
+        raise typer.Exit(unattended_window(loaded, access, seconds=seconds, out=out, overwrite=overwrite))
+    from app.gui.shell.access import Access
     from app.results.player import Player
 
     player = Player(replay, bench=bench, settings=tuple(setting or ()), frames=frames)
+    access = Access(player.acquisition, player.begin, player)
     if is_attended:
-        raise typer.Exit(replay_window(player))
-    raise typer.Exit(unattended_window(player.bench, seconds=seconds, out=out, overwrite=overwrite, player=player))
+        from app.gui.splash import Splash
+
+        raise typer.Exit(_window_of(access, Splash()))
+    raise typer.Exit(unattended_window(player.bench, access, seconds=seconds, out=out, overwrite=overwrite))
 
 
 def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: bool, offers_last: bool) -> int:
@@ -128,16 +135,13 @@ def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: b
     return status
 
 
-def replay_window(player: Player) -> int:
-    """Run the window on a recording until it is closed, and return the exit status."""
-    from app.gui.splash import Splash
-
-    splash = Splash()  # before the rest is loaded
-    from app.gui.application import run_window
+def _window_of(access: Access, splash: Splash) -> int:
+    """Run the window on an instrument or a recording until it is closed, and return the exit status."""
+    from app.gui.application import run_window  # while the splash is seen
 
     def open_first(window: MainWindow) -> None:
         splash.finish(window)
-        window.open(player.acquisition, player.begin, player)
+        window.open(access)
 
     return run_window(open_first)
 
@@ -150,41 +154,25 @@ def attached_window(name: str, *, is_attended: bool, seconds: float | None, out:
 
         splash = Splash()  # before the rest is loaded
     from app.acquisition.remote.connection import Connection
-    from app.gui.application import run_window
+    from app.gui.shell.access import Access
 
     first = Connection("window", name)  # before there is a window: if none runs, the terminal tells
 
     def connect() -> Connection:
         return first if first.is_alive else Connection("window", name)
 
+    access = Access(connect, begin=lambda _: ())  # it runs already
     if splash is None:
-        return unattended_window(first.bench, seconds=seconds, out=out, overwrite=overwrite, connect=connect)
-
-    def open_first(window: MainWindow) -> None:
-        splash.finish(window)
-        window.open(connect, lambda _: ())
-
-    return run_window(open_first)
+        return unattended_window(first.bench, access, seconds=seconds, out=out, overwrite=overwrite)
+    return _window_of(access, splash)
 
 
-def unattended_window(
-    bench: Bench,
-    *,
-    seconds: float | None,
-    out: Path,
-    overwrite: bool,
-    player: Player | None = None,
-    connect: Callable[[], Carrier] | None = None,
-) -> int:
+def unattended_window(bench: Bench, access: Access, *, seconds: float | None, out: Path, overwrite: bool) -> int:
     """Run the window without a user and return the exit status.
-
-    A `player` replaces the bench's devices by a recording; `connect` leads to an instrument of another process.
 
     The window closes by itself `seconds` after the first wavefront and writes `window.png`, `result.nc` and `run.json`
     into the folder `out`; without a wavefront it fails.
     """
-    from app.acquisition.start_up import start_up
-    from app.acquisition.worker import Acquisition
     from app.recording.folder import FRAME_LINES
     from app.results.dataset import result_dataset
     from app.results.result_file import write_results
@@ -195,27 +183,15 @@ def unattended_window(
     check_outputs([picture, results, run], inputs=bench.files, overwrite=overwrite)
     from app.gui.application import run_window, unattended_steps
 
-    made: list[Carrier] = []  # one more after each reconnection
-
-    def finish(measurement: Measurement) -> None:
-        _write_run(run, made[-1])
+    def finish(acquisition: Carrier, measurement: Measurement) -> None:
+        _write_run(run, acquisition)
         if measurement.wavefront is not None:
             dataset = result_dataset(measurement.wavefront, measurement.quality)
             write_results(results, dataset, bench=bench, inputs={})
 
-    def make() -> Carrier:
-        if connect is not None:
-            made.append(connect())
-        else:
-            made.append(Acquisition(bench) if player is None else player.acquisition())
-        return made[-1]
-
     make_folder(out)
-    begin: Begin = start_up if player is None else player.begin
-    if connect is not None:
-        begin = lambda _: ()  # noqa: E731 - it runs already
     status = run_window(
-        lambda window: window.open(make, begin, player),
+        lambda window: window.open(access),
         steps=lambda window: unattended_steps(window, seconds or _UNATTENDED_S, picture, finish),
     )
     sys.stdout.write(f"screenshot: {picture}\nresults: {results}\ntimings: {run}\n")

@@ -136,7 +136,7 @@ def unattended_steps(
     window: MainWindow,
     seconds: float,
     screenshot: Path | None = None,
-    on_finish: Callable[[Measurement], object] = lambda _: None,
+    on_finish: Callable[[Carrier, Measurement], object] = lambda _, __: None,
 ) -> Iterator[None]:
     """Wait for a wavefront and then for `seconds`; save a screenshot, and pass on the last measurement with one."""
     first, newest = FirstWavefront(_FIRST_WAVEFRONT_S), list[Measurement]()
@@ -154,4 +154,5 @@ def unattended_steps(
     window.update_text()
     if screenshot is not None and not window.save_screenshot(screenshot):
         raise RunError(f"{screenshot}: cannot be written")
-    on_finish(newest[0])
+    if (acquisition := window.controller.acquisition) is not None:
+        on_finish(acquisition, newest[0])

@@ -12,6 +12,7 @@ from PyQt6.QtWidgets import QApplication, QFileDialog, QLineEdit
 
 from app.acquisition.worker import Acquisition
 from app.bench.presets import PRESETS
+from app.gui.shell.access import Access
 from app.gui.shell.main_window import MainWindow
 from drivers.light_source import ManualLight, ManualLightSettings
 from support.gui_bench import FakeCamera, opener
@@ -118,7 +119,7 @@ def show_other_windows(of: Photographer) -> None:
     camera, bench = FakeCamera(), replace(MANUAL, light=ManualLightSettings())
     camera.light = ManualLight()  # type: ignore[assignment] # the camera sees whether it is on
     window = of._open(MainWindow())
-    window.open(lambda: Acquisition(bench, opener(camera)))
+    window.open(Access(lambda: Acquisition(bench, opener(camera))))
     of._wait(lambda: camera.is_running and window.controller.is_settled)
     window.controls.dark.click()
     QApplication.processEvents()

@@ -24,6 +24,7 @@ from PyQt6.QtWidgets import QApplication, QDialog, QWidget
 from app.acquisition.devices import open_devices
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
+from app.gui.shell.access import Access
 from app.gui.shell.help import Tour
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.theme import apply_theme
@@ -86,7 +87,7 @@ class Photographer:
         bench = load_bench("live_demo")
         window = self._open(MainWindow())
         window.recording_bar.recordings_folder = self._runs
-        window.open(lambda: Acquisition(bench, open_devices))
+        window.open(Access(lambda: Acquisition(bench, open_devices)))
         self._wait(lambda: window.controller.status is not None)
         self._save("starting", window, settle_ms=0)
         self._wait(lambda: self._is_live(window))
@@ -110,7 +111,7 @@ class Photographer:
         (run,) = self._runs.iterdir()
         player = Player(run)
         replayed = self._open(MainWindow())
-        replayed.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
+        replayed.open(Access(player.acquisition, player.begin, player))
         self._wait(lambda: self._is_live(replayed))
         replayed.replay.slider.setValue(20)
         self._save("replay", replayed)

@@ -15,9 +15,9 @@ from PyQt6.QtGui import QFont, QFontDatabase, QImage
 from PyQt6.QtWidgets import QApplication, QTabBar, QWidget
 from pytestqt.qtbot import QtBot
 
-from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.gui.panels.panel import Panel
+from app.gui.shell.access import Access
 from app.gui.shell.main_window import MainWindow
 from reconstruction.arrays import Floats
 from support.gui_bench import BENCH, SENSOR, FakeCamera, opener
@@ -58,7 +58,7 @@ def windows() -> Iterator[MakeWindow]:
     def make(*cameras: FakeCamera, settings: QSettings | None = None, resized: bool = True) -> MainWindow:
         spare = iter(cameras)
         window = MainWindow(settings=settings)
-        window.controller.use(lambda: Acquisition(BENCH, opener(next(spare))), start_up, lambda: None)
+        window.controller.use(Access(lambda: Acquisition(BENCH, opener(next(spare)))), lambda: None)
         if resized:
             window.resize(1000, 760)
         window.show()

@@ -16,11 +16,11 @@ from app.acquisition.remote.own_instrument import OwnConnection
 from app.acquisition.start_up import start_up
 from app.cache import release_memory
 from app.errors import InputError, RunError
+from app.gui.shell.access import Access
 from app.gui.shell.messages import MessageStrip
 from app.measurement.routines import Cancelled
 
 T = TypeVar("T")
-Begin = Callable[[Carrier], tuple[Future[Any], ...]]  # sends the first commands to an acquisition
 Then = Callable[[Any], object] | None  # receives a result
 Otherwise = Callable[[Exception], object] | None
 Command = tuple[Any, ...]  # a request of the instrument, and its arguments
@@ -44,8 +44,7 @@ class Controller(QObject):
     def __init__(self, messages: MessageStrip) -> None:
         super().__init__()
         self.messages = messages
-        self._make_acquisition: Callable[[], Carrier] | None = None
-        self._begin: Begin = start_up
+        self._access: Access | None = None
         self.acquisition: Carrier | None = None
         self.is_stuck = False  # whether the worker did not end on `close`
         self._pending: list[tuple[Future[Any], Then, Otherwise]] = []
@@ -95,17 +94,17 @@ class Controller(QObject):
     def is_idle(self) -> bool:
         return all(future.done() for future, _, _ in self._pending)
 
-    def use(self, make_acquisition: Callable[[], Carrier], begin: Begin, meanwhile: Callable[[], object]) -> None:
-        """Close the devices, as `close` does; use this factory at the next connection."""
+    def use(self, access: Access, meanwhile: Callable[[], object]) -> None:
+        """Close the devices, as `close` does; use this access at the next connection."""
         self.close(meanwhile)
-        self._make_acquisition, self._begin = make_acquisition, begin
+        self._access = access
 
     def connect_devices(self, *, is_lit: bool) -> None:
         """Start an acquisition, if a bench is open; close the previous one first. `is_lit`: see `start_up`."""
-        if self._make_acquisition is None:
+        if self._access is None:
             return
         try:
-            made = self._make_acquisition()
+            made = self._access.make()
         except RunError as error:  # no instrument to connect to: the one before, and its failure, stay
             self.messages.warn(str(error))
             return
@@ -115,7 +114,7 @@ class Controller(QObject):
         self.acquisition = made
         self.acquisition.start()
         self.connected.emit()
-        begin = self._begin if is_lit or self.is_attached else partial(start_up, is_lit=False)
+        begin = self._access.begin if is_lit or self.is_attached else partial(start_up, is_lit=False)
         self._pending = [(future, None, None) for future in begin(self.acquisition)]
         release_memory()  # of the one before
 

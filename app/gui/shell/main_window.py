@@ -14,18 +14,18 @@ from PyQt6.QtWidgets import QApplication, QFileDialog, QWidget
 
 from app.acquisition.carrier import Activity, Carrier
 from app.acquisition.instrument import Status
-from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.files import make_folder
 from app.gui.panels.panel import Entries, Shown
 from app.gui.panels.registry import make_panels
+from app.gui.shell.access import Access
 from app.gui.shell.analyses import Analyses
 from app.gui.shell.base_window import BaseWindow, ErrorReports, LateMeasurements
 from app.gui.shell.benches import Benches
 from app.gui.shell.calibration import CalibrationGuide, Routines
-from app.gui.shell.controller import Attachment, Begin, Controller, SettingsControl
+from app.gui.shell.controller import Attachment, Controller, SettingsControl
 from app.gui.shell.device_dialogs import DevicePresets, SensorRegionDialog
 from app.gui.shell.docks import PanelDocks
 from app.gui.shell.help import Tour, show_about, show_citation, show_documentation, show_keys, show_log
@@ -44,7 +44,6 @@ from app.gui.widgets.fields import NumberField
 from app.images import SUFFIXES
 from app.recording.folder import read_run
 from app.results.pictures import frame_statistics
-from app.results.player import Player
 from drivers.light_source import MAY_BE_ON
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
@@ -92,7 +91,7 @@ class MainWindow(BaseWindow):
         self.analyses = Analyses(self.panels, self.shown)
         self._lay_out()
         self.benches = Benches(
-            self, lambda bench: self.open(lambda: make_for(bench)), self.controller, self.settings, settings
+            self, lambda bench: self.open(Access(partial(make_for, bench))), self.controller, self.settings, settings
         )
         self._connect()
         fill_menus(self, self._menus())
@@ -231,10 +230,8 @@ class MainWindow(BaseWindow):
         self.update_text()
         self._timer.start()
 
-    def open(
-        self, make_acquisition: Callable[[], Carrier], begin: Begin = start_up, player: Player | None = None
-    ) -> None:
-        """Close the devices and connect others, also those of a `player`; `begin` sends the first commands.
+    def open(self, access: Access) -> None:
+        """Close the devices and connect others.
 
         The user is asked first if a recording is under way, or the light must be switched off by hand.
         """
@@ -242,14 +239,14 @@ class MainWindow(BaseWindow):
         def connect() -> None:
             self._timer.stop()
             self._text_timer.stop()
-            self.controller.use(make_acquisition, begin, self._show_closing)
+            self.controller.use(access, self._show_closing)
             self.recording_bar.refresh()  # the recording has ended
             self.errors.restart()
             for panel in self.panels:
                 panel.forget_bench()
             self.analyses.forget_bench()
-            self.replay.use(player)
-            self.light.is_kept_off = self.light.is_kept_off and player is None  # a recorded light shines on nobody
+            self.replay.use(access.player)
+            self.light.is_kept_off &= access.player is None  # a recorded light shines on nobody
             self.connect_devices()
 
         self.recording_bar.ask_to_end(lambda: self.light.ask_off(connect))

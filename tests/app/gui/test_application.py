@@ -9,7 +9,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 from PyQt6.QtCore import QTimer
@@ -18,10 +17,12 @@ from PyQt6.QtWidgets import QApplication
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S, wait_until
 
+from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition, Measurement
 from app.errors import Interrupted, RunError
 from app.gui.application import run_window, unattended_steps
+from app.gui.shell.access import Access
 from app.gui.shell.main_window import MainWindow
 from drivers.interface import Disconnected
 
@@ -47,12 +48,16 @@ def when_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:
 Steps = Callable[[MainWindow], Iterator[None]]
 
 
-def steps(*run: Any) -> Steps:
-    return lambda window: unattended_steps(window, *run)
+def steps(seconds: float, screenshot: Path | None = None, finished: list[Measurement] | None = None) -> Steps:
+    def note(_: Carrier, measurement: Measurement) -> None:
+        if finished is not None:
+            finished.append(measurement)
+
+    return lambda window: unattended_steps(window, seconds, screenshot, note)
 
 
 def opening(camera: FakeCamera) -> Callable[[MainWindow], object]:
-    return lambda window: window.open(lambda: Acquisition(BENCH, opener(camera)))
+    return lambda window: window.open(Access(lambda: Acquisition(BENCH, opener(camera))))
 
 
 @pytest.mark.slow
@@ -60,7 +65,7 @@ def opening(camera: FakeCamera) -> Callable[[MainWindow], object]:
 def test_unattended_run_saves_screenshot_and_result(qapp: QApplication, tmp_path: Path) -> None:
     camera = FakeCamera()
     finished: list[Measurement] = []
-    status = run_window(opening(camera), steps=steps(0.3, tmp_path / "window.png", finished.append))
+    status = run_window(opening(camera), steps=steps(0.3, tmp_path / "window.png", finished))
     assert status == 0
     assert finished[0].wavefront is not None
     image = QImage(str(tmp_path / "window.png"))
@@ -115,7 +120,7 @@ def test_slow_computation_raises_no_false_alarm_about_the_light(
             when_lit(camera, lambda: QTimer.singleShot(200, qapp.closeAllWindows)),
             pytest.raises(RunError, match=r"^a device or a computation did not end within .* s; the light is off$"),
         ):
-            run_window(lambda window: window.open(lambda: acquisition))
+            run_window(lambda window: window.open(Access(lambda: acquisition)))
         assert not camera.light.shines
         assert not camera.is_closed
     finally:
@@ -142,7 +147,7 @@ def test_unattended_run_closed_early_raises_and_saves_nothing(qapp: QApplication
     camera = FakeCamera()
     finished: list[Measurement] = []
     with when_lit(camera, qapp.closeAllWindows), pytest.raises(RunError, match="closed before the run had finished"):
-        run_window(opening(camera), steps=steps(HANG_S, tmp_path / "window.png", finished.append))
+        run_window(opening(camera), steps=steps(HANG_S, tmp_path / "window.png", finished))
     assert not finished
     assert not list(tmp_path.iterdir())
     assert camera.is_closed

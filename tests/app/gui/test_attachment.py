@@ -24,6 +24,7 @@ from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
 from app.acquisition.remote.server import Server
 from app.bench.config import Bench, load_bench, save_bench
+from app.gui.shell.access import Access
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.presentation import NOTHING
 
@@ -46,7 +47,7 @@ def server(camera: FakeCamera, runtime_folder: Path) -> Iterator[Server]:
 def window(make_window: MakeWindow, server: Server, qtbot: QtBot) -> MainWindow:
     assert server.place.process
     made = make_window()
-    made.open(lambda: Connection("window"), lambda _: ())
+    made.open(Access(lambda: Connection("window"), lambda _: ()))
     wait_for_wavefront(qtbot, made)
     return made
 
@@ -84,7 +85,7 @@ def test_window_that_watches_says_who_has_control_and_takes_it(
 ) -> None:
     with connected("notebook"):
         window = make_window()
-        window.open(lambda: Connection("window"), lambda _: ())
+        window.open(Access(lambda: Connection("window"), lambda _: ()))
         qtbot.waitUntil(lambda: "this window only watches: notebook" in told(window))
         window.messages.control.click()
         qtbot.waitUntil(lambda: "watches" not in told(window))
@@ -134,7 +135,7 @@ def test_commands_of_a_window_that_watches_are_refused_with_a_sentence(
 ) -> None:
     with connected("notebook") as notebook:
         window = make_window()
-        window.open(lambda: Connection("window"), lambda _: ())
+        window.open(Access(lambda: Connection("window"), lambda _: ()))
         wait_for_wavefront(qtbot, window)
         bar, panel = window.recording_bar, window.recording_panel
 
@@ -168,7 +169,7 @@ def test_window_goes_on_with_an_instrument_that_was_started_again(
     assert runtime_folder.is_dir()
     window = make_window()
     with served(FakeCamera()) as first:
-        window.open(lambda: Connection("window"), lambda _: ())
+        window.open(Access(lambda: Connection("window"), lambda _: ()))
         wait_for_wavefront(qtbot, window)
         first.end()
         qtbot.waitUntil(lambda: "the instrument was shut down" in told(window))

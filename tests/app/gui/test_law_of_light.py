@@ -20,6 +20,7 @@ from test_window_small import open_help
 
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
+from app.gui.shell.access import Access
 from app.gui.shell.device_dialogs import DevicePresets
 from app.gui.shell.main_window import MainWindow
 from drivers.interface import Devices, Disconnected
@@ -376,7 +377,7 @@ def test_opening_a_bench_leaves_the_light_off(make_window: MakeWindow, qtbot: Qt
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
     switch_off(window, qtbot)
-    window.open(lambda: Acquisition(BENCH, opener(second)))
+    window.open(Access(lambda: Acquisition(BENCH, opener(second))))
     qtbot.waitUntil(lambda: second.is_running and window.controller.is_settled)
     assert True not in lit
     assert "  The light stays off, as you left it: L switches it on" in window.messages.log
@@ -435,7 +436,7 @@ def test_light_key_keeps_the_light_off_while_a_bench_opens(
         release.wait(HANG_S)
         return opener(camera)(bench, progress)
 
-    window.open(lambda: Acquisition(BENCH, open_slowly))
+    window.open(Access(lambda: Acquisition(BENCH, open_slowly)))
     window.refresh()
     assert not window.controls.light.isEnabled()
     press(qtbot, window, Qt.Key.Key_L)

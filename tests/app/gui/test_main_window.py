@@ -19,6 +19,7 @@ from support.window_tools import LENSLETS, MakeWindow, dim_frame, press, views, 
 
 from app.acquisition.carrier import Activity
 from app.acquisition.worker import Acquisition
+from app.gui.shell.access import Access
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.measurement.calibration import Calibration
@@ -180,7 +181,7 @@ def test_status_line_shows_nothing_old_while_a_bench_opens(live: tuple[MainWindo
     window, _ = live
     line = window.status_line
     qtbot.waitUntil(lambda: line.rate.text() != "\N{EN DASH}" and line.devices.text() == "running")
-    window.open(lambda: Acquisition(BENCH, opener(FakeCamera())))
+    window.open(Access(lambda: Acquisition(BENCH, opener(FakeCamera()))))
     shown = [label.text() for label in (line.rate, line.delay, line.valid, line.lost, line.devices, line.assumed)]
     assert shown == ["\N{EN DASH}"] * 3 + ["0", "", ""]
     qtbot.waitUntil(lambda: line.devices.text() == "running")

@@ -17,6 +17,7 @@ from support.recordings import record
 from support.window_tools import picture, press
 
 from app.acquisition.worker import Acquisition, FrameTotals
+from app.gui.shell.access import Access
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.measurement.measurement import Measurement
@@ -52,7 +53,7 @@ def window(qapp: QApplication, qtbot: QtBot, recording: Recording, played: list[
     shown = MainWindow()
     shown.resize(1200, 800)
     shown.show()
-    shown.open(make, player.begin, player)
+    shown.open(Access(make, player.begin, player))
     qtbot.waitUntil(lambda: shown.status_line.valid.text() == "35 of 35")
     yield shown
     shown.close()
@@ -196,7 +197,7 @@ def own_recording(recording: Recording, tmp_path: Path) -> Recording:
 @pytest.mark.long
 def test_renamed_recording_is_played_on(window: MainWindow, qtbot: QtBot, own_recording: Recording) -> None:
     player = Player(own_recording.folder)
-    window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
+    window.open(Access(player.acquisition, player.begin, player))
     qtbot.waitUntil(lambda: window.windowTitle().endswith("recording 20261122-130100"))
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "35 of 35")
     named = describe(own_recording.folder, name="mouse 7", note="")
@@ -212,7 +213,7 @@ def test_renamed_recording_is_played_on(window: MainWindow, qtbot: QtBot, own_re
 @pytest.mark.long
 def test_lost_recording_is_not_blamed_on_devices(window: MainWindow, qtbot: QtBot, own_recording: Recording) -> None:
     player = Player(own_recording.folder)
-    window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
+    window.open(Access(player.acquisition, player.begin, player))
     qtbot.waitUntil(lambda: window.windowTitle().endswith("recording 20261122-130100"))
     shutil.rmtree(own_recording.folder)
     end = "the replay has ended: open the recording again (Ctrl+Shift+O)"
@@ -238,7 +239,7 @@ def test_recording_of_an_earlier_version_says_that_propagation_was_neglected(
     player = Player(VERSION_0_1)
     window = MainWindow()
     window.show()
-    window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
+    window.open(Access(player.acquisition, player.begin, player))
     window.messages.clear_notice()  # gone after some seconds
     window.update_text()
     told = window.messages.text.text()
@@ -259,7 +260,7 @@ def test_slider_moves_a_recording_that_was_paused_before_its_first_frame(
     qtbot.waitUntil(lambda: bar.slider.value() > 0)  # in another recording
     monkeypatch.setattr(RecordedCamera, "_read", read)
     player = Player(recording.folder)
-    window.open(player.acquisition, player.begin, player)
+    window.open(Access(player.acquisition, player.begin, player))
     assert bar.slider.value() == 0
     qtbot.waitUntil(lambda: bar.play.text() == "Pause")
     bar.play.click()
@@ -290,7 +291,7 @@ def test_damaged_frames_are_skipped_with_a_notice_and_marked(
     lines[5] = b"x" * (len(lines[5]) - 1) + b"\n"
     (own_recording.folder / "frames.jsonl").write_bytes(b"".join(lines))
     player = Player(own_recording.folder)
-    window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
+    window.open(Access(player.acquisition, player.begin, player))
     bar = window.replay
     qtbot.waitUntil(lambda: bar.play.text() == "Pause")
     bar.play.click()

@@ -1,0 +1,23 @@
+"""How the window reaches an instrument or a recording; without Qt, so that commands can prepare it before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from app.acquisition.carrier import Carrier
+from app.acquisition.start_up import start_up
+
+if TYPE_CHECKING:
+    from app.results.player import Player
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """Makes and begins an acquisition, and another one after each reconnection."""
+
+    make: Callable[[], Carrier]
+    begin: Callable[[Carrier], tuple[Future[Any], ...]] = start_up  # sends the first commands
+    player: Player | None = None  # of a recording
