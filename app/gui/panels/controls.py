@@ -64,7 +64,7 @@ class ControlsPanel(Panel):
         amplifier, speed, mask, self.registration, self.warp, self.method, self.basis = self.choices.values()
         self.pupil_modes = NumberField(name="Modes", tool_tip=_MODES_TIP, lowest=AUTOMATIC)
         self.pupil_modes.entered.connect(self._enter_modes)
-        about = "Correct systematic errors by a simulation of your bench; the status line shows the correction's age (F)"
+        about = "Correct systematic errors by a simulation of your bench; the status line has the correction's age (F)"
         self.refine = Toggle("Refine", about, self._ask("reconstruction.refine"))
         calibration: list[Item] = [self.lattice]
         for step in (self.auto_exposure, self.dark, self.reference):

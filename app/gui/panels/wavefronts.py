@@ -1,6 +1,7 @@
 """The wavefront panel: the chosen quantity at every view of the field, and the menu of its display options."""
 
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Future
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -12,11 +13,12 @@ from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QActionGroup
 from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
 
+from app.acquisition.command_queue import begun_beside
 from app.errors import InputError, RunError
 from app.files import check_outputs
 from app.gui.panels.panel import Entries, Panel, Request, Shown
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, colour_text, column, row_of
+from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, colour_text, column, row_of, timer
 from app.gui.widgets.copies import ask_file, write_picture
 from app.gui.widgets.enlarged_view import EnlargedView
 from app.gui.widgets.fields import BUTTONS_WIDTH, NumberField
@@ -62,6 +64,8 @@ class WavefrontPanel(Panel):
         self._limits = {(one.family, unit): AdaptiveScale() for one in PRESENTATIONS.values() for unit in Unit}
         self._reach_mrad = AdaptiveScale()  # half width of PSF maps
         self._enlarged: EnlargedView | None = None
+        self._reading: Future[StoredWavefront] | None = None  # of a file to subtract
+        self._reading_timer = timer(self, 40, self._take_file)
         about = "Quantity shown for every view (keys 1 to 6)"
         self.choice = Choice(about, Quantity, self._redraw, key="view/quantity")
         for index, quantity in enumerate(Quantity):
@@ -134,6 +138,7 @@ class WavefrontPanel(Panel):
     def forget_bench(self) -> None:
         """Forget all wavefronts, also the one that is subtracted: the lenslets may be others."""
         self.show_wavefront(None)
+        self._reading = None
         self._display = WavefrontDisplay()
         self.menu.change(stored=None)
 
@@ -213,13 +218,20 @@ class WavefrontPanel(Panel):
             self.informed.emit(f"saved {path} and {results.name}")
 
     def subtract_file(self, path: Path) -> None:
+        """Read a file of results on a thread of its own, and subtract its wavefront as soon as it is known."""
+        lenslets = None if self._newest is None else self._newest.displacement.outcome.shape
+        self._reading, _ = begun_beside(partial(StoredWavefront.from_results, path, lenslets), "file to subtract")
+        self._reading_timer.start()
+
+    def _take_file(self) -> None:
+        if self._reading is None or not self._reading.done():
+            return
+        reading, self._reading = self._reading, None
+        self._reading_timer.stop()
         try:
-            lenslets = None if self._newest is None else self._newest.displacement.outcome.shape
-            stored = StoredWavefront.from_results(path, lenslets)
+            self.menu.change(stored=reading.result())
         except InputError as error:
             self.warned.emit(str(error))
-        else:
-            self.menu.change(stored=stored)
 
     @property
     def _scale(self) -> AdaptiveScale:

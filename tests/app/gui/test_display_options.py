@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog, QMenu
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, SENSOR, make_measurement
+from support.patience import HANG_S
 from support.wavefronts import bowl, modal
 from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, picture, press, views
 
@@ -21,6 +24,7 @@ from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import number, signed
 from app.results.dataset import result_dataset
 from app.results.result_file import write_results
+from app.results.shown_wavefront import StoredWavefront
 from app.results.view_analysis import Quantity
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
@@ -91,14 +95,59 @@ def test_stored_wavefront_is_subtracted_until_it_is_cleared(window: MainWindow, 
     assert np.ptp(shown(window)[1, 1, 4]) > 10
 
 
+def subtract(path: Path, window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (str(path), ""))
+    choose(qtbot, window.panels.wavefronts.menu, "Subtract a wavefront from a file ...")
+
+
+def test_wavefront_of_a_file_is_read_beside_the_window_and_subtracted(
+    window: MainWindow, qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    panel, read, go_on = window.panels.wavefronts, StoredWavefront.from_results, threading.Event()
+    frame, path = modal(np.full((6, 3), 0.5)), tmp_path / "tilted.nc"
+    write_results(path, result_dataset(frame), bench=BENCH, inputs={})
+
+    def read_slowly(*arguments: Any) -> StoredWavefront:
+        assert threading.current_thread() is not threading.main_thread()
+        assert go_on.wait(HANG_S)
+        return read(*arguments)
+
+    monkeypatch.setattr(StoredWavefront, "from_results", read_slowly)
+    panel.show_wavefront(frame)
+    subtract(path, window, qtbot, monkeypatch)
+    assert panel.menu.options.stored is None  # the window goes on
+    go_on.set()
+    qtbot.waitUntil(lambda: panel.menu.options.stored is not None)
+    np.testing.assert_allclose(shown(window), 0, atol=1e-3)  # as the file has it
+    assert "; minus tilted.nc" in panel._summary.text()
+
+
+def test_file_that_is_read_while_another_bench_is_opened_is_not_subtracted(
+    window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    panel, go_on, ends = window.panels.wavefronts, threading.Event(), threading.Event()
+
+    def read_slowly(*_: Any) -> StoredWavefront:
+        assert go_on.wait(HANG_S)
+        ends.set()
+        return StoredWavefront.of(bowl(), "of the bench before")
+
+    monkeypatch.setattr(StoredWavefront, "from_results", read_slowly)
+    subtract(Path("results.nc"), window, qtbot, monkeypatch)
+    panel.forget_bench()
+    go_on.set()
+    assert ends.wait(HANG_S)
+    qtbot.wait(100)  # more than a turn of its timer
+    assert panel.menu.options.stored is None
+
+
 def test_unsuitable_file_is_refused_in_words(
     window: MainWindow, qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "zonal.nc"
     write_results(path, result_dataset(bowl()), bench=BENCH, inputs={})
-    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (str(path), ""))
     with qtbot.waitSignal(window.panels.wavefronts.warned) as refused:
-        choose(qtbot, window.panels.wavefronts.menu, "Subtract a wavefront from a file ...")
+        subtract(path, window, qtbot, monkeypatch)
     assert "zonal.nc: holds no coefficients" in refused.args[0]
     assert window.panels.wavefronts.menu.options.stored is None
 
