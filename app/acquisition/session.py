@@ -33,7 +33,6 @@ T = TypeVar("T")
 _WAIT_S = 0.05  # between two checks whether the acquisition still runs, and how far it is
 _FINISH_S = 10.0  # for another process to finish a recording that was stopped
 _SHUT_DOWN_S = 5.0  # for the instrument to say that it will
-_HOPELESS_FRAMES = 20  # without a wavefront, when the bench is calibrated
 
 
 def live(bench: Bench, *, average: int = FRAMES) -> LiveBench:
@@ -417,27 +416,3 @@ class ConnectedBench(LiveBench):
     def shut_down(self) -> None:
         """End the instrument for everybody: light off, devices closed, recording finished."""
         self._connection.shut_down().result(_SHUT_DOWN_S)
-
-
-class FirstWavefront:
-    """Waits for the first wavefront of an acquisition, which a loop or the timer of a window polls."""
-
-    def __init__(self, within_s: float) -> None:
-        """Give up after this time, or some frames without a wavefront."""
-        self._within_s, self._began_s = within_s, time.perf_counter()
-        self.came_s: float | None = None  # by time.perf_counter()
-        self._failed, self._problem = 0, ""
-
-    def take(self, measurement: Measurement) -> None:
-        """Take note of a frame of the calibrated bench."""
-        if measurement.wavefront is not None:
-            self.came_s = time.perf_counter() if self.came_s is None else self.came_s
-        elif measurement.problem != SKIPPED:
-            self._failed, self._problem = self._failed + 1, measurement.problem
-
-    def check(self) -> None:
-        """Raise `RunError` if it has not come, and there is no hope of it."""
-        if self.came_s is None and self._failed >= _HOPELESS_FRAMES:
-            raise RunError(f"no wavefront in the first {self._failed} frames: {self._problem}")
-        if self.came_s is None and time.perf_counter() > self._began_s + self._within_s:
-            raise RunError(f"no wavefront within {self._within_s:g} s: {self._problem or 'no frame came'}")

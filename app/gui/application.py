@@ -8,7 +8,7 @@ from pathlib import Path
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 
 from app.acquisition.carrier import Carrier
-from app.acquisition.session import FirstWavefront
+from app.acquisition.start_up import FirstWavefront
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError, ended_by

@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from app.acquisition.remote.own_instrument import OwnConnection
-from app.acquisition.session import FirstWavefront
-from app.acquisition.start_up import start_up
+from app.acquisition.start_up import FirstWavefront, start_up
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError, ended_by
 from app.measurement.measurement import FrameTotals

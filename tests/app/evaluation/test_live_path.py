@@ -30,7 +30,7 @@ from app.acquisition.devices import open_devices
 from app.acquisition.frame_path import FramePath
 from app.acquisition.place import Place
 from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
-from app.acquisition.session import FirstWavefront
+from app.acquisition.start_up import FirstWavefront
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.bench.device_kinds import RecordingSettings
