@@ -1,4 +1,4 @@
-"""Pixels and shapes of pictures: statistics of a frame, colours, enlarged maps, contours and surfaces."""
+"""Pixels and shapes of pictures: colours, enlarged maps, contours and surfaces."""
 
 import math
 from dataclasses import dataclass
@@ -8,92 +8,13 @@ import contourpy
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from reconstruction.arrays import Floats
-from reconstruction.frame.pixels import is_piled_up
 from reconstruction.runtime.compilation import compiled
 
-NEARLY_FULL = 0.95  # of the level at which pixels clip
-_BINS = 128
-_STEP = 2e-3  # of the highest count: scatter of clipped pixels, by read noise
-_LEAST_SHARE, _MOST_SHARE = 2e-4, 0.5  # of the pixels, that a full well clips; of more, nothing is known
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameStatistics:
-    """Statistics of the counts of one frame."""
-
-    level: Floats  # lower edge of each bin, and the upper edge of the last, counts, (bin + 1,)
-    pixels: NDArray[np.intp]  # number in each bin, (bin,)
-    peak: int  # highest count
-    clip_level: int  # count from which pixels are clipped: full scale, or a full well that shows below it
-    clipped_share: float  # of the pixels
-
-    @property
-    def is_nearly_full(self) -> bool:
-        """True from 95 % of the level at which pixels clip."""
-        return self.peak >= NEARLY_FULL * self.clip_level
-
-
-def frame_statistics(pixels: NDArray[np.integer[Any]], full_scale: int) -> FrameStatistics:
-    """Count the pixels (row, column) of a frame in bins from 0 to full scale.
-
-    A full well below full scale shows by many pixels at the highest count and few just below. Full scale 0 is unknown:
-    then the bins end at the highest count, and nothing is clipped.
-    """
-    if pixels.dtype.kind != "u":
-        raise ValueError(f"{pixels.dtype} may be negative: no counts of a camera")
-    peak = int(pixels.max())
-    top = full_scale or peak
-    edges = np.unique(np.linspace(0, max(top, peak) + 1, _BINS + 1).astype(np.intp))
-    by_count = np.zeros(edges[-1], np.intp)
-    _count(np.ascontiguousarray(pixels), by_count)
-    of_bins = np.add.reduceat(by_count, edges[:-1])
-    clip_level = _clip_level(by_count, peak, full_scale) if full_scale else peak + 1
-    share = float(by_count[clip_level:].sum() / pixels.size)
-    return FrameStatistics(edges.astype(np.float64), of_bins, peak, clip_level, share)
-
-
-@compiled
-def _count(pixels: NDArray[np.integer[Any]], by_count: NDArray[np.intp]) -> None:
-    for row in range(pixels.shape[0]):
-        for column in range(pixels.shape[1]):
-            by_count[pixels[row, column]] += 1
-
-
-def _clip_level(by_count: NDArray[np.intp], peak: int, full_scale: int) -> int:
-    """Count from which pixels are clipped, from the number with each count; full scale if no full well shows."""
-    if peak >= full_scale:
-        return full_scale
-    lowest = peak - max(round(_STEP * peak), 1) + 1
-    piled, below = by_count[lowest : peak + 1].sum(), by_count[max(2 * lowest - peak - 1, 0) : lowest].sum()
-    is_full_well = is_piled_up(int(piled), int(below)) and _LEAST_SHARE < piled / by_count.sum() < _MOST_SHARE
-    return lowest if is_full_well else full_scale
-
-
-def profile(
-    pixels: NDArray[np.integer[Any]], start_px: tuple[float, float], end_px: tuple[float, float]
-) -> tuple[Floats, Floats]:
-    """Return distances along a line between two points (x, y), at most 1 px apart, and the counts there.
-
-    Counts are interpolated linearly between the pixels (row, column); NaN outside them.
-    """
-    length_px = math.dist(start_px, end_px)
-    along = np.linspace(0, 1, math.ceil(length_px) + 1)
-    x, y = (first + along * (last - first) for first, last in zip(start_px, end_px, strict=True))
-    counts = map_coordinates(pixels, [y, x], output=np.float64, order=1, mode="constant", cval=np.nan)
-    return along * length_px, counts
-
-
-def pixels_within(
-    pixels: NDArray[np.integer[Any]], x_px: tuple[float, float], y_px: tuple[float, float]
-) -> NDArray[np.integer[Any]] | None:
-    """Return the pixels (row, column) whose centres lie in the rectangle, edges included; None if there are none."""
-    first_row, first_column = (max(math.ceil(low), 0) for low, _ in (y_px, x_px))
-    inside = pixels[first_row : max(math.floor(y_px[1]) + 1, 0), first_column : max(math.floor(x_px[1]) + 1, 0)]
-    return inside if inside.size else None
-
+_MOST_CONTOURS = 16
+_LIGHT = (-0.4, 0.5, 0.77)  # direction to the light over the surface, unit length
+_AMBIENT = 0.55  # brightness of a face turned away from the light
 
 Pixels: TypeAlias = NDArray[np.uint32]  # 0xAARRGGBB; 0 is transparent
 
@@ -129,11 +50,6 @@ def _fill(
         for column in range(counts.shape[1]):
             place = (np.float32(counts[row, column]) - black) * per_count
             found[row, column] = table[np.int32(min(max(place, np.float32(0)), last) + np.float32(0.5))]
-
-
-_MOST_CONTOURS = 16
-_LIGHT = (-0.4, 0.5, 0.77)  # direction to the light over the surface, unit length
-_AMBIENT = 0.55  # brightness of a face turned away from the light
 
 
 def contours(values: Floats, limit: float) -> list[Floats]:

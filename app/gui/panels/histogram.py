@@ -10,7 +10,7 @@ from app.gui.widgets import theme
 from app.gui.widgets.basics import column
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import percent
-from app.results.pictures import NEARLY_FULL
+from app.results.frame_statistics import NEARLY_FULL
 
 
 class HistogramPanel(Panel):

@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QAbstractButton, QMenu, QWidget
 
 from app.acquisition.instrument import Status
 from app.measurement.measurement import Measurement
-from app.results.pictures import FrameStatistics
+from app.results.frame_statistics import FrameStatistics
 from app.results.shown_wavefront import Unit
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import Wavefront

@@ -26,7 +26,7 @@ from app.gui.shell.base_window import BaseWindow, ErrorReports, LateMeasurements
 from app.gui.shell.benches import Benches
 from app.gui.shell.calibration import CalibrationGuide, Routines
 from app.gui.shell.controller import Attachment, Controller, SettingsControl
-from app.gui.shell.device_dialogs import DevicePresets, SensorRegionDialog
+from app.gui.shell.device_presets import DevicePresets
 from app.gui.shell.docks import PanelDocks
 from app.gui.shell.help import Tour, show_about, show_citation, show_documentation, show_keys, show_log
 from app.gui.shell.light_control import LightControl
@@ -34,6 +34,7 @@ from app.gui.shell.menus import fill_menus
 from app.gui.shell.messages import MessageStrip
 from app.gui.shell.recording import RecordingBar, RecordingPanel
 from app.gui.shell.replay_bar import ReplayBar
+from app.gui.shell.sensor_region_dialog import SensorRegionDialog
 from app.gui.shell.state import PreferencesDialog, fit_to_screen, restore_state, save_state
 from app.gui.shell.status_line import StatusLine
 from app.gui.shell.wording import Situation, advice, is_replay, light_when_closing, liveness, way_out
@@ -43,7 +44,7 @@ from app.gui.widgets.copies import write_picture
 from app.gui.widgets.fields import NumberField
 from app.images import SUFFIXES
 from app.recording.folder import read_run
-from app.results.pictures import frame_statistics
+from app.results.frame_statistics import frame_statistics
 from drivers.light_source import MAY_BE_ON
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller

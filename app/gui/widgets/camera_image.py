@@ -20,7 +20,8 @@ from app.gui.widgets.basics import ElidedLabel, column
 from app.gui.widgets.plot import Canvas, Plot
 from app.gui.widgets.presentation import number
 from app.gui.widgets.scales import colour_table
-from app.results.pictures import FrameStatistics, Pixels, pixels_within, profile, shaded
+from app.results.frame_statistics import FrameStatistics, pixels_within, profile
+from app.results.pictures import Pixels, shaded
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, lenslet_centers

@@ -13,7 +13,7 @@ from support.gui_bench import FULL_SCALE, LATTICE, SENSOR, make_measurement
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
 
 from app.gui.widgets.camera_image import arrow_length_px
-from app.results.pictures import FrameStatistics, frame_statistics
+from app.results.frame_statistics import FrameStatistics, frame_statistics
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Arrangement
 

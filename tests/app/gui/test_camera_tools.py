@@ -16,7 +16,7 @@ from support.window_tools import LENSLETS, MakeWindow, dim_frame, press, views, 
 
 from app.gui.panels.camera import CameraPanel
 from app.gui.shell.main_window import MainWindow
-from app.results.pictures import pixels_within, profile
+from app.results.frame_statistics import pixels_within, profile
 
 
 @pytest.fixture

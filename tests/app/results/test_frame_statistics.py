@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.results.pictures import frame_statistics
+from app.results.frame_statistics import frame_statistics
 
 FULL_SCALE = 65535
 
