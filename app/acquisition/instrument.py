@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
 
-from app.acquisition.kept_averages import KeptAverages, Validity
+from app.acquisition.kept_averages import AverageState, KeptAverages
 from app.bench.config import Bench, changes_in_words, with_known
 from app.measurement.auto_exposure import AutoExposure, auto_expose
 from app.measurement.averages import Average, BackgroundCheck, check_background, take_dark, take_reference
@@ -60,10 +60,8 @@ class Status:
     masks: tuple[str, ...]
     mask: str
     is_sample_in: bool
-    dark: Validity
-    reference: Validity
-    dark_note: str  # how it was taken, and why it is doubtful
-    reference_note: str
+    dark: AverageState
+    reference: AverageState
     lattice: Lattice | None
     warning: str  # why wavefronts are missing or doubtful; empty if they are good
     mask_note: str = ""  # which displacements the mask hides; empty if it shows all
@@ -143,10 +141,8 @@ class Instrument:
             masks=stage.masks,
             mask=stage.mask,
             is_sample_in=stage.is_sample_in,
-            dark=self.darks.validity(of_dark),
-            reference=self.references.validity(blamed or of_reference),
-            dark_note=self.darks.note(of_dark),
-            reference_note=self.references.note(blamed or of_reference),
+            dark=self.darks.state(of_dark),
+            reference=self.references.state(blamed or of_reference),
             lattice=self._lattice,
             warning=light.off_reason or problem or of_dark or of_reference or judged.sentence,
             mask_note="" if estimator is None else mask_sentence(estimator.reconstructor),

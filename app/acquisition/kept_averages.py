@@ -1,6 +1,5 @@
 """Darks or references that the instrument keeps, one for each sensor region and mask, and their validity."""
 
-import re
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Literal
@@ -11,7 +10,6 @@ from app.progress import counted
 from drivers.interface import Region
 
 Validity = Literal["missing", "doubtful", "good"]
-_TIME = re.compile(r"^\d+ frames? at (\d\d:\d\d):\d\d: ")
 _MOST = 8  # each as large as two frames of floats
 
 
@@ -20,6 +18,28 @@ class _Taken:
     average: Average
     circumstances: Circumstances
     how: str  # time and settings, for people
+    at: str = ""  # hours and minutes; empty if it was recorded
+
+
+@dataclass(frozen=True, slots=True)
+class AverageState:
+    """What people are told of a dark or a reference."""
+
+    how: str = ""  # time and settings; empty if there is none
+    taken_at: str = ""  # hours and minutes; empty if it was recorded
+    doubt: str = ""  # why it is doubtful
+
+    @property
+    def validity(self) -> Validity:
+        """The validity in a word."""
+        if not self.how:
+            return "missing"
+        return "doubtful" if self.doubt else "good"
+
+    @property
+    def note(self) -> str:
+        """How it was taken and, on a second line, why it is doubtful."""
+        return "\n".join(filter(None, (self.how or "none yet", self.doubt)))
 
 
 class KeptAverages:
@@ -38,12 +58,13 @@ class KeptAverages:
 
     def keep(self, average: Average, now: Circumstances) -> None:
         """Use a new average, and keep it in place of an older one of the same region and mask."""
+        time = datetime.now().astimezone()
         how = (
-            f"{counted(average.frames)} at {datetime.now().astimezone():%H:%M:%S}:"
+            f"{counted(average.frames)} at {time:%H:%M:%S}:"
             f" exposure {now.exposure_s * 1e3:.4g} ms, amplifier {now.amplifier},"
             f" gain {now.em_gain:.4g}, mask {now.mask}"
         )
-        self._used = _Taken(average, now, how)
+        self._used = _Taken(average, now, how, f"{time:%H:%M}")
         key = self._key(now)
         self._kept.pop(key, None)
         self._kept[key] = self._used
@@ -74,22 +95,11 @@ class KeptAverages:
         changed = self._used.circumstances.differs(now, is_lit=self._is_lit)
         return f"the {self._what} was taken {changed}: take it again" if changed else ""
 
-    def validity(self, why: str) -> Validity:
-        """Return the validity, doubtful for this reason."""
+    def state(self, doubt: str) -> AverageState:
+        """Return what people are told of the average in use, which is doubtful for this reason."""
         if self._used is None:
-            return "missing"
-        return "doubtful" if why else "good"
-
-    def note(self, why: str) -> str:
-        """Return how the average was taken and, on a second line, why it is doubtful."""
-        how = "none yet" if self._used is None else self._used.how
-        return f"{how}\n{why}" if why else how
+            return AverageState(doubt=doubt)
+        return AverageState(self._used.how, self._used.at, doubt)
 
     def _key(self, circumstances: Circumstances) -> tuple[Region, int, str]:
         return circumstances.region, circumstances.binning, circumstances.mask if self._is_lit else ""
-
-
-def taken_at(note: str) -> str:
-    """Return hours and minutes from a note of an average; empty if there is no average or it was recorded."""
-    found = _TIME.search(note)
-    return found[1] if found else ""

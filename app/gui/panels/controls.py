@@ -8,7 +8,7 @@ from PyQt6.QtCore import QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QFrame, QHBoxLayout, QSizePolicy
 
 from app.acquisition.instrument import Status
-from app.acquisition.kept_averages import Validity, taken_at
+from app.acquisition.kept_averages import Validity
 from app.acquisition.start_up import DARK, EXPOSURE, FRAMES, LATTICE, REFERENCE
 from app.bench.config import AUTOMATIC, Bench
 from app.gui.panels.panel import Entries, Panel, Shown
@@ -225,9 +225,10 @@ class ControlsPanel(Panel):
             shown.setText(names[is_on])
             shown.setChecked(is_on and self._has_devices)  # a pressed light has a red edge
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
-        about_reference = "\n".join(filter(None, (status.reference_note, status.mask_note)))
-        self.dark.show_step(status.dark, taken_at(status.dark_note), status.dark_note)
-        self.reference.show_step(status.reference, taken_at(status.reference_note), about_reference)
+        dark, reference = status.dark, status.reference
+        about_reference = "\n".join(filter(None, (reference.note, status.mask_note)))
+        self.dark.show_step(dark.validity, dark.taken_at, dark.note)
+        self.reference.show_step(reference.validity, reference.taken_at, about_reference)
         pitch = "" if status.lattice is None else f"pitch {status.lattice.pitch_px:.3f} px"
         self.lattice.show_step("good" if pitch else "missing", "", pitch)
 

@@ -106,7 +106,7 @@ class LightControl:
     def _confirm(self, name: Literal["dark", "reference"], frames: int) -> None:
         """Tell that an average was taken; if it is unusable, the warning tells why. After a dark, light is needed."""
         status = self._controller.status
-        if status is not None and getattr(status, name) == "good":
+        if status is not None and getattr(status, name).validity == "good":
             self._messages.inform(f"{name} taken: mean of {counted(frames)}")
         if name == "dark" and self._must_ask(on=True):
             self._ask_by_hand(on=True)

@@ -37,8 +37,8 @@ class Situation:
 
     def follow(self, status: Status) -> None:
         """Note when the conditions of the frames change: what is wrong with earlier frames is over then."""
-        notes = (status.dark_note, status.reference_note)
-        conditions = (status.bench, status.mask, status.is_sample_in, status.is_light_on, status.exposure_s, *notes)
+        averages = (status.dark, status.reference)
+        conditions = (status.bench, status.mask, status.is_sample_in, status.is_light_on, status.exposure_s, *averages)
         if conditions != self._conditions:
             self._conditions, self._changed_s = conditions, time.perf_counter()
 
@@ -69,8 +69,7 @@ def liveness(status: Status | None, failure: str, activity: Activity, measuremen
     if is_stopped or (_is_old(measurement) and age_s > 3 * measurement.latency_s):  # a slow method is always late
         why = "the camera is stopped: Space starts it" if is_stopped else "no newer frame has come yet"
         return Liveness(f"PAUSED, {age} old", activity.text or why, is_grey=True)
-    notes = ((status.dark, status.dark_note), (status.reference, status.reference_note))
-    reason = "; ".join(note.rpartition("\n")[2] for validity, note in notes if validity == "doubtful")
+    reason = "; ".join(each.doubt for each in (status.dark, status.reference) if each.validity == "doubtful")
     return Liveness("STALE" if reason else "", reason, is_grey=bool(reason))
 
 
@@ -89,10 +88,10 @@ def warning(
         return "the light is off: switch it on (L)"
     if status.warning and _shows_few(status, status.area):
         return _cut_off(status, status.area)
-    if problem not in {"", status.warning} and (status.reference == "good" or _SATURATED in problem):
+    if problem not in {"", status.warning} and (status.reference.validity == "good" or _SATURATED in problem):
         return problem
     stale = (("D: dark", status.dark), ("R: reference", status.reference))
-    keys = ", ".join(key for key, validity in stale if validity != "good")
+    keys = ", ".join(key for key, average in stale if average.validity != "good")
     own = "" if status.warning in quality.sentence else status.warning
     if quality.reasons and not keys:
         return "; ".join(filter(None, (quality.sentence, own)))
@@ -179,7 +178,7 @@ def area_taken(status: Status, area: SensorArea) -> tuple[str, bool]:
     """Describe the sensor area that the camera took, and return whether no lenslet is cut off."""
     if _shows_few(status, area):
         return _cut_off(status, area), False
-    retake = "" if status.reference == "good" else "; take a new dark (D) and reference (R)"
+    retake = "" if status.reference.validity == "good" else "; take a new dark (D) and reference (R)"
     outside = _outside(status, area)
     if outside:
         return f"{outside} of {_lenslets(status)} lenslets are cut off by {area}{retake}", False

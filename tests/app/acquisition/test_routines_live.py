@@ -81,7 +81,7 @@ def test_auto_expose_command_reaches_target_and_restores_state(live: Live, monke
     assert (status.is_light_on, status.is_running, status.is_sample_in) == (True, True, True)
     assert live.acquisition.activity.text == ""
     assert "20.0 ms" in status.warning  # dark and reference have another exposure now
-    assert (status.dark, status.reference) == ("doubtful", "doubtful")
+    assert (status.dark.validity, status.reference.validity) == ("doubtful", "doubtful")
 
 
 def test_failed_auto_exposure_keeps_loop_running(small_toml: Path) -> None:
@@ -157,7 +157,7 @@ def test_calibration_auto_exposes_before_dark_and_reference(live: Live, monkeypa
         step.result(HANG_S)
     status = live.status
     assert with_sample == [False]
-    assert (status.warning, status.dark, status.reference) == ("", "good", "good")
+    assert (status.warning, status.dark.validity, status.reference.validity) == ("", "good", "good")
     assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, False, False)
     reference = live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S)
     assert reference is not None
@@ -201,7 +201,7 @@ def test_changes_make_dark_and_reference_stale(
     started(live)
     live.do(change)
     status = live.status
-    assert (status.dark, status.reference) == (dark, reference)
+    assert (status.dark.validity, status.reference.validity) == (dark, reference)
     assert warning in status.warning
     assert bool(warning) is bool(status.warning)
 
@@ -249,12 +249,12 @@ def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
     first = live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S)
     assert first is not None
     live.do(lambda instrument: instrument.change_settings((), "circle"))
-    assert live.status.reference == "doubtful"  # none yet: that of the square stays in use
+    assert live.status.reference.validity == "doubtful"  # none yet: that of the square stays in use
     live.acquisition.submit(Instrument.take_reference, 4).result(HANG_S)
     assert live.status.warning == ""
     live.do(lambda instrument: instrument.change_settings((), "square"))
     assert live.status.warning == ""
-    assert "mask square" in live.status.reference_note
+    assert "mask square" in live.status.reference.note
     assert live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S) is first
     whole = live.status.area
     live.acquisition.set_area(SensorArea(Region(0, 0, 168, 240), 1)).result(HANG_S)
@@ -264,7 +264,7 @@ def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
     live.acquisition.set_area(whole).result(HANG_S)
     assert live.status.warning == ""
     assert live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S) is first
-    assert "4 frames" in live.status.dark_note
+    assert "4 frames" in live.status.dark.note
 
 
 @pytest.mark.slow
@@ -273,7 +273,7 @@ def test_reference_of_a_mask_is_stale_at_another_exposure(live: Live) -> None:
     live.do(lambda instrument: instrument.change_settings((), "circle"))
     live.do(lambda instrument: instrument.devices.camera.set_exposure(0.05))
     live.do(lambda instrument: instrument.change_settings((), "square"))
-    assert live.status.reference == "doubtful"
+    assert live.status.reference.validity == "doubtful"
     assert "at 20.0 ms" in live.status.warning
 
 

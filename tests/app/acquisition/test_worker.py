@@ -144,7 +144,7 @@ def test_routines_restore_devices(running: Running) -> None:
     status = running.acquisition.status
     assert status is not None
     assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, True)
-    assert (status.dark, status.reference, status.warning) == ("good", "good", "")
+    assert (status.dark.validity, status.reference.validity, status.warning) == ("good", "good", "")
 
 
 def test_cancelled_routine_restores_devices(running: Running) -> None:
@@ -236,9 +236,9 @@ def test_reference_clipped_by_the_full_well_is_doubtful(small_toml: Path) -> Non
         running.begin()
         status = running.acquisition.status
         assert status is not None
-        assert status.dark == "good"
-        assert status.reference == "doubtful"
-        assert "clipped" in status.reference_note
+        assert status.dark.validity == "good"
+        assert status.reference.validity == "doubtful"
+        assert "clipped" in status.reference.note
         assert "clipped" in status.warning
     finally:
         running.acquisition.close()
@@ -250,7 +250,7 @@ def test_reference_without_light_is_a_warning(running: Running) -> None:
     running.acquisition.submit(Instrument.take_reference, 2).result(HANG_S)
     assert running.acquisition.status is not None
     assert "no light" in running.acquisition.status.warning
-    assert running.acquisition.status.reference == "doubtful"
+    assert running.acquisition.status.reference.validity == "doubtful"
     wait_until(lambda: "no light" in running.measurements[-1].problem)
 
 

@@ -64,9 +64,9 @@ def test_button_takes_all_steps(window: MainWindow, qtbot: QtBot, camera: Expose
     assert status is not None
     level = 500 / FULL_SCALE + 0.35 * status.exposure_s / 0.02
     assert level == pytest.approx(0.7, abs=0.06)
-    assert (status.dark, status.reference) == ("good", "good")
-    assert status.dark_note.startswith("5 frames")
-    assert f"{status.exposure_s * 1e3:.4g} ms" in status.reference_note
+    assert (status.dark.validity, status.reference.validity) == ("good", "good")
+    assert status.dark.note.startswith("5 frames")
+    assert f"{status.exposure_s * 1e3:.4g} ms" in status.reference.note
     assert camera.light.shines
     assert camera.is_running
     assert camera.stage.is_sample_in

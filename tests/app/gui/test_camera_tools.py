@@ -197,7 +197,7 @@ def test_mask_drawn_by_hand_and_undone(live: tuple[MainWindow, FakeCamera], qtbo
     window.messages.clear_notice()
     qtbot.waitUntil(lambda: "All lenslets are excluded by hand" in window.messages.text.text())
     assert "R: reference" not in window.messages.text.text()  # which would not help
-    assert window._status.reference == "good"
+    assert window._status.reference.validity == "good"
     panel.use_tool("use again")
     drag(panel, (1, 1), (428, 298))
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")

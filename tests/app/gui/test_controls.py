@@ -14,7 +14,7 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, press, wait_for_wavefront
 
-from app.acquisition.kept_averages import Validity
+from app.acquisition.kept_averages import AverageState
 from app.bench.config import AUTOMATIC
 from app.bench.device_kinds import DRIVERS
 from app.gui.shell.main_window import MainWindow
@@ -205,19 +205,21 @@ def test_lamps_show_validity_of_dark_and_reference(live: tuple[MainWindow, FakeC
     assert window._status is not None
     status = window._status
 
-    def lamps(dark_validity: Validity, reference_validity: Validity) -> tuple[str, str]:
-        shown = replace(status, dark=dark_validity, reference=reference_validity)
+    def lamps(dark: AverageState, reference: AverageState) -> tuple[str, str]:
+        shown = replace(status, dark=dark, reference=reference)
         window.controls.show_status(shown)
         images = [
             button.icon().pixmap(32, 32).toImage() for button in (window.controls.dark, window.controls.reference)
         ]
-        dark, reference = (image.pixelColor(16, 25).name() for image in images)
-        return dark, reference
+        of_dark, of_reference = (image.pixelColor(16, 25).name() for image in images)
+        return of_dark, of_reference
 
     green, amber, off = theme.GREEN.name(), theme.AMBER.name(), theme.DIM.name()
-    assert lamps("good", "good") == (green, green)
-    assert lamps("good", "doubtful") == (green, amber)
-    assert lamps("doubtful", "missing") == (amber, off)
+    good, missing = AverageState("20 frames"), AverageState()
+    doubtful = replace(good, doubt="of another exposure")
+    assert lamps(good, good) == (green, green)
+    assert lamps(good, doubtful) == (green, amber)
+    assert lamps(doubtful, missing) == (amber, off)
 
 
 @pytest.mark.slow

@@ -363,7 +363,7 @@ def test_reconnecting_leaves_the_light_off(make_window: MakeWindow, qtbot: QtBot
     qtbot.waitUntil(lambda: second.is_running and window.controller.is_settled)
     assert second.stage.is_sample_in
     assert window.controller.status is not None
-    assert window.controller.status.dark == "good"
+    assert window.controller.status.dark.validity == "good"
     assert True not in lit
     assert "  The light stays off, as you left it: L switches it on" in window.messages.log
 

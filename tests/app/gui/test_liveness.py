@@ -17,6 +17,7 @@ from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import dim_frame, press, views
 
 from app.acquisition.carrier import Activity
+from app.acquisition.kept_averages import AverageState
 from app.gui.panels.panel import Liveness
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.wording import Situation, liveness
@@ -56,8 +57,8 @@ def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:
 
 def test_alarm_is_about_frames_of_the_present_conditions() -> None:
     """An alarm about an earlier frame ends when, for example, the exposure is changed."""
-    names = ("bench", "mask", "is_sample_in", "exposure_s", "dark_note", "reference_note", "warning")
-    well: Any = SimpleNamespace(**dict.fromkeys(names, ""), dark="good", reference="good", is_light_on=True)
+    names, good = ("bench", "mask", "is_sample_in", "exposure_s", "warning"), AverageState("20 frames")
+    well: Any = SimpleNamespace(**dict.fromkeys(names, ""), dark=good, reference=good, is_light_on=True)
     well.is_running = True
     situation, before_s = Situation(), time.perf_counter()
     situation.follow(well)

@@ -122,8 +122,8 @@ def test_window_measures_without_a_click(live: tuple[MainWindow, FakeCamera]) ->
     assert camera.light.is_on
     assert camera.stage.is_sample_in
     assert window._status is not None
-    assert window._status.dark == "good"
-    assert window._status.reference == "good"
+    assert window._status.dark.validity == "good"
+    assert window._status.reference.validity == "good"
     assert window.controls.start.text() == "Stop"
 
 

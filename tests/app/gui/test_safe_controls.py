@@ -427,15 +427,13 @@ def test_message_names_the_actual_cause(live: tuple[MainWindow, FakeCamera], qtb
     window, _ = live
     status = window._status
     assert status is not None
+    doubtful = replace(status.reference, doubt="it is stale")
     unmatched = "no lenslet of the frame could be matched with the reference: is the light on?"
     for changes, text in (
         ({"is_light_on": False}, "the light is off: switch it on (L)"),
+        ({"is_light_on": False, "reference": doubtful, "warning": "it is stale"}, "the light is off: switch it on (L)"),
         (
-            {"is_light_on": False, "reference": "doubtful", "warning": "it is stale"},
-            "the light is off: switch it on (L)",
-        ),
-        (
-            {"reference": "doubtful", "warning": "it was taken with the mask stars"},
+            {"reference": doubtful, "warning": "it was taken with the mask stars"},
             "it was taken with the mask stars  (R",
         ),
         ({}, unmatched),

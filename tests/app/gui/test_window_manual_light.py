@@ -44,7 +44,7 @@ def says(window: MainWindow, text: str) -> bool:
 def test_dark_and_reference_ask_for_the_light(by_hand: tuple[MainWindow, ManualLight], qtbot: QtBot) -> None:
     window, light = by_hand
     assert window._status is not None
-    assert window._status.dark == "missing"  # the start could not take it
+    assert window._status.dark.validity == "missing"  # the start could not take it
     assert not window.controls.current.isEnabled()
     press(qtbot, window, Qt.Key.Key_D)
     assert says(window, "Switch the light off by hand")
@@ -53,13 +53,13 @@ def test_dark_and_reference_ask_for_the_light(by_hand: tuple[MainWindow, ManualL
     qtbot.waitUntil(lambda: says(window, "Switch the light on by hand"))  # after the dark
     assert not light.is_on
     assert window.controls.light.text() == "Light\nnoted off"
-    qtbot.waitUntil(lambda: window._status is not None and window._status.dark == "good")
+    qtbot.waitUntil(lambda: window._status is not None and window._status.dark.validity == "good")
     window.messages.discard.click()
     assert not light.is_on
     press(qtbot, window, Qt.Key.Key_R)
     assert says(window, "Switch the light on by hand")
     press(qtbot, window, Qt.Key.Key_Return)
-    qtbot.waitUntil(lambda: window._status is not None and window._status.reference == "good")
+    qtbot.waitUntil(lambda: window._status is not None and window._status.reference.validity == "good")
     assert light.is_on
     assert window.controls.light.text() == "Light\nby hand"
 

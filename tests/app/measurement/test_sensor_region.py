@@ -260,7 +260,7 @@ def test_smaller_area_shows_same_lenslets_after_recalibration(
     status = acquisition.status
     assert status is not None
     assert status.area == taken
-    assert (status.dark, status.reference) == ("doubtful", "doubtful")
+    assert (status.dark.validity, status.reference.validity) == ("doubtful", "doubtful")
     assert "of another part of the sensor" in status.warning
     problem = "of another part of the sensor"
     newest(measurements, 0, lambda each: each.frame.pixels.shape == (144, 224) and problem in each.problem)

@@ -78,12 +78,9 @@ def test_each_frame_uses_its_own_calibration(
             step.result(HANG_S)
         wait_until(lambda: len(seen) >= 2 * FRAMES or not acquisition.is_alive)
         assert acquisition.is_alive, acquisition.failure
-        assert acquisition.status is not None
-        assert (acquisition.status.dark, acquisition.status.reference, acquisition.status.warning) == (
-            "good",
-            "good",
-            "",
-        )
+        status = acquisition.status
+        assert status is not None
+        assert (status.dark.validity, status.reference.validity, status.warning) == ("good", "good", "")
     finally:
         acquisition.close()
     which = [

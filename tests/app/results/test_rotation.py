@@ -15,6 +15,7 @@ from support.optics import FIELD, SmallBench
 from support.paths import DOCS
 
 from app.acquisition.instrument import Status
+from app.acquisition.kept_averages import AverageState
 from app.bench.config import Bench, write_bench
 from app.gui.shell.wording import warning
 from app.results.dataset import result_dataset
@@ -107,13 +108,14 @@ def test_measure_prints_the_rotation(
 class Good:
     """The part of a status that the warning depends on, when all is well."""
 
-    warning, dark, reference, is_light_on = "", "good", "good", True
+    warning, is_light_on = "", True
+    dark = reference = AverageState("20 frames")
     area, capabilities = SimpleNamespace(region=None), SimpleNamespace(sensor=None)
     bench = SimpleNamespace(registration=SimpleNamespace(rotation=True))
 
 
 class NoDark(Good):
-    warning, dark = "no dark", "missing"
+    warning, dark = "no dark", AverageState()
 
 
 def test_window_warns_last_that_subimages_rotate(bench: SmallBench) -> None:

@@ -112,9 +112,9 @@ def test_commands_act_and_the_status_has_changed_when_they_are_done(camera: Fake
         assert connection.submit(Instrument.set, "exposure_s", 0.03, paused=True).result(HANG_S) == 0.03
         assert connection.status is not None
         assert connection.status.exposure_s == 0.03
-        assert connection.status.dark_note.endswith("take it again")
+        assert connection.status.dark.note.endswith("take it again")
         connection.submit(Instrument.take_dark, 3).result(HANG_S)
-        assert connection.status.dark == "good"
+        assert connection.status.dark.validity == "good"
         area = connection.status.area
         assert connection.set_area(area).result(HANG_S) == area
         assert connection.free_minutes(Path.cwd()).result(HANG_S) > 0
