@@ -1,13 +1,14 @@
 """Form for all settings of a bench, also for a new one with connected devices."""
 
 import re
-import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from functools import partial
 
 from PyQt6.QtCore import QSize
 from PyQt6.QtWidgets import QCheckBox, QDialog, QFormLayout, QLineEdit, QListWidget, QStackedWidget, QWidget
 
+from app.acquisition.command_queue import begun_beside
 from app.bench.config import Bench, save_bench
 from app.bench.device_kinds import KINDS
 from app.bench.settings_form import FormField, SettingsForm, fault_in_words, fault_path
@@ -47,8 +48,7 @@ class SettingsDialog(QDialog):
         self._form = SettingsForm({})
         self._before: Bench | None = None  # the edited bench; None for a new one
         self._found: list[DiscoveredDevice] = []
-        self._failed: list[str] = []  # searches and devices that cannot be used, with the reasons
-        self._search: threading.Thread | None = None
+        self._search: Future[tuple[list[DiscoveredDevice], list[str]]] | None = None
         self.editors: dict[str, tuple[FormField, QWidget]] = {}
         self.sections, self.pages = QListWidget(), QStackedWidget()
         self.sections.setFixedWidth(170)
@@ -93,29 +93,18 @@ class SettingsDialog(QDialog):
         self._before = None
         self._begin(SettingsForm.of(template, is_new=True))
         if self._search is None:
-            self._found, self._failed = [], []
+            self._found = []
             self.failed.setText("")
-            self._search = threading.Thread(target=self._discover, name="device search", daemon=True)
-            self._search.start()
+            self._search, _ = begun_beside(_discover, "device search")
             self._timer.start()
 
-    def _discover(self) -> None:
-        for kind in KINDS:
-            try:
-                devices, missing = kind.discover()
-            except Exception as error:  # noqa: BLE001 - every error is shown, and the other kinds are searched
-                devices, missing = (), f"{type(error).__name__}: {error}"
-            self._found += devices
-            self._failed += [f"{kind.name}, not searched: {missing}"] if missing else []
-            self._failed += [f"{one.name} cannot be used yet: {one.missing}" for one in devices if one.missing]
-
     def _poll(self) -> None:
-        if self._search is None or self._search.is_alive():
+        if self._search is None or not self._search.done():
             return
-        self._search = None
+        (self._found, failed), self._search = self._search.result(), None
         self._timer.stop()
-        self.failed.setText("\n".join(_DETAIL.sub("", failed).replace("`", "") for failed in self._failed))
-        self.failed.setToolTip("\n".join(self._failed))
+        self.failed.setText("\n".join(_DETAIL.sub("", one).replace("`", "") for one in failed))
+        self.failed.setToolTip("\n".join(failed))
         for kind, choice in self._choices.items():
             names = [device.name for device in self._found if device.kind == kind]
             choice.clear()
@@ -239,6 +228,20 @@ class SettingsDialog(QDialog):
             return
         self.close()
         self._opened(str(path))
+
+
+def _discover() -> tuple[list[DiscoveredDevice], list[str]]:
+    """Search for devices; return them, and what cannot be searched for or used, with the reasons."""
+    found, failed = list[DiscoveredDevice](), list[str]()
+    for kind in KINDS:
+        try:
+            devices, missing = kind.discover()
+        except Exception as error:  # noqa: BLE001 - every error is shown, and the other kinds are searched
+            devices, missing = (), f"{type(error).__name__}: {error}"
+        found += devices
+        failed += [f"{kind.name}, not searched: {missing}"] if missing else []
+        failed += [f"{one.name} cannot be used yet: {one.missing}" for one in devices if one.missing]
+    return found, failed
 
 
 def _in_names(text: str) -> str:
