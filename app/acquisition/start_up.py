@@ -103,23 +103,27 @@ class CalibrationStep:
 
 
 LATTICE = CalibrationStep(
-    "Lattice", "Finds the lenslets in a few frames without the sample.", True, Instrument.find_lattice
+    "Lattice", "Finds the lenslets in a few frames without the sample.", is_lit=True, request=Instrument.find_lattice
 )
 EXPOSURE = CalibrationStep(
     "Exposure",
     "Sets the exposure, and if needed the light's current, so that the brightest lenslets fill 70 % of the range.",
-    True,
-    Instrument.expose_without_sample,
+    is_lit=True,
+    request=Instrument.expose_without_sample,
 )
 DARK = CalibrationStep(
-    "Dark", "Averages frames with the light off: the background of all frames.", False, Instrument.take_dark, True
+    "Dark",
+    "Averages frames with the light off: the background of all frames.",
+    is_lit=False,
+    request=Instrument.take_dark,
+    averages=True,
 )
 REFERENCE = CalibrationStep(
     "Reference",
     "Averages frames with the light on and without the sample: the zero point of the displacements.",
-    True,
-    Instrument.take_reference,
-    True,
+    is_lit=True,
+    request=Instrument.take_reference,
+    averages=True,
 )
 STEPS = (LATTICE, EXPOSURE, DARK, REFERENCE)
 

@@ -145,7 +145,8 @@ class CoefficientsPanel(Panel):
         name = found.names[found.choice.mapped or 0]
         unit = self.shown.unit
         scale = diverging(limit, unit)
-        self.map.show_maps(Maps(values[None, None], scale, lambda *at: f"{name}: {signed(at[-1])} {unit}", True))
+        maps = Maps(values[None, None], scale, lambda *at: f"{name}: {signed(at[-1])} {unit}", is_smooth=True)
+        self.map.show_maps(maps)
 
     def _offer(self, field_modes: int) -> None:
         if self.of.count() == field_modes + 1:

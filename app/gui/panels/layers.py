@@ -155,7 +155,8 @@ class LayersPanel(Panel):
             return f"{x_mm:+.2f}, {y_mm:+.2f} mm on the layer: {text}"
 
         self.map.is_stale = False
-        self.map.show_maps(Maps(values[None], diverging(limit, unit), describe, True, reach_mm, "mm"))
+        scale = diverging(limit, unit)
+        self.map.show_maps(Maps(values[None], scale, describe, is_smooth=True, reach=reach_mm, reach_unit="mm"))
         wide = (f"map {2 * reach_mm[0]:.1f} mm wide", f"{2 * reach_mm[0]:.1f} mm wide")  # not after +-
         captions: dict[tuple[int, int], Caption] = {}
         for index, (at_m, sigma_m) in enumerate(zip(found.distances_m, found.sigma_m, strict=True)):

@@ -90,13 +90,13 @@ class LensletPanel(Panel):
         if shown.badge != self._badge:
             self._badge = shown.badge
             self._show_state(self._state)
-            self._grey(shown.is_grey)
+            self._grey(is_grey=shown.is_grey)
 
     def show_nothing(self) -> None:
         """Show the last inspection in grey: the newest frame has no wavefront, or no reference."""
         if self.lenslet is not None:
             self._show_state("not measured")
-            self._grey(True)
+            self._grey(is_grey=True)
             self._write(f"nothing to inspect: {self.shown.problem or 'there is no wavefront'}")
 
     def request(self) -> Request | None:
@@ -112,7 +112,7 @@ class LensletPanel(Panel):
             return
         reason = found.outcome.reason
         self._show_state(f"lost, {reason}" if reason else "converged")
-        self._grey(self.shown.liveness.is_grey)
+        self._grey(is_grey=self.shown.liveness.is_grey)
         self.exclude.setText("Use again" if found.outcome is Outcome.EXCLUDED else "Exclude")
         top = max(float(found.reference.max()), float(found.frame.max()), 1.0)
         light = ColourScale("inferno", 0.0, self._top.follow(top), "", (0.0, 0.5, 1.0))
@@ -134,7 +134,7 @@ class LensletPanel(Panel):
         parts = (": ".join(filter(None, (name, state))), self._badge)
         self.name.setText("    ".join(filter(None, parts)))
 
-    def _grey(self, is_grey: bool) -> None:
+    def _grey(self, *, is_grey: bool) -> None:
         for tile in self.tiles.values():
             tile.show_stale(is_stale=is_grey)
 
