@@ -12,8 +12,7 @@ import numpy as np
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, Outcomes, RegistrationMethod
 from reconstruction.errors import ReconstructionError, TooManyModes
-from reconstruction.frame.linearity import Linearity
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.pixels import AboveDark, find_bad_pixels
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.layers.layer_search import find_layers
@@ -123,16 +122,8 @@ class Reconstructor:
         Counts of the frame without the sample.
     sensor, lattice, field, registration, reconstruction
         Geometry and settings of the bench. Without `registration.warp`, the warp with the least expected error.
-    dark : (row, column), optional
-        Counts without light. Without it, the darkest percent of each image's pixels is the background.
-    full_scale : float
-        Count at which a pixel is saturated.
-    linearity : Linearity, optional
-        Nonlinearity of the camera, which is corrected in every frame, dark subtracted.
-    noise : CameraNoise, optional
-        Noise of a single frame, so corrected. It weights pixels and lenslets and gives absolute error bars.
-    reference_frames : float
-        Number of frames averaged in the reference.
+    camera : KnownCamera
+        Dark, saturation, nonlinearity and noise. The noise weights pixels and lenslets and gives absolute error bars.
     own : OwnMethods
         Methods that replace those of the settings.
     lenslet_model : callable, optional
@@ -154,27 +145,24 @@ class Reconstructor:
         field: Field,
         registration: RegistrationSettings,
         reconstruction: ReconstructionSettings,
-        dark: Counts | None = None,
-        full_scale: float = np.inf,
-        linearity: Linearity | None = None,
-        noise: CameraNoise | None = None,
-        reference_frames: float = np.inf,
+        camera: KnownCamera = KnownCamera(),  # noqa: B008 - immutable
         own: OwnMethods = NO_OWN,
         lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None = None,
     ) -> None:
         self.frame_shape = reference.shape[0], reference.shape[-1]
-        self._above_dark = AboveDark(self.frame_shape, dark, full_scale, linearity)
-        self.sensor, self.lattice, self.field, self.noise = sensor, lattice, field, noise
+        self._above_dark = AboveDark(self.frame_shape, camera)
+        self.sensor, self.lattice, self.field, self.camera = sensor, lattice, field, camera
+        self.noise = camera.noise.of_frame
         self._own = own
         registration, self.reconstruction = own.named(registration, reconstruction)
-        self._reference_frames, self._excluded = reference_frames, registration.excluded
+        self._excluded = registration.excluded
         light, _ = self._above_dark(reference, "reference")
         if not np.mean(light) > 0:
             raise ReconstructionError(
                 "the reference shows no light above the dark: was the light on for the dark, or off for the reference?",
                 image="reference",
             )
-        self._bad = find_bad_pixels(reference, dark)
+        self._bad = find_bad_pixels(reference, camera.dark)
         self.subimages, self._lenslet_model = self._cut(light), lenslet_model
         with one_blas_thread():  # so that results repeat
             self._prepare_estimators(light, registration)
@@ -425,8 +413,7 @@ class Reconstructor:
             sensor=self.sensor,
             lattice=self.lattice,
             field=self.field,
-            noise=self.noise,
-            reference_frames=self._reference_frames,
+            noise=self.camera.noise,
             bad=self._bad,
             excluded=self._excluded,
         )

@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from app.bench.config import Bench, as_bench
 from app.errors import InputError
-from app.measurement.calibration import Calibration, KnownNoise
+from app.measurement.calibration import Calibration
 from app.measurement.estimator import Estimator, mask_sentence
 from reconstruction.arrays import Booleans, Counts
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.noise import TransferCurve, image_transfer
+from reconstruction.frame.camera import KnownCamera
+from reconstruction.frame.noise import KnownNoise, TransferCurve, image_transfer
 from reconstruction.frame.pixels import AboveDark, find_bad_pixels, repaired
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import survey
@@ -224,9 +225,9 @@ class BenchReconstructor:
         """The estimator; prepared with the noise that a frame shows, if this is the first call."""
         if self._estimator is None:
             given = self._calibration
-            known, full_scale = KnownNoise(None, curve=self._curve(given.reference.mean)), given.full_scale
+            known, full_scale = KnownNoise(curve=self._curve(given.reference.mean)), given.full_scale
             if frame is not None:
-                AboveDark(given.reference.mean.shape, None, np.inf)(frame, "frame")  # refuses one of another size
+                AboveDark(given.reference.mean.shape, KnownCamera())(frame, "frame")  # refuses one of another size
                 known = _known_noise(self._curve(frame), known.curve)
                 if not self._is_scale_given:
                     full_scale = min(full_scale, full_scale_of(frame, self.bench.camera_model.bits))

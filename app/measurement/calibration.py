@@ -14,20 +14,12 @@ from app.bench.config import Bench
 from app.bench.imaging_model import lenslet_model
 from app.measurement.averages import Average
 from reconstruction.arrays import Counts
-from reconstruction.frame.noise import CameraNoise, TransferCurve, photon_transfer
+from reconstruction.frame.camera import KnownCamera
+from reconstruction.frame.noise import KnownNoise, photon_transfer
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey, survey
 from reconstruction.pipeline import NO_OWN, OwnMethods, Reconstructor
 from reconstruction.quality.verdict import Fault, Quality
-
-
-@dataclass(frozen=True, slots=True)
-class KnownNoise:
-    """Noise of the camera, and what the reference shows of it."""
-
-    noise: CameraNoise | None  # of a single frame; None if it is unknown
-    reference_frames: float = math.inf  # averaged in the reference
-    curve: TransferCurve | None = None  # variance of the reference's frames against their light
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -57,7 +49,7 @@ class Calibration:
         dark: Counts | None = None,
         lattice: Lattice | None = None,
         full_scale: float = math.inf,
-        known: KnownNoise = KnownNoise(None),
+        known: KnownNoise = KnownNoise(),  # noqa: B008 - immutable
         own: OwnMethods = NO_OWN,
     ) -> Calibration:
         """Take a reference and a dark, (row, column), that do not tell their noise, and a `lattice` if it is known."""
@@ -99,7 +91,7 @@ class Calibration:
 
     def reconstructor(self) -> Reconstructor:
         """Build the reconstructor; `ReconstructionError` if dark, reference and settings do not fit."""
-        bench, noise = self.bench, self.noise
+        bench = self.bench
         return Reconstructor(
             self.reference.mean,
             sensor=bench.sensor,
@@ -107,11 +99,7 @@ class Calibration:
             field=bench.field,
             registration=bench.registration,
             reconstruction=bench.reconstruction,
-            dark=self.dark_image,
-            full_scale=self.full_scale,
-            linearity=bench.linearity,
-            noise=noise.noise,
-            reference_frames=noise.reference_frames,
+            camera=KnownCamera(self.dark_image, self.full_scale, bench.linearity, self.noise),
             own=self.own,
             lenslet_model=partial(lenslet_model, bench),
         )

@@ -48,7 +48,6 @@ class Estimator:
     def judge(self) -> FrameJudge:
         """Judges frames by their displacements; the calibration itself is judged already."""
         made, given, shown = self.reconstructor, self.calibration, None
-        noise = given.noise
         if given.bench.lattice is not None:
             shown = _shown_lattice(given.reference, given.dark, given.bench.sensor, given.full_scale)
         of_reference = reference_quality(
@@ -56,19 +55,16 @@ class Estimator:
             sensor=made.sensor,
             lattice=made.lattice,
             shown=shown,
-            dark=given.dark_image,
+            camera=made.camera,
             variance=given.reference.variance,
-            noise=made.noise,
-            frames=noise.reference_frames,
         )
         return FrameJudge(
             made.subimages,
             made.registration,
-            dark=given.dark_image,
-            linearity=given.bench.linearity,
+            camera=made.camera,
             of_reference=sample_quality(made.subimages)
             | given.linearity_quality
-            | linearity_quality(noise.curve, "reference")
+            | linearity_quality(made.camera.noise.curve, "reference")
             | of_reference
             | scale_quality(given)
             | Quality.of(Fault.RESPONSE, made.response_problem),  # named first

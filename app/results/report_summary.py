@@ -283,7 +283,7 @@ def _of_calibration(summary: Summary) -> Iterator[Fact]:
     several = f"; the first of {summary.calibrations} calibrations" * (summary.calibrations > 1)
     yield "dark", "none" if calibration.dark is None else _average(calibration.dark)
     yield "reference", _average(calibration.reference) + several
-    noise = calibration.noise.noise
+    noise = calibration.noise.of_frame
     yield (
         "noise",
         "unknown from dark and reference; error bars from the misfit"

@@ -112,6 +112,15 @@ class TransferCurve:
         return self.light[bright], self.variance[bright]
 
 
+@dataclass(frozen=True, slots=True)
+class KnownNoise:
+    """Noise of the camera, and what the reference shows of it."""
+
+    of_frame: CameraNoise | None = None  # of a single frame; None if it is unknown
+    reference_frames: float = math.inf  # averaged in the reference
+    curve: TransferCurve | None = None  # variance of the reference's frames against their light
+
+
 def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance: Image) -> TransferCurve | None:
     """Measure the noise of one frame from the variance of each pixel against its light; None with too few frames.
 

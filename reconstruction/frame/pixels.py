@@ -10,7 +10,8 @@ from scipy import ndimage
 
 from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.linearity import LINEAR, Linearity
+from reconstruction.frame.camera import KnownCamera
+from reconstruction.frame.linearity import LINEAR
 from reconstruction.runtime.compilation import compiled
 
 _SATURATED_FRACTION = 0.01  # of the image's pixels; with more, it is rejected
@@ -20,20 +21,15 @@ PEAK_PERCENT = 99.9  # this one is the peak, so that hot pixels do not count
 
 
 class AboveDark:
-    """Subtracts one dark (row, column), if there is one, from images of one size, and corrects the nonlinearity.
+    """Subtracts a camera's dark, if there is one, from images of one shape, and corrects the nonlinearity."""
 
-    Pixels from `full_scale` on are saturated.
-    """
-
-    def __init__(
-        self, shape: tuple[int, ...], dark: Counts | None, full_scale: float, linearity: Linearity | None = None
-    ) -> None:
-        self._shape, self._full_scale, self._linearity = shape, full_scale, linearity
-        self._curve = LINEAR if linearity is None else linearity.curve
+    def __init__(self, shape: tuple[int, ...], camera: KnownCamera) -> None:
+        self._shape, self._full_scale, self._linearity = shape, camera.full_scale, camera.linearity
+        self._curve = LINEAR if camera.linearity is None else camera.linearity.curve
         self._dark: Image | None = None
-        if dark is not None:
-            self._check(dark, "dark")
-            self._dark = _finite(dark, "dark")
+        if camera.dark is not None:
+            self._check(camera.dark, "dark")
+            self._dark = _finite(camera.dark, "dark")
             self._of_camera(np.zeros(shape, np.uint16), self._dark)  # compile now instead of at the first frame
 
     def __call__(self, image: Counts, name: str) -> tuple[Image, Booleans]:

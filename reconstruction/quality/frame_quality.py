@@ -18,7 +18,7 @@ import numpy as np
 
 from reconstruction.arrays import Booleans, Counts, Floats
 from reconstruction.displacement import Displacement, Outcome
-from reconstruction.frame.linearity import Linearity
+from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.pixels import BACKGROUND_PERCENT, CLIPPED, clipped_fraction
 from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import PolynomialModes
@@ -75,13 +75,12 @@ class FrameJudge:
         reference: ReferenceSubimages,
         settings: RegistrationSettings,
         *,
-        dark: Counts | None = None,
-        linearity: Linearity | None = None,
+        camera: KnownCamera = KnownCamera(),  # noqa: B008 - immutable
         of_reference: Quality = Quality(),  # noqa: B008 - immutable
     ) -> None:
         """Prepare; `of_reference` is the reference's own quality, which all its frames share."""
         self._sensor, field = reference.sensor, reference.field
-        self._linearity, self._noise, self.of_reference = linearity, reference.noise, of_reference
+        self._linearity, self._noise, self.of_reference = camera.linearity, reference.noise, of_reference
         is_ours = settings.method == "gauss_newton"
         self._limits = _LIMITS[settings.warp or "quartic"] if is_ours else _LIMITS["translation"]
         has_limit = is_ours and settings.warp != "translation"
@@ -112,7 +111,7 @@ class FrameJudge:
         self._grid = self._grid[field.contains(*self._grid.T)]
         self._values: Floats | None = None  # of the field modes there, (field_mode, position), at the first frame
         self._noise_slopes = _NOISE_SLOPES * (1 + 1 / reference.reference_frames)  # its noise is not in the variance
-        self._dark = None if dark is None else np.asarray(dark, np.float64).ravel()[self._sampled]
+        self._dark = None if camera.dark is None else np.asarray(camera.dark, np.float64).ravel()[self._sampled]
         level = 0.0 if self._dark is None else self._dark
         self._stray = StrayLight(
             self._sensor, lit=self._lit, light=light, sampled=self._sampled, is_good=is_good, dark=level

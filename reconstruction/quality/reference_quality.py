@@ -10,7 +10,8 @@ import math
 import numpy as np
 
 from reconstruction.arrays import Counts, Floats, Image
-from reconstruction.frame.noise import CameraNoise, TransferCurve
+from reconstruction.frame.camera import KnownCamera
+from reconstruction.frame.noise import TransferCurve
 from reconstruction.frame.pixels import CLIPPED, clipped_fraction
 from reconstruction.frame.spline import sample
 from reconstruction.geometry import Lattice, Sensor, centered_steps, lenslet_centers
@@ -32,17 +33,16 @@ def reference_quality(
     sensor: Sensor,
     lattice: Lattice,
     shown: Lattice | None = None,
-    dark: Counts | None = None,
+    camera: KnownCamera,
     variance: Image | None = None,
-    noise: CameraNoise | None = None,
-    frames: float = 1,
 ) -> Quality:
     """Judge a reference and its dark, (row, column), counts.
 
     `lattice` is where the lenslets are taken to be, `shown` where the reference shows them (`lattice.search.survey`).
-    `variance` (row, column) is that of the averaged `frames`, counts^2, and `noise` that of one frame.
+    `variance` (row, column) is that of the averaged frames, counts^2.
     """
     reasons: dict[Fault, str] = {}
+    dark, noise, frames = camera.dark, camera.noise.of_frame, camera.noise.reference_frames
     light = np.asarray(reference, np.float64)
     if dark is not None:
         light = light - dark

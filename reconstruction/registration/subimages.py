@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import CovarianceSource, Displacement, Outcome, Transmission
 from reconstruction.errors import ReconstructionError, UnusableSettings
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.noise import KnownNoise
 from reconstruction.frame.pixels import repaired
 from reconstruction.frame.spline import sample, spline_coefficients
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, require
@@ -60,18 +60,17 @@ class ReferenceSubimages:
         sensor: Sensor,
         lattice: Lattice,
         field: Field,
-        noise: CameraNoise | None = None,
-        reference_frames: float = np.inf,
+        noise: KnownNoise = KnownNoise(),  # noqa: B008 - immutable
         bad: Booleans | None = None,
         excluded: Iterable[tuple[int, int]] = (),
     ) -> None:
         """Cut `reference` (row, column), counts above the dark; raise `ReconstructionError` if it shows nothing.
 
-        `noise` is that of a single frame; the reference is the mean of `reference_frames`. `bad` (row, column) marks
-        bad pixels. `excluded` are lenslets (row, column) that are left out.
+        `bad` (row, column) marks bad pixels. `excluded` are lenslets (row, column) that are left out.
         """
-        require({"reference_frames must be at least 1": reference_frames >= 1})
-        self.sensor, self.field, self.noise, self.reference_frames = sensor, field, noise, reference_frames
+        require({"reference_frames must be at least 1": noise.reference_frames >= 1})
+        self.sensor, self.field = sensor, field
+        self.noise, self.reference_frames = noise.of_frame, noise.reference_frames
         self.lenslets = (sensor.lenslet_rows, sensor.lenslet_columns)
         self._field_outline = field.outline
         self._at_outline: dict[FieldModes, Floats] = {}  # field modes there, (Q, position), cached

@@ -9,7 +9,7 @@ from support.optics import SmallBench
 
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.modes.field_modes import gradient_basis
 from reconstruction.registration import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
@@ -25,7 +25,7 @@ def displacement(checker_bench: SmallBench) -> Displacement:
         sensor=checker_bench.sensor,
         lattice=checker_bench.lattice,
         field=checker_bench.field,
-        noise=CameraNoise(1.0, 8.0),
+        noise=KnownNoise(CameraNoise(1.0, 8.0)),
     )
     estimate = prepare_registration(
         subimages, RegistrationSettings(warp="quadratic", rotation=False), checker_bench.field

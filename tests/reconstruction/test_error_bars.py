@@ -10,7 +10,8 @@ from support.optics import SmallBench
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import RegistrationMethod
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.camera import KnownCamera
+from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.frame.spline import noise_power
 from reconstruction.modes.polynomials import legendre, legendre_gradients
 from reconstruction.registration import prepare_registration
@@ -45,7 +46,7 @@ def _estimator(
     """Quadratic registration against a reference with that many electrons in its brightest pixel."""
     reference = bench.reference * np.float32(electrons / bench.reference.max())
     subimages = ReferenceSubimages(
-        reference, sensor=bench.sensor, lattice=bench.lattice, field=bench.field, noise=noise
+        reference, sensor=bench.sensor, lattice=bench.lattice, field=bench.field, noise=KnownNoise(noise)
     )
     return prepare_registration(subimages, RegistrationSettings(rotation=rotation), bench.field)
 
@@ -155,7 +156,7 @@ def test_unknown_noise_counts_the_parameters_that_fit_it(checker_bench: SmallBen
 def test_noise_of_the_reference_falls_with_its_frames(checker_bench: SmallBench) -> None:
     noise = CameraNoise(1e-9, 0.03 * float(checker_bench.reference.max()))
     variance = {
-        frames: checker_bench.reconstructor("quadratic", noise=noise, reference_frames=frames)
+        frames: checker_bench.reconstructor("quadratic", camera=KnownCamera(noise=KnownNoise(noise, frames)))
         .register(checker_bench.reference)
         .variance.mean()
         for frames in (1, 4, 10**6)

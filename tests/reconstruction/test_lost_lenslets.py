@@ -13,6 +13,7 @@ from support.optics import FIELD, SmallBench
 
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
+from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.settings import RegistrationSettings
 from reconstruction.wavefront import rms
@@ -126,7 +127,7 @@ def test_frame_of_another_size_is_refused(small_bench: SmallBench, tilted: NDArr
 def test_saturated_frame_is_refused(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
     full_scale = tilted.max() / 3
     with pytest.raises(ReconstructionError, match="saturated: shorten the exposure"):
-        small_bench.reconstructor(reference=small_bench.reference / 4, full_scale=full_scale)(
+        small_bench.reconstructor(reference=small_bench.reference / 4, camera=KnownCamera(full_scale=full_scale))(
             np.minimum(tilted, full_scale)
         )
 
@@ -143,7 +144,7 @@ def _touched(small_bench: SmallBench, image: NDArray[np.float32], value: float) 
 def test_few_saturated_pixels_in_every_cell_are_named(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
     full_scale = 2 * float(tilted.max())
     correlation = RegistrationSettings(method="correlation")  # it loses every lenslet with a saturated pixel
-    reconstructor = small_bench.reconstructor(full_scale=full_scale, registration=correlation)
+    reconstructor = small_bench.reconstructor(camera=KnownCamera(full_scale=full_scale), registration=correlation)
     with pytest.raises(ReconstructionError, match=r"63 are saturated, shorten the exposure"):
         reconstructor(_touched(small_bench, tilted, full_scale))
 

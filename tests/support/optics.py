@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, diagonal_covariance
+from reconstruction.frame.camera import KnownCamera
+from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.pipeline import Reconstructor
@@ -124,6 +126,8 @@ class SmallBench:
         method: str = "modal",
         pupil_modes: int | None = 21,
         sample: SampleModel = "free",
+        *,
+        noise: CameraNoise | None = None,
         **changes: object,
     ) -> Reconstructor:
         """A reconstructor for this bench; `changes` are other arguments of `Reconstructor`."""
@@ -136,5 +140,6 @@ class SmallBench:
             "reconstruction": ReconstructionSettings(
                 method=cast("Literal['zonal', 'modal']", method), pupil_modes=pupil_modes, sample=sample
             ),
+            "camera": KnownCamera(noise=KnownNoise(noise)),
         }
         return Reconstructor(**{**settings, **changes})

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.evaluation.frames import NoiseFreeFrames
-from app.measurement.calibration import Calibration, KnownNoise
+from app.measurement.calibration import Calibration
 from app.progress import Progress
 from reconstruction.arrays import Counts, Floats, Image
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.geometry import Lattice
 from reconstruction.pipeline import Reconstructor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.evaluation.studies import CaseResult, Position
-from app.measurement.calibration import Calibration, KnownNoise
+from app.measurement.calibration import Calibration
 from app.measurement.estimator import Estimator
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.pipeline import Reconstructor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp

@@ -24,7 +24,8 @@ from app.measurement.averages import Average
 from app.measurement.routines import Cancelled, Circumstances, RoutineError
 from app.measurement.sensor_region import SensorArea
 from drivers.interface import Devices, DeviceTimeout, Region
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.camera import KnownCamera
+from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from simulated_devices.camera import SimulatedCamera
 
@@ -234,8 +235,7 @@ def test_reference_noise_enters_covariance(small_bench: SmallBench) -> None:
                 reference=noisy(frames),
                 registration=RegistrationSettings(warp="affine"),
                 reconstruction=ReconstructionSettings(),
-                noise=noise,
-                reference_frames=frames,
+                camera=KnownCamera(noise=KnownNoise(noise, frames)),
             ).register(noisy(1))
             errors.append(displacement.coefficients[displacement.valid])
             variances.append(displacement.variance[displacement.valid])

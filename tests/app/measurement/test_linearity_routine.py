@@ -150,14 +150,14 @@ def test_noise_is_that_of_the_light(bench: Bench) -> None:
     dark, reference = photographs(light, 12, 1)
     calibration = Calibration(replace(bench, linearity=CURVE), dark, reference, LATTICE, 65535.0)
     known = calibration.noise
-    assert known.noise is not None
-    assert known.noise.counts_per_electron == pytest.approx(TRUE_E, rel=0.01)
-    assert known.noise.read_noise_counts == pytest.approx(READ, rel=0.02)
+    assert known.of_frame is not None
+    assert known.of_frame.counts_per_electron == pytest.approx(TRUE_E, rel=0.01)
+    assert known.of_frame.read_noise_counts == pytest.approx(READ, rel=0.02)
     assert known.curve is not None
     assert known.curve.loss == 0
     plain = replace(calibration, bench=bench).noise
-    assert plain.noise is not None
-    assert plain.noise.counts_per_electron < 0.9 * TRUE_E
+    assert plain.of_frame is not None
+    assert plain.of_frame.counts_per_electron < 0.9 * TRUE_E
     assert plain.curve is not None
     assert plain.curve.loss > 0.1
 

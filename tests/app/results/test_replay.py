@@ -29,6 +29,8 @@ from app.results import dataset
 from app.results.replay import Replay, change_of, replay
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
+from reconstruction.frame.camera import KnownCamera
+from reconstruction.frame.noise import KnownNoise
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
@@ -198,10 +200,11 @@ def test_other_method_is_compared(recording: Recording, tmp_path: Path) -> None:
         "lattice": kept.lattice,
         "field": kept.bench.field,
         "registration": kept.bench.registration,
-        "full_scale": kept.full_scale,
-        "noise": kept.reconstructor().noise,
-        "reference_frames": kept.reference.frames,
-        "dark": kept.dark.mean if kept.dark else None,
+        "camera": KnownCamera(
+            dark=kept.dark.mean if kept.dark else None,
+            full_scale=kept.full_scale,
+            noise=KnownNoise(kept.reconstructor().noise, kept.reference.frames),
+        ),
         "lenslet_model": partial(lenslet_model, kept.bench),
     }
     modal, zonal = (

@@ -11,6 +11,7 @@ import pytest
 from reconstruction.annotated_settings import SettingError
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
+from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.linearity import Exposures, Linearity, MeasuredLinearity
 from reconstruction.frame.pixels import AboveDark
 
@@ -85,7 +86,7 @@ def test_frames_are_corrected_above_the_dark(kind: Any, has_dark: bool) -> None:
     counts = np.random.default_rng(3).integers(10, 250, (40, 56)).astype(kind)
     measured = Linearity(quadratic=-0.2, cubic=0.1, highest_counts=200.0)
     dark = np.full(counts.shape, 7.5) if has_dark else None
-    light, _ = AboveDark(counts.shape, dark, np.inf, measured)(counts, "frame")
+    light, _ = AboveDark(counts.shape, KnownCamera(dark, linearity=measured))(counts, "frame")
     signal = counts - (7.5 if has_dark else np.percentile(counts, 1.0))
     share = np.minimum(signal, 200.0) / 200
     expected = 200 * share * (1 - 0.2 * share + 0.1 * share**2) + np.maximum(signal - 200, 0) * (1 - 0.4 + 0.3)

@@ -14,7 +14,8 @@ from support.optics import FIELD, SmallBench, converged
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.camera import KnownCamera
+from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
@@ -86,8 +87,9 @@ def exposed(light: Light, peak_e: float, seed: int) -> Light:
 def measured_by(warp: Warp, peak_e: float, bench: SmallBench = BENCH) -> tuple[Reconstructor, FrameJudge]:
     reference = np.asarray(bench.reference / bench.reference.max() * peak_e, np.float32)
     dark = np.zeros_like(reference)
-    reconstructor = bench.reconstructor(warp, pupil_modes=None, reference=reference, dark=dark, noise=NOISE)
-    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, dark=dark)
+    camera = KnownCamera(dark, noise=KnownNoise(NOISE))
+    reconstructor = bench.reconstructor(warp, pupil_modes=None, reference=reference, camera=camera)
+    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, camera=camera)
     return reconstructor, judge
 
 
@@ -131,11 +133,9 @@ def test_slopes_against_a_noisy_reference_are_not_judged(warp: Warp, enough: int
     peak_e, light = 250.0, np.asarray(BENCH.reference / BENCH.reference.max(), np.float32)
     for averaged in (1, enough):
         reference = np.mean([exposed(light, peak_e, 100 + index) for index in range(averaged)], axis=0)
-        dark = np.zeros_like(reference)
-        reconstructor = BENCH.reconstructor(
-            warp, pupil_modes=None, reference=reference, dark=dark, noise=NOISE, reference_frames=averaged
-        )
-        judge = FrameJudge(reconstructor.subimages, reconstructor.registration, dark=dark)
+        camera = KnownCamera(np.zeros_like(reference), noise=KnownNoise(NOISE, averaged))
+        reconstructor = BENCH.reconstructor(warp, pupil_modes=None, reference=reference, camera=camera)
+        judge = FrameJudge(reconstructor.subimages, reconstructor.registration, camera=camera)
         for seed, strength in enumerate((0.5, 2.0, 4.0)):
             frame = exposed(aberrated(strength), peak_e, seed)
             found = judge(frame, reconstructor.register(frame))
@@ -209,7 +209,8 @@ def test_light_is_judged_without_a_dark_in_each_form(form: str) -> None:
 def test_dim_floating_point_images_are_judged_as_bright_ones() -> None:
     """An image with a sum of 1."""
     reference = np.asarray(BENCH.reference / BENCH.reference.sum(), np.float32)
-    reconstructor = BENCH.reconstructor("cubic", pupil_modes=None, reference=reference, dark=np.zeros_like(reference))
+    camera = KnownCamera(np.zeros_like(reference))
+    reconstructor = BENCH.reconstructor("cubic", pupil_modes=None, reference=reference, camera=camera)
     judge = FrameJudge(reconstructor.subimages, reconstructor.registration)
     frame = np.asarray(aberrated(1.0) / aberrated(1.0).sum() / 2, np.float32)
     assert not judge(frame, reconstructor.register(frame)).reasons
@@ -283,10 +284,10 @@ def test_200_good_frames_raise_no_alarm(lenslets: tuple[int, int], peak_e: float
     bench, rng = SmallBench(*lenslets), np.random.default_rng(7)
     electrons = bench.reference / bench.reference.max() * peak_e
     noise = CameraNoise(em_gain, READ_NOISE_E, 1.0 if em_gain == 1 else 2.0)
-    dark = np.zeros(electrons.shape, np.uint16)
+    camera = KnownCamera(np.zeros(electrons.shape, np.uint16), noise=KnownNoise(noise))
     reference = np.asarray(electrons * em_gain, np.float32)
-    reconstructor = bench.reconstructor("affine", pupil_modes=None, reference=reference, dark=dark, noise=noise)
-    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, dark=dark)
+    reconstructor = bench.reconstructor("affine", pupil_modes=None, reference=reference, camera=camera)
+    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, camera=camera)
     displacement = reconstructor.register(reference)
     for _ in range(200):
         photons = rng.poisson(electrons)

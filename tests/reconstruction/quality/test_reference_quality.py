@@ -11,7 +11,8 @@ import pytest
 from support.optics import SmallBench
 
 from reconstruction.arrays import Counts
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.camera import KnownCamera
+from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.frame.pixels import clipped_fraction
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import survey
@@ -20,11 +21,12 @@ from reconstruction.quality.verdict import Fault, Quality, sequence_quality
 
 BENCH = SmallBench()
 LIGHT = np.asarray(BENCH.reference / BENCH.reference.max() * 1e4, np.float32)
-NOISE = CameraNoise(counts_per_electron=1.0, read_noise_counts=8.0)
+UNKNOWN = KnownCamera()
+NOISY = KnownCamera(noise=KnownNoise(CameraNoise(counts_per_electron=1.0, read_noise_counts=8.0), 1))
 
 
-def quality(reference: Counts = LIGHT, **more: Any) -> Quality:
-    return reference_quality(reference, sensor=BENCH.sensor, lattice=BENCH.lattice, **more)
+def quality(reference: Counts = LIGHT, camera: KnownCamera = UNKNOWN, **more: Any) -> Quality:
+    return reference_quality(reference, sensor=BENCH.sensor, lattice=BENCH.lattice, camera=camera, **more)
 
 
 STALE = {
@@ -40,7 +42,7 @@ STALE = {
 def test_stale_lattice_is_found(change: dict[str, Any]) -> None:
     shown = survey(LIGHT, BENCH.sensor).lattice
     stale = replace(BENCH.lattice, **change)
-    found = reference_quality(LIGHT, sensor=BENCH.sensor, lattice=stale, shown=shown)
+    found = reference_quality(LIGHT, sensor=BENCH.sensor, lattice=stale, shown=shown, camera=UNKNOWN)
     assert found.faults == Fault.LATTICE
     assert "calibrate again" in found.sentence
     assert "unless the mask is asymmetric" in found.sentence
@@ -52,7 +54,7 @@ def test_lattice_off_by_whole_pitches_is_found(columns: int, rows: int) -> None:
     shown, lattice = survey(LIGHT, BENCH.sensor).lattice, BENCH.lattice
     x_px, y_px = lattice.to_camera_px(np.array([columns, rows], np.float64) * lattice.pitch_px)
     stale = replace(lattice, center_x_px=x_px, center_y_px=y_px)
-    found = reference_quality(LIGHT, sensor=BENCH.sensor, lattice=stale, shown=shown)
+    found = reference_quality(LIGHT, sensor=BENCH.sensor, lattice=stale, shown=shown, camera=UNKNOWN)
     assert found.faults == Fault.LATTICE
     missing = 7 * 9 - (7 - abs(rows)) * (9 - abs(columns))
     assert f"shows {missing} more lenslets whole pitches away from [lattice]" in found.sentence
@@ -63,7 +65,7 @@ def test_block_of_a_larger_array_passes_anywhere() -> None:
     sensor = replace(BENCH.sensor, lenslet_rows=5, lenslet_columns=7)
     shown, pitch_px = BENCH.lattice, BENCH.lattice.pitch_px
     beside = replace(shown, center_x_px=shown.center_x_px + pitch_px, center_y_px=shown.center_y_px - pitch_px)
-    assert not reference_quality(LIGHT, sensor=sensor, lattice=beside, shown=shown).reasons
+    assert not reference_quality(LIGHT, sensor=sensor, lattice=beside, shown=shown, camera=UNKNOWN).reasons
 
 
 def test_few_missing_lenslets_pass() -> None:
@@ -73,7 +75,7 @@ def test_few_missing_lenslets_pass() -> None:
     last = BENCH.lattice.from_camera_px(np.stack([column, row], axis=-1).astype(np.float64)) / BENCH.lattice.pitch_px
     for lit, is_found in ((1, False), (2, True)):
         light = np.where((last[..., 0] < -3.5) & (last[..., 1] > lit - 3.5), 0, LIGHT)
-        found = reference_quality(light, sensor=BENCH.sensor, lattice=moved, shown=BENCH.lattice)
+        found = reference_quality(light, sensor=BENCH.sensor, lattice=moved, shown=BENCH.lattice, camera=UNKNOWN)
         assert found.faults == (Fault.LATTICE if is_found else Fault(0)), lit
 
 
@@ -100,14 +102,14 @@ def test_lattice_error_of_a_shift_and_a_turn_about_the_middle() -> None:
 def test_light_in_the_dark_is_measured(leak: float, is_found: bool) -> None:
     rng = np.random.default_rng(0)
     dark = 500 + leak * LIGHT + rng.normal(0, 8, LIGHT.shape)
-    found = quality(np.asarray(500 + LIGHT, np.float32), dark=dark)
+    found = quality(np.asarray(500 + LIGHT, np.float32), KnownCamera(dark))
     assert found.faults == (Fault.DARK if is_found else Fault(0))
     if is_found:
         assert f"contains {100 * leak:.0f} %" in found.sentence
 
 
 def test_dark_brighter_than_the_reference_is_found() -> None:
-    assert "brighter than the reference" in quality(dark=np.full(LIGHT.shape, 65535, np.uint16)).sentence
+    assert "brighter than the reference" in quality(camera=KnownCamera(np.full(LIGHT.shape, 65535, np.uint16))).sentence
 
 
 def test_clipped_reference_is_found_but_a_bright_one_passes() -> None:
@@ -116,9 +118,9 @@ def test_clipped_reference_is_found_but_a_bright_one_passes() -> None:
     noisy = 100 + rng.poisson(LIGHT).astype(np.float32)
     clipped = np.minimum(noisy, 6000) + rng.normal(0, 8, LIGHT.shape)
     share = np.mean(noisy >= 6000)
-    assert quality(np.asarray(clipped, np.uint16), noise=NOISE).faults == Fault.CLIPPED
+    assert quality(np.asarray(clipped, np.uint16), NOISY).faults == Fault.CLIPPED
     assert clipped_fraction(np.asarray(clipped, np.uint16), 77.0) == pytest.approx(share, rel=0.15)
-    assert not quality(np.asarray(noisy, np.uint16), noise=NOISE).reasons
+    assert not quality(np.asarray(noisy, np.uint16), NOISY).reasons
     assert not quality(np.asarray(noisy / 50, np.uint8)).reasons
     assert not quality(LIGHT).reasons
 
@@ -131,15 +133,16 @@ def test_read_noise_blurs_the_edge_of_clipping(read_noise: float, peak_e: float)
     added = 500 + rng.normal(0, read_noise, photons.shape)
     for full_well, faults in ((0.6 * peak_e, Fault.CLIPPED), (np.inf, Fault(0))):
         reference = np.mean(np.minimum(photons, full_well) + added, axis=0)
-        found = quality(reference, dark=np.full(LIGHT.shape, 500.0), noise=noise, frames=3)
+        found = quality(reference, KnownCamera(np.full(LIGHT.shape, 500.0), noise=KnownNoise(noise, 3)))
         assert found.faults == faults
 
 
 def test_identical_frames_of_a_reference_are_found() -> None:
     still = np.zeros(LIGHT.shape, np.float32)
-    assert quality(variance=still, frames=20).faults == Fault.FROZEN
-    assert not quality(variance=still, frames=1).reasons
-    assert not quality(variance=still + 1, frames=20).reasons
+    of_one, of_20 = (KnownCamera(noise=KnownNoise(reference_frames=frames)) for frames in (1, 20))
+    assert quality(camera=of_20, variance=still).faults == Fault.FROZEN
+    assert not quality(camera=of_one, variance=still).reasons
+    assert not quality(camera=of_20, variance=still + 1).reasons
 
 
 def test_frozen_camera_and_clock_that_goes_back_are_found() -> None:

@@ -7,7 +7,7 @@ import pytest
 from support.optics import SmallBench
 
 from reconstruction.arrays import Floats
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.registration.subimages import ReferenceSubimages
@@ -21,7 +21,7 @@ def prepared(bench: SmallBench, peak_e: float, *, is_modelled: bool = True) -> t
     """A quartic registration for so many electrons in the reference's brightest pixel, and the model of a lenslet."""
     noise = CameraNoise(counts_per_electron=float(bench.reference.max()) / peak_e, read_noise_counts=0.0)
     reference = ReferenceSubimages(
-        bench.reference, sensor=bench.sensor, lattice=bench.lattice, field=bench.field, noise=noise
+        bench.reference, sensor=bench.sensor, lattice=bench.lattice, field=bench.field, noise=KnownNoise(noise)
     )
     model = LensletImage(bench.sensor, bench.field, bench.source, width=reference.width, pupil_samples=12)
     given = model if is_modelled else None

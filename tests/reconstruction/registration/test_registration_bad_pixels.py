@@ -9,7 +9,7 @@ from support.optics import SmallBench
 
 from reconstruction.arrays import Booleans, Image
 from reconstruction.displacement import Displacement, Outcome
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.registration import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import Method, RegistrationSettings
@@ -54,7 +54,7 @@ def _register(
         sensor=bench.sensor,
         lattice=bench.lattice,
         field=bench.field,
-        noise=CameraNoise(1.0, READ_NOISE),
+        noise=KnownNoise(CameraNoise(1.0, READ_NOISE)),
         bad=bad,
     )
     estimate = prepare_registration(subimages, RegistrationSettings(method=method), bench.field)
@@ -122,7 +122,7 @@ def test_scatter_with_excluded_pixels_matches_covariance(
         sensor=checker_bench.sensor,
         lattice=checker_bench.lattice,
         field=checker_bench.field,
-        noise=CameraNoise(1.0, READ_NOISE),
+        noise=KnownNoise(CameraNoise(1.0, READ_NOISE)),
         bad=known,
     )
     estimate = prepare_registration(subimages, RegistrationSettings(), checker_bench.field)

@@ -17,7 +17,7 @@ from support.optics import FIELD, SmallBench, sensor_of
 from reconstruction.arrays import Image
 from reconstruction.displacement import Displacement, RegistrationMethod
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.geometry import Lattice
 from reconstruction.pipeline import Reconstructor
 from reconstruction.registration import prepare_registration
@@ -174,7 +174,9 @@ def test_any_finite_frame_gives_finite_or_nan_results(  # noqa: PLR0917 - fixtur
 @pytest.fixture(scope="module")
 def weighted(bench: SmallBench) -> RegistrationMethod:
     per_electron = float(bench.reference.max()) / 1000
-    return _estimator(bench, bench.reference, bench.lattice, noise=CameraNoise(per_electron, 8 * per_electron))
+    return _estimator(
+        bench, bench.reference, bench.lattice, noise=KnownNoise(CameraNoise(per_electron, 8 * per_electron))
+    )
 
 
 @pytest.fixture(scope="module")

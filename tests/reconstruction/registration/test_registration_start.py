@@ -10,7 +10,7 @@ from support.optics import FIELD, SmallBench
 
 from reconstruction.arrays import Image
 from reconstruction.displacement import Displacement, RegistrationMethod
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.registration import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import Method, RegistrationSettings
@@ -44,7 +44,7 @@ def estimate(request: pytest.FixtureRequest, small_bench: SmallBench) -> Registr
 def _prepared(bench: SmallBench, settings: RegistrationSettings) -> RegistrationMethod:
     reference = bench.reference * np.float32(1000 / bench.reference.max())
     subimages = ReferenceSubimages(
-        reference, sensor=bench.sensor, lattice=bench.lattice, field=FIELD, noise=CameraNoise(1.0, 8.0)
+        reference, sensor=bench.sensor, lattice=bench.lattice, field=FIELD, noise=KnownNoise(CameraNoise(1.0, 8.0))
     )
     return prepare_registration(subimages, settings, FIELD)
 
