@@ -58,8 +58,7 @@ def measured_source(bench: Bench, reference: ReferenceSubimages) -> SourcePoints
         replace(bench.sensor, lenslet_rows=2, lenslet_columns=2),
         Lattice(center_x_px=x_px, center_y_px=y_px, pitch_px=reference.pitch_px, arrangement=arrangement),
         bench.field,
-        rows=reference.width,
-        columns=reference.width,
+        shape=(reference.width, reference.width),
         pupil_samples=_pupil_samples(reference),
         pixel_fill_factor=bench.camera_model.pixel_fill_factor,
     )
@@ -80,20 +79,18 @@ class BenchModel:
 
     def __init__(self, bench: Bench, reconstructor: Reconstructor, *, threads: int = 2) -> None:
         lattice, reference = reconstructor.lattice, reconstructor.subimages
-        rows, columns = reconstructor.frame_shape
         self._model = ForwardModel(
             reconstructor.sensor,
             lattice,
             reconstructor.field,
-            rows=rows,
-            columns=columns,
+            shape=reconstructor.frame_shape,
             pupil_samples=_pupil_samples(reference),
             pixel_fill_factor=bench.camera_model.pixel_fill_factor,
             threads=threads,
         )
         self.source = measured_source(bench, reference)
         _, light = mean_subimage(reference)
-        self._light = by_pixel(light, lattice, rows, columns)  # counts, (row, column)
+        self._light = by_pixel(light, lattice, *reconstructor.frame_shape)  # counts, (row, column)
         self.sample_x_m, self.sample_y_m = self._model.sample_x_m, self._model.sample_y_m
         own = own_wavefronts(reference, _lenslet(bench, reference, self.source))
         of_lenslets = np.zeros((*reference.lenslets, 4, 4))

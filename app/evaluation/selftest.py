@@ -91,7 +91,7 @@ class Check:
 
 def run_checks() -> Iterator[Check]:
     """Render and reconstruct every light."""
-    model = ForwardModel(SENSOR, LATTICE, FIELD, rows=FRAME_SHAPE[0], columns=FRAME_SHAPE[1], pupil_samples=12)
+    model = ForwardModel(SENSOR, LATTICE, FIELD, shape=FRAME_SHAPE, pupil_samples=12)
     source = square(Source(), object_samples=25)
     bench = Bench(
         sensor=SENSOR,

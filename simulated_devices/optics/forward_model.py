@@ -134,18 +134,18 @@ _Share = TypeVar("_Share")
 class ForwardModel:
     """Optics of one sensor, lattice and field, prepared once; thread-safe.
 
-    `pixel_fill_factor` is the width of a pixel's sensitive square over the pixel pitch; 0 samples the image at the
-    pixels' centres. `border_lenslets` rings of lenslets around the sensor's own are lit and imaged, too.
+    The camera has `shape` (row, column) pixels. `pixel_fill_factor` is the width of a pixel's sensitive square over the
+    pixel pitch; 0 samples the image at the pixels' centres. `border_lenslets` rings of lenslets around the sensor's own
+    are lit and imaged, too.
     """
 
-    def __init__(  # noqa: PLR0913 - independent parameters, most with defaults
+    def __init__(
         self,
         sensor: Sensor,
         lattice: Lattice,
         field: Field,
         *,
-        rows: int,
-        columns: int,
+        shape: tuple[int, int],
         pupil_samples: int = 20,
         border_lenslets: int = 0,
         pixel_fill_factor: float = 1.0,
@@ -159,7 +159,7 @@ class ForwardModel:
         )
         self._sensor = sensor
         self._threads = threads
-        self.camera_shape = rows, columns
+        self.camera_shape = shape
         self._aperture = lenslet_aperture(sensor.arrangement, pupil_samples)
         self._samples = samples = len(self._aperture)
         # Positions of a hexagonal lattice are every second one of a rectangular lattice with half the pitch along x;
@@ -172,7 +172,7 @@ class ForwardModel:
             sensor,
             lattice,
             lenslets=(self._lenslet_rows, lenslet_columns),
-            shape=self.camera_shape,
+            shape=shape,
             aperture=self._aperture,
             pixel_fill_factor=pixel_fill_factor,
         )

@@ -87,9 +87,7 @@ class SmallBench:
             pitch_px=31.25,
             rotation_rad=rotation_rad,
         )
-        self.model = ForwardModel(
-            self.sensor, self.lattice, field, rows=self.frame_shape[0], columns=self.frame_shape[1], pupil_samples=12
-        )
+        self.model = ForwardModel(self.sensor, self.lattice, field, shape=self.frame_shape, pupil_samples=12)
         self.source = source or square(Source(), object_samples=19)
         self.reference = self.model.irradiance(self.source) * 1e14
         y, x = np.meshgrid(self.sensor.pupil_y_m, self.sensor.pupil_x_m, indexing="ij")

@@ -50,8 +50,7 @@ def test_information_matches_finite_differences_of_forward_model(neglect_propaga
         SENSOR,
         Lattice(center_x_px=(columns - 1) / 2, center_y_px=(rows - 1) / 2, pitch_px=CELL_PX),
         FIELD,
-        rows=rows,
-        columns=columns,
+        shape=(rows, columns),
         pupil_samples=SAMPLES,
     )
     half_x_m, half_y_m = SENSOR.pupil_half_width_m

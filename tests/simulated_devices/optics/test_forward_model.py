@@ -37,7 +37,7 @@ POINTS = SourcePoints(
 
 
 def model(lattice: Lattice = LATTICE, **changes: float) -> ForwardModel:
-    options: dict[str, object] = {"rows": ROWS, "columns": COLUMNS, "pupil_samples": SAMPLES, "pixel_fill_factor": 0.0}
+    options: dict[str, object] = {"shape": (ROWS, COLUMNS), "pupil_samples": SAMPLES, "pixel_fill_factor": 0.0}
     return ForwardModel(SENSOR, lattice, FIELD, **(options | changes))  # type: ignore[arg-type] # options by name
 
 
@@ -154,7 +154,7 @@ def test_tilt_of_one_lenslet_moves_its_light_alone(arrangement: Arrangement, bor
     """A phase of 1 rad at the edge of the aperture."""
     sensor, lattice = replace(SENSOR, arrangement=arrangement), replace(LATTICE, arrangement=arrangement)
     optics = ForwardModel(
-        sensor, lattice, FIELD, rows=ROWS, columns=COLUMNS, pupil_samples=SAMPLES, border_lenslets=border_lenslets
+        sensor, lattice, FIELD, shape=(ROWS, COLUMNS), pupil_samples=SAMPLES, border_lenslets=border_lenslets
     )
     axis = SourcePoints(position_m=np.zeros((1, 2)), area_m2=np.ones(1))
     still = optics.irradiance(axis)

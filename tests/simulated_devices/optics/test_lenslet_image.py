@@ -42,8 +42,7 @@ def forward_model(fill_factor: float, sensor: Sensor) -> ForwardModel:
             arrangement=sensor.arrangement,
         ),
         FIELD,
-        rows=WIDTH,
-        columns=WIDTH,
+        shape=(WIDTH, WIDTH),
         pupil_samples=SAMPLES,
         pixel_fill_factor=fill_factor,
     )
