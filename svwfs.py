@@ -176,7 +176,8 @@ def find_layers(
     from reconstruction.layers.layer_search import find_layers as search
 
     ratios = tuple(ratio_at(distance_m, "lenslets", reconstructor.bench) for distance_m in distances_m)
-    return layers_dataset(search(reconstructor.layers(_wavefront(wavefront)), count, at=ratios), reconstructor.bench)
+    found = search(reconstructor.layers(_wavefront(wavefront)), count, at=ratios)
+    return layers_dataset(found, reconstructor.bench, "lenslets")
 
 
 def find_corrector(
@@ -227,7 +228,7 @@ def find_corrector(
     bench = as_bench(bench)
     phase_at = _phase_at(source, bench)
     try:
-        return compare_correctors(phase_at, bench, Corrector(modes, count), distance_m)[0]
+        return compare_correctors(phase_at, bench, Corrector(modes, count), distance_m, "lenslets")[0]
     except ValueError as error:
         raise InputError(str(error)) from error
 

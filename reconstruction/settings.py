@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
-from reconstruction.annotated_settings import STAR_SPACING_M, STARS, Checked, OwnNames
+from reconstruction.annotated_settings import STAR_SPACING_M, STARS, THREADS, Checked, OwnNames
 
 PupilBasis = Literal["legendre", "zernike"]
 SampleModel = Literal["automatic", "free", "layers"]
@@ -23,7 +23,7 @@ class RegistrationSettings(Checked):
     method: Annotated[Method, OwnNames()] = "gauss_newton"
     warp: Annotated[Warp, Doc("Omitted: that of the least expected error; quartic if noise is unknown")] | None = None
     rotation: Annotated[bool, Doc("Of gauss_newton: whether subimages may rotate; layers cannot make them")] = False
-    threads: Annotated[int, Ge(1), Le(64), Doc("Of gauss_newton")] = 2
+    threads: Annotated[int, Ge(1), Le(64), Doc("Of gauss_newton")] = THREADS
     excluded: Annotated[tuple[tuple[int, int], ...], Doc("Lenslets (row, column from 0) that are left out")] = ()
     star_rows: Annotated[int, Ge(1), Le(99)] = STARS
     star_columns: Annotated[int, Ge(1), Le(99)] = STARS

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Image
 from simulated_devices.optics.compiled import compiled
 from simulated_devices.settings import Amplifier, SimulatedCameraSettings
@@ -209,12 +210,10 @@ class Exposure:
 class Detector:
     """The sensor chip and its read-out; two threads share the rows of a frame."""
 
-    _THREADS = 2
-
     def __init__(self, settings: SimulatedCameraSettings, *, seed: int) -> None:
         self._settings = settings
         self._seed = seed
-        self._pool = ThreadPoolExecutor(self._THREADS, thread_name_prefix="detector")
+        self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="detector")
 
     def close(self) -> None:
         """End the threads."""
@@ -228,7 +227,7 @@ class Detector:
 
     def counts(self, photons: NDArray[np.float32], exposure: Exposure) -> NDArray[np.uint16]:
         """Counts of one frame, (row, column), from the mean photons on each pixel during the exposure."""
-        edges = [len(photons) * part // self._THREADS for part in range(self._THREADS + 1)]
+        edges = [len(photons) * part // THREADS for part in range(THREADS + 1)]
         counts = np.empty(photons.shape, np.uint16)
         jobs = [
             self._pool.submit(self._expose, photons, exposure, start, end, counts) for start, end in pairwise(edges)

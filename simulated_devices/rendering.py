@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Floats, reading_npy
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.runtime.background import BackgroundProcess
@@ -74,7 +75,7 @@ class Renderer:
     `phase_scale` multiplies the phase of the screen.
     """
 
-    def __init__(self, scene: Scene, *, phase_scale: float = 1.0, threads: int = 2) -> None:
+    def __init__(self, scene: Scene, *, phase_scale: float = 1.0, threads: int = THREADS) -> None:
         self.scene = scene
         self._phase_scale, self._threads = phase_scale, threads
 

@@ -29,7 +29,6 @@ from app.bench.config import Bench
 from app.evaluation.benchmark import timed_frames
 from app.evaluation.frames import SimulatedFrames
 from app.images import read_image
-from app.measurement.estimator import Estimator
 from app.results.coefficients import FieldMaps
 from app.results.corrector import BestCorrector
 from app.results.deconvolution import Deconvolution
@@ -37,8 +36,6 @@ from drivers.dcam import DcamSettings
 from drivers.interface import LightSource
 from drivers.serial_lights import DC4100Settings
 from reconstruction.arrays import Floats
-from reconstruction.deconvolution.corrected_image import corrected_image
-from reconstruction.settings import RegistrationSettings
 from reconstruction.wavefront import rms
 
 
@@ -498,9 +495,7 @@ def test_defaults_agree_where_they_must_be_told_again() -> None:
         (svwfs.find_corrector, BestCorrector, ("modes", "count")),
         (svwfs.field_coefficients, FieldMaps, ("basis", "order", "positions")),
         (svwfs.deconvolve, Deconvolution, ("method", "iterations")),
-        (corrected_image, Deconvolution, ("method", "iterations")),
     ):
         for name in names:
             assert default(python, name) == default(command, name), name
     assert timed_frames._REFERENCE_FRAMES == FRAMES
-    assert default(Estimator, "threads") == RegistrationSettings().threads

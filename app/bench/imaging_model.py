@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from reconstruction.annotated_settings import THREADS
 from reconstruction.geometry import Lattice, lenslet_centers
 from reconstruction.registration.own_wavefronts import OWN_WAVEFRONTS, own_wavefronts
 from reconstruction.registration.response import mean_subimage, point_brightness
@@ -77,7 +78,7 @@ class BenchModel:
     The brightness of the source, and light and own wavefront of each lenslet are estimated from the reference.
     """
 
-    def __init__(self, bench: Bench, reconstructor: Reconstructor, *, threads: int = 2) -> None:
+    def __init__(self, bench: Bench, reconstructor: Reconstructor, *, threads: int = THREADS) -> None:
         lattice, reference = reconstructor.lattice, reconstructor.subimages
         self._model = ForwardModel(
             reconstructor.sensor,

@@ -14,6 +14,7 @@ from app.measurement.mask_scale import scale_quality
 from app.measurement.measurement import Assumptions, Measurement
 from app.timing import Timings
 from drivers.interface import Frame
+from reconstruction.annotated_settings import THREADS
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice, Sensor
@@ -35,7 +36,7 @@ class Estimator:
     Each of them raises a `ReconstructionError` then, if the calibration does not allow it.
     """
 
-    def __init__(self, calibration: Calibration, *, threads: int = 2) -> None:
+    def __init__(self, calibration: Calibration, *, threads: int = THREADS) -> None:
         """`threads` render the forward model; only a single one repeats it bit by bit."""
         self.calibration, self._threads = calibration, threads
 

@@ -134,11 +134,7 @@ class BestCorrector(Analysis):
 
 
 def compare_correctors(
-    phase_at: Callable[[float, float], Floats],
-    bench: Bench,
-    corrector: Corrector,
-    at_m: float | None = None,
-    origin: Origin = "lenslets",
+    phase_at: Callable[[float, float], Floats], bench: Bench, corrector: Corrector, at_m: float | None, origin: Origin
 ) -> tuple[xr.Dataset, Correction]:
     """Find the best command of correctors at every distance, and choose the best of them, or that at `at_m`.
 
@@ -238,6 +234,6 @@ def find_shown_correctors(measurement: Measurement, origin: Origin, corrector: C
     if calibration is None or wavefront is None:
         return layers.NO_WAVEFRONT
     try:
-        return compare_correctors(wavefront.at, calibration.bench, corrector, origin=origin)[0]
+        return compare_correctors(wavefront.at, calibration.bench, corrector, None, origin)[0]
     except ValueError as error:
         return str(error)

@@ -209,7 +209,7 @@ def distances_and_sigma_m(layers: tuple[Layer, ...], origin: Origin, bench: Benc
     return distance_m(ratio, origin, bench), per_ratio_m * ratio_sigma
 
 
-def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin = "lenslets") -> xr.Dataset:
+def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin) -> xr.Dataset:
     """Return distances, phase maps and what explains the displacements of a frame; see `possible_origin`."""
     import xarray as xr
 

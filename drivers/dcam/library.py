@@ -154,7 +154,7 @@ def error_of(code: int, what: str) -> DeviceError:
 
 FILE = "dcamapi.dll" if sys.platform == "win32" else "libdcamapi.so"
 
-_TEXT_BYTES = 256
+TEXT_BYTES = 256
 _HANDLE = c_void_p  # without prototypes ctypes would pass 32 bits
 PROTOTYPES: dict[str, tuple[type, ...]] = {
     "dcamapi_init": (POINTER(Init),),
@@ -208,8 +208,8 @@ class DcamLibrary:
 
     def text(self, name: str, target: int, kind: type[Structure], **values: Any) -> str:
         """Call a function of a camera that writes a text."""
-        text = create_string_buffer(_TEXT_BYTES)
-        request = sized(kind, textbytes=_TEXT_BYTES, **values)
+        text = create_string_buffer(TEXT_BYTES)
+        request = sized(kind, textbytes=TEXT_BYTES, **values)
         request.text = cast(text, c_char_p)
         self.call(name, target, byref(request))
         return text.value.decode(errors="replace").strip()

@@ -5,12 +5,11 @@ from contextlib import suppress
 from ctypes import byref, c_double, c_int32, create_string_buffer
 from dataclasses import dataclass
 
-from drivers.dcam.library import DcamLibrary, Denied, NotThere, PropertyAttribute, PropertyValueText, sized
+from drivers.dcam.library import TEXT_BYTES, DcamLibrary, Denied, NotThere, PropertyAttribute, PropertyValueText, sized
 from drivers.dcam.property_ids import ALIVE_ONLINE, OPTION_NEXT, TYPE_MASK, TYPE_REAL, Attribute, Id
 from drivers.device import Property, Range
 from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected
 
-_TEXT_BYTES = 256
 _KNOWN_ATTRIBUTES = sum(Attribute)
 
 
@@ -125,8 +124,8 @@ class Properties:
 
     def name(self, identifier: int) -> str:
         """Hamamatsu's name of the property."""
-        text = create_string_buffer(_TEXT_BYTES)
-        self.library.call("dcamprop_getname", self.handle, identifier, text, _TEXT_BYTES)
+        text = create_string_buffer(TEXT_BYTES)
+        self.library.call("dcamprop_getname", self.handle, identifier, text, TEXT_BYTES)
         return text.value.decode(errors="replace")
 
     def readable(self) -> dict[str, Property]:

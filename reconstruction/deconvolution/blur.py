@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.interpolate import RectBivariateSpline
 
+from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Floats
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.geometry import Field, Sensor, centered_steps
 from reconstruction.modes.field_modes import SampledModes
-from reconstruction.quality.image_quality import aligned, extrapolate, psf_reach_rad
+from reconstruction.quality.image_quality import DIFFRACTION, SAMPLES, aligned, extrapolate, psf_reach_rad
 from reconstruction.runtime.threads import worker_pool
 
 PsfAt = Callable[[float, float], Floats]
 """Point-spread function (2 reach + 1, 2 reach + 1) of the image position x, y, px; sum 1."""
 Values = NDArray[np.floating]
 
-_THREADS = 2
 _SIDES_PX = range(64, 1025, 32)  # of a tile
 _NODES = range(3, 9)  # along a side of a tile
 _NODE_STEP_RAD = 0.7  # RMS change of the wavefront from node to node
@@ -131,7 +131,7 @@ class SpaceVariantBlur:
     def __call__(self, scene: Values) -> Values:
         """Image (row, column) of an object (row, column)."""
         light = np.zeros([length + 2 * self.reach_px for length in self.object_shape], self._dtype)
-        parts = worker_pool(_THREADS).map(lambda tile: tile.blur(scene), self._tiles)
+        parts = worker_pool(THREADS).map(lambda tile: tile.blur(scene), self._tiles)
         for tile, part in zip(self._tiles, parts, strict=True):
             light[tile.lit] += part
         margin = 2 * self.reach_px
@@ -141,7 +141,7 @@ class SpaceVariantBlur:
         """Adjoint of the blur: an object (row, column) from an image (row, column)."""
         light = np.pad(image, 2 * self.reach_px)
         scene = np.empty(self.object_shape, self._dtype)
-        parts = worker_pool(_THREADS).map(lambda tile: tile.adjoint(light), self._tiles)
+        parts = worker_pool(THREADS).map(lambda tile: tile.adjoint(light), self._tiles)
         for tile, part in zip(self._tiles, parts, strict=True):
             scene[tile.rows, tile.columns] = part
         return scene
@@ -177,15 +177,13 @@ def _side_px(length_px: int, reach_px: int, change_rad_per_px: float) -> int:
     return -(-length_px // count)
 
 
-_SAMPLES = 6  # of the pupil along each side of a lenslet
 _FEWEST_SAMPLES = 64  # across the pupil
-_DIFFRACTION = 4.0  # margin of the reach, in wavelengths over the pupil's width
 
 
 def reach_px(imaging: Imaging, sensor: Sensor, field: Field, phase: Floats) -> int:
     """Half the width in pixels that holds nearly all light of wavefronts (..., lenslet_row, lenslet_column), rad."""
     geometry_px = psf_reach_rad(phase, sensor) * field.collimator_focal_length_m / imaging.pixel_m
-    return math.ceil(geometry_px + _DIFFRACTION * imaging.blur_px(sensor, field))
+    return math.ceil(geometry_px + DIFFRACTION * imaging.blur_px(sensor, field))
 
 
 class PsfOptics:
@@ -205,7 +203,7 @@ class PsfOptics:
             )
         self._sensor, self._scale = sensor, sensor.wavelength_m / light_m
         reach_rad = reach_px * imaging.pixel_m / field.collimator_focal_length_m
-        step_m = min(sensor.lenslet_pitch_m / _SAMPLES, light_m / (2.1 * reach_rad + 1e-30), width_m / _FEWEST_SAMPLES)
+        step_m = min(sensor.lenslet_pitch_m / SAMPLES, light_m / (2.1 * reach_rad + 1e-30), width_m / _FEWEST_SAMPLES)
         extent_m = np.full(2, width_m / 2) if is_round else np.abs(imaging.to_field.T) @ half_m
         x_m, y_m = (centered_steps(math.ceil(2 * each / step_m)) for each in extent_m)  # along the axes of the image
         x_m, y_m = x_m * (2 * extent_m[0] / len(x_m)), y_m * (2 * extent_m[1] / len(y_m))

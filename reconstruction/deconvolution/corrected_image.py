@@ -171,8 +171,8 @@ def corrected_image(
     *,
     sensor: Sensor,
     field: Field,
-    method: RestorationMethod = "richardson-lucy",
-    iterations: int = 50,
+    method: RestorationMethod,
+    iterations: int,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> CorrectedImage:
     """Deconvolve an image (row, column), counts, by the point-spread function of each field position.

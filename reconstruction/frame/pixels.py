@@ -14,7 +14,7 @@ from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.linearity import LINEAR
 from reconstruction.runtime.compilation import compiled
 
-_SATURATED_FRACTION = 0.01  # of the image's pixels; with more, it is rejected
+SATURATED_FRACTION = 0.01  # of the image's pixels; with more, it is rejected
 CLIPPED = 0.01  # share of the pixels, piled up at one highest count, from which on an image is clipped
 BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
 PEAK_PERCENT = 99.9  # this one is the peak, so that hot pixels do not count
@@ -50,7 +50,7 @@ class AboveDark:
             full = int(np.count_nonzero(saturated))
             if self._linearity is not None:
                 light = np.asarray(self._linearity.light(light), np.float32)
-        if full > _SATURATED_FRACTION * image.size:
+        if full > SATURATED_FRACTION * image.size:
             raise ReconstructionError(
                 f"the {name} is saturated: shorten the exposure or lower the light's current", image=name
             )

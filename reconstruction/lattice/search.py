@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.pixels import find_bad_pixels, repaired
+from reconstruction.frame.pixels import SATURATED_FRACTION, find_bad_pixels, repaired
 from reconstruction.geometry import Arrangement, Lattice, Sensor, lenslet_centers, nominal_lattice
 from reconstruction.lattice._fit import (
     REACH,
@@ -27,7 +27,6 @@ from reconstruction.lattice._fit import (
     without_peaks,
 )
 
-_SATURATED_FRACTION = 0.01  # of the pixels
 _DARK_AT_MOST = 8  # largest ratio of all lenslets to the lit ones
 _SAME = 0.5  # correlation of a dark with the reference
 _OCCUPIED = 0.5  # of the usual number of lit lenslets makes a row or column count fully
@@ -184,7 +183,7 @@ def _light(reference: Counts, sensor: Sensor, dark: Counts | None, full_scale: f
     for image, name in ((reference, "reference"), (dark, "dark")):
         if image is not None and not np.isfinite(image).all():
             raise ReconstructionError(f"the {name} holds values that are not finite", image=name)
-    if np.count_nonzero(reference >= full_scale) > _SATURATED_FRACTION * reference.size:
+    if np.count_nonzero(reference >= full_scale) > SATURATED_FRACTION * reference.size:
         raise ReconstructionError(
             "the reference is saturated: shorten the exposure or lower the light's current", image="reference"
         )

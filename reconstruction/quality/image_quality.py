@@ -18,9 +18,9 @@ from scipy.sparse.linalg import SuperLU, splu
 from reconstruction.arrays import Booleans, Floats
 from reconstruction.geometry import Arrangement, Sensor, centered_steps, lenslet_centers
 
-_SAMPLES = 6  # along each side of a lenslet
+SAMPLES = 6  # along each side of a lenslet
 _FARTHEST_PERCENT = 99.0  # percentile of the slopes within the reach
-_DIFFRACTION = 4.0  # margin of the reach, in wavelengths over the pupil's width
+DIFFRACTION = 4.0  # margin of the reach, in wavelengths over the pupil's width
 _STEPS = 4  # per wavelength over the pupil's width, so that speckle looks smooth
 _MOST_STEPS = 100  # from the middle to the edge
 
@@ -99,7 +99,7 @@ def psf_reach_rad(phase: Floats, sensor: Sensor) -> float:
     if not known:
         return float("nan")
     steepest = max(float(np.percentile(slope, _FARTHEST_PERCENT)) for slope in known)
-    return steepest / sensor.wavenumber_rad_per_m + _DIFFRACTION * diffraction_rad(sensor)
+    return steepest / sensor.wavenumber_rad_per_m + DIFFRACTION * diffraction_rad(sensor)
 
 
 def psf_angles_rad(sensor: Sensor, reach_rad: float) -> Floats:
@@ -117,7 +117,7 @@ def _transmission(phase: Floats) -> Transmission:
     """exp(i phase) at the samples, (..., sample_row, sample_column); zero where the phase is unknown."""
     rows, columns = phase.shape[-2:]
     fine = _to_samples(rows) @ extrapolate(phase) @ _to_samples(columns).T
-    transmits = np.repeat(np.repeat(np.isfinite(phase), _SAMPLES, axis=-2), _SAMPLES, axis=-1)
+    transmits = np.repeat(np.repeat(np.isfinite(phase), SAMPLES, axis=-2), SAMPLES, axis=-1)
     angle = np.where(transmits, np.remainder(fine, 2 * np.pi), 0).astype(np.float32)
     field = np.zeros(angle.shape, np.complex64)  # cosine and sine: several times as fast as a complex exponential
     np.cos(angle, out=field.real, where=transmits)
@@ -129,17 +129,17 @@ def _transmission(phase: Floats) -> Transmission:
 def _to_samples(lenslets: int) -> Floats:
     """Spline interpolation from lenslet centres, one more on either side, to the samples: (sample, lenslet + 2)."""
     centers = centered_steps(lenslets + 2)
-    at = centered_steps(lenslets * _SAMPLES) / _SAMPLES
+    at = centered_steps(lenslets * SAMPLES) / SAMPLES
     return np.asarray(scipy.interpolate.make_interp_spline(centers, np.eye(lenslets + 2), k=3)(at))
 
 
 def _positions_m(lenslets: int, spacing_m: float) -> Floats:
-    return centered_steps(lenslets * _SAMPLES) / _SAMPLES * spacing_m
+    return centered_steps(lenslets * SAMPLES) / SAMPLES * spacing_m
 
 
 def _frequencies(lenslets: int, spacing_m: float, sensor: Sensor) -> Floats:
     """Frequencies at which samples along one axis interfere, cycles/rad, (frequency,)."""
-    return np.arange(lenslets * _SAMPLES + 1) / _SAMPLES * spacing_m / sensor.wavelength_m
+    return np.arange(lenslets * SAMPLES + 1) / SAMPLES * spacing_m / sensor.wavelength_m
 
 
 def _overlap(field: NDArray[np.complex64] | NDArray[np.float32]) -> Floats:

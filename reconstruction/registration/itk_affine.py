@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement, Outcome, RegistrationMethod
 from reconstruction.errors import ReconstructionError
@@ -25,7 +26,7 @@ from reconstruction.registration.gauss_newton.template import SteepestDescent, c
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.settings import RegistrationSettings
 
-_THREADS = min(2, os.cpu_count() or 1)
+_THREADS = min(THREADS, os.cpu_count() or 1)
 
 # MATLAB's registration.optimizer.RegularStepGradientDescent of imregconfig("monomodal")
 _MAXIMUM_STEP = 0.0625

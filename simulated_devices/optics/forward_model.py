@@ -19,6 +19,7 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Floats, Image
 from reconstruction.geometry import Arrangement, Field, Lattice, Sensor, centered_steps, require
 from reconstruction.runtime.threads import one_blas_thread
@@ -146,10 +147,10 @@ class ForwardModel:
         field: Field,
         *,
         shape: tuple[int, int],
-        pupil_samples: int = 20,
+        pupil_samples: int,
         border_lenslets: int = 0,
         pixel_fill_factor: float = 1.0,
-        threads: int = 2,
+        threads: int = THREADS,
     ) -> None:
         require(
             {

@@ -143,8 +143,9 @@ def forward_times(frames: TimedFrames, budget_s: float) -> tuple[dict[str, float
 
 def _ours(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
     """Prepare the image of a square of object points."""
-    rows, columns = frames.reference.shape
-    model = ForwardModel(frames.bench.sensor, frames.lattice, frames.bench.field, shape=(rows, columns))
+    bench, (rows, columns) = frames.bench, frames.reference.shape
+    samples = bench.simulation.pupil_samples
+    model = ForwardModel(bench.sensor, frames.lattice, bench.field, shape=(rows, columns), pupil_samples=samples)
     x_m, y_m = model.sample_x_m[None, :], model.sample_y_m[:, None]
     bend = (_BEND_RAD_PER_M2 * (x_m**2 + y_m**2)).astype(np.float32)
     position_m = _positions_m(frames, _POINTS)

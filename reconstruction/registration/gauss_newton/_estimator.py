@@ -22,6 +22,7 @@ from typing import Self
 
 import numpy as np
 
+from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import Displacement, Outcome, RegistrationMethod, Transmission
 from reconstruction.frame.spline import noise_power, noise_power_polynomial
@@ -216,7 +217,7 @@ class GaussNewton:
         conserve_flux: bool,
         rotation: bool = True,
         model: LensletModel | None = None,
-        threads: int = 2,
+        threads: int = THREADS,
     ) -> None:
         """Prepare for warps of the given field modes, and for that many threads.
 
