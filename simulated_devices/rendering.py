@@ -198,7 +198,7 @@ class ImageCache:
         return image
 
     def save(self, mask: str, state: int | str, image: NDArray[np.float32]) -> bool:
-        """Write the image atomically; return False if that fails."""
+        """Write the image (row, column) atomically; return False if that fails."""
         path = self.path(mask, state)
         part = path.with_name(f"{path.stem}-{uuid.uuid4().hex}.part")
         try:

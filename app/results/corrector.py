@@ -212,7 +212,7 @@ def correction_sentence(found: xr.Dataset) -> str:
 
 
 def write_phase(path: Path, phase_rad: Floats) -> None:
-    """Write a phase map: NPY or FITS in rad, or an 8-bit PNG wrapped at 2 pi, 256 levels to a wave."""
+    """Write a phase map (row, column): NPY or FITS in rad, or an 8-bit PNG wrapped at 2 pi, 256 levels to a wave."""
     suffix = path.suffix.lower()
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         if suffix == ".npy":
@@ -224,7 +224,7 @@ def write_phase(path: Path, phase_rad: Floats) -> None:
 
 
 def wrapped(phase_rad: Floats) -> NDArray[np.uint8]:
-    """Grey levels of a phase for a modulator: 0 ... 255 for 0 ... 2 pi."""
+    """Grey levels of a phase (row, column) for a modulator: 0 ... 255 for 0 ... 2 pi."""
     return np.asarray(np.rint(np.mod(phase_rad, 2 * math.pi) / (2 * math.pi) * _GREY) % _GREY, np.uint8)
 
 

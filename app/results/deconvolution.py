@@ -121,7 +121,7 @@ def correct(
     progress: Progress,
     name: str,
 ) -> xr.Dataset:
-    """Correct an image with the geometry of a bench; `name` stands for the image in errors.
+    """Correct an image (row, column), counts, with the geometry of a bench; `name` stands for the image in errors.
 
     Returns `image`, and `inside`: where it is corrected, with `iterations` and `chi_square` as attributes.
     """

@@ -115,7 +115,7 @@ def draw_structure(axis: Axes, found: Isoplanatism) -> None:
 
 
 def show_grey(axes: Axes, image: NDArray[Any]) -> None:
-    """Show an image in grey; the few darkest and brightest pixels do not count."""
+    """Show an image (row, column) in grey; the few darkest and brightest pixels do not count."""
     darkest, brightest = np.percentile(image, _SHOWN_PERCENT)
     axes.imshow(image, cmap="gray", vmin=darkest, vmax=brightest)
 

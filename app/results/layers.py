@@ -128,7 +128,7 @@ def ratio_at(distance_m: float, origin: Origin, bench: Bench) -> float:
 
 
 def distance_m(ratio: Floats | float, origin: Origin, bench: Bench) -> Floats:
-    """Distance of a layer with that ratio, m; from the mask, NaN behind the lenslets."""
+    """Distance of layers with those ratios (...), m; from the mask, NaN behind the lenslets."""
     focal_length_m, ratio = bench.field.collimator_focal_length_m, np.asarray(ratio, np.float64)
     if origin == "lenslets":
         return np.asarray(-focal_length_m * ratio)

@@ -73,7 +73,7 @@ class Imaging(Checked):
         return np.array([(shape[1] - 1) / 2 if x is None else x, (shape[0] - 1) / 2 if y is None else y])
 
     def field_m(self, x_px: Floats, y_px: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
-        """Field positions x and y, m, of image positions that broadcast against each other."""
+        """Field positions x and y, m, each (...), of image positions (...) that broadcast against each other."""
         center = self.center_px(shape)
         columns, rows = np.broadcast_arrays(x_px - center[0], y_px - center[1])
         at_m = self.pixel_m * np.einsum("ij,j...->i...", self.to_field, np.stack([columns, rows]))

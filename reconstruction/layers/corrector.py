@@ -73,7 +73,7 @@ class Correction:
         return float(np.sqrt(np.nanmean(self.residual_rad**2)))
 
     def phase(self, x_m: Floats, y_m: Floats) -> Floats:
-        """Phase that the corrector adds at positions s, broadcast together, rad."""
+        """Phase that the corrector adds at positions s (...), broadcast together, rad."""
         shapes = self.corrector.shapes(x_m / self.half_width_m[0], y_m / self.half_width_m[1])
         return np.tensordot(self.command, shapes, axes=1)
 

@@ -154,7 +154,7 @@ class Layer:
     _first: int  # the lowest polynomial of the map: 1, or 3 without tilt
 
     def phase(self, x_m: Floats, y_m: Floats, *, with_tilt: bool = False) -> Floats:
-        """Phase at positions s, broadcast together, rad; NaN outside the footprint.
+        """Phase at positions s (...), broadcast together, rad; NaN outside the footprint.
 
         It has no tilt if there is another layer, because the tilts of two layers cannot be told apart; `with_tilt` adds
         the share of this layer.
@@ -162,7 +162,7 @@ class Layer:
         return self._on(x_m, y_m, self.coefficients[:, None], 1 if with_tilt else self._first)[..., 0]
 
     def sigma(self, x_m: Floats, y_m: Floats) -> Floats:
-        """Standard deviation of `phase`, rad."""
+        """Standard deviation of `phase` (...), rad."""
         return np.asarray(np.linalg.norm(self._on(x_m, y_m, self.root_covariance, self._first), axis=-1))
 
     def _on(self, x_m: Floats, y_m: Floats, coefficients: Floats, first: int) -> Floats:

@@ -65,7 +65,7 @@ def _fitted(reference: ReferenceSubimages, images: Floats) -> tuple[Floats, Floa
 
 
 def shrunk(values: Floats, variance: Floats) -> Floats:
-    """Most probable true values, if they scatter about 0: the less of a measured one, the larger its variance.
+    """Most probable true values (n,), if they scatter about 0: the less of a measured one, the larger its variance.
 
     How much the true values scatter follows from the median of the measured squares, which bears outliers.
     """

@@ -42,7 +42,7 @@ class KnownModes:
 
 
 def known_modes(modes: PupilModes, used: Booleans, *, extrapolate: bool) -> KnownModes:
-    """Modes at the lenslets used, and if a prior bridges lost ones at their neighbours, too."""
+    """Modes at the lenslets used (row, column), and if a prior bridges lost ones at their neighbours, too."""
     if extrapolate:
         used = modes.inside & ndimage.binary_dilation(used, structure=np.ones((3, 3), np.bool_))
     values = modes.values[1:, used]

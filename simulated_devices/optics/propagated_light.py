@@ -95,7 +95,7 @@ def margin_m(slope_rad_per_m: float, distance_m: float, wavenumber_rad_per_m: fl
 
 
 def largest_step_rad(phase_rad: Floats) -> float:
-    """Largest change of the phase between neighbours, rad."""
+    """Largest change of the phase (row, column) between neighbours, rad."""
     return max(float(np.abs(np.diff(phase_rad, axis=axis)).max()) for axis in range(2))
 
 

@@ -154,7 +154,10 @@ def with_rms(curve: str, at: Position, wavefront: Wavefront, rms_rad: float, **m
 
 
 def mean_rms(difference: Floats, lenslets: Booleans, views: NDArray[np.bool_] | None = None) -> float:
-    """Mean over the views of the RMS over the lenslets without piston; NaN if no view is known."""
+    """Mean over the views of the RMS over the lenslets without piston; NaN if no view is known.
+
+    `difference` (view_row, view_column, lenslet_row, lenslet_column), rad; `lenslets` and `views` that count.
+    """
     of_views = rms(np.where(lenslets, difference, np.nan))
     of_views = of_views[np.isfinite(of_views) & (True if views is None else views)]
     return float(of_views.mean()) if of_views.size else math.nan

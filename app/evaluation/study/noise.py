@@ -61,13 +61,13 @@ class EmCamera:
         )
 
     def counts(self, electrons: Image) -> Image:
-        """Mean counts above the offset from electrons before the register."""
+        """Mean counts above the offset from electrons (row, column) before the register."""
         signal = electrons * np.float32(self.settings.em_gain)
         signal -= np.float32(self.settings.loss_per_e) * signal**2
         return np.asarray(signal / np.float32(self.settings.electrons_per_count))
 
     def linearity(self, electrons: Image, seed: int) -> Linearity:
-        """Nonlinearity as `svwfs calibrate --linearity` finds it, from exposures of an image in electrons."""
+        """Nonlinearity as `svwfs calibrate --linearity` finds it, from exposures of an image (row, column) in e-."""
         settings, index = self.settings, count()
         full_scale = 2**settings.bits - 1 - settings.offset_counts
         longest = electrons * np.float32(_FILL * full_scale / self.counts(electrons).max())
@@ -82,7 +82,7 @@ class EmCamera:
         return exposures.fit().linearity
 
     def exposed(self, electrons: Image, seed: int, index: int) -> Image:
-        """Counts above the offset of one noisy frame."""
+        """Counts above the offset of one noisy frame of an image (row, column), electrons."""
         settings = self.settings
         with closing(Detector(settings, seed=seed)) as detector:
             photons = electrons / np.float32(settings.quantum_efficiency)
