@@ -60,6 +60,9 @@ class OwnMethods:
 NO_OWN = OwnMethods()
 
 _DARK_CONTRAST = 0.2  # of the reference's; a frame with less in which nothing matches has no light
+_READ_NOISE_ALONE = 1.5  # times the read noise; a frame that scatters less shows nothing else
+_SPARSE = 4  # rows and columns in which that is looked for
+_NO_MATCH = "no lenslet of the frame could be matched with the reference"
 _NOISE_MODES = 45  # for the predicted noise of a warp; a smooth wavefront needs about as many
 # Systematic error, rad: mean over the ensembles of docs/estimator.md with the square, in the paper's world (4.2 rad).
 _SYSTEMATIC_RAD: dict[Warp, float] = {"affine": 0.24, "quadratic": 0.036, "cubic": 0.009, "quartic": 0.007}
@@ -164,6 +167,9 @@ class Reconstructor:
             )
         self._bad = find_bad_pixels(reference, camera.dark)
         self.subimages, self._lenslet_model = self._cut(light), lenslet_model
+        self._dark_contrast = _DARK_CONTRAST * float(self.subimages.light.std())
+        read_noise = 0.0 if self.noise is None else self.noise.read_noise_counts
+        self._no_light = min(_READ_NOISE_ALONE * read_noise, self._dark_contrast)
         with one_blas_thread():  # so that results repeat
             self._prepare_estimators(light, registration)
 
@@ -202,13 +208,13 @@ class Reconstructor:
         saturated.
         """
         light, saturated = self._above_dark(frame, "frame")
+        if light[::_SPARSE, ::_SPARSE].std() < self._no_light:  # each lenslet would be searched for longest
+            raise ReconstructionError(f"{_NO_MATCH}: is the light on?", image="frame")
         displacement = self._prepared.method(light, saturated=saturated, start=start)
         if np.count_nonzero(displacement.valid) < 2:
-            is_dark = light.std(dtype=np.float64) < _DARK_CONTRAST * self.subimages.light.std()
+            is_dark = light.std(dtype=np.float64) < self._dark_contrast
             why = "is the light on?" if is_dark else _why_lost(displacement.outcome)
-            raise ReconstructionError(
-                f"no lenslet of the frame could be matched with the reference: {why}", image="frame"
-            )
+            raise ReconstructionError(f"{_NO_MATCH}: {why}", image="frame")
         return displacement
 
     def find_sample(self, displacement: Displacement) -> AssumedSample:

@@ -22,8 +22,10 @@ from app.errors import InputError
 from app.files import check_outputs, make_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from app.acquisition.carrier import Carrier
-    from app.acquisition.remote.own_instrument import OwnConnection
+    from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
     from app.acquisition.worker import Measurement
     from app.bench.config import Bench
     from app.gui.shell.access import Access
@@ -108,7 +110,6 @@ def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: b
     """
     from app.acquisition.remote.own_instrument import OwnInstrument
 
-    opened: list[OwnConnection] = []
     with OwnInstrument(name) as own:
         with suppress(InputError):  # the window explains it
             bench = load_bench(source, overrides)
@@ -117,11 +118,6 @@ def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: b
         from app.gui.splash import Splash
 
         splash = Splash()  # before the rest is loaded
-        from app.gui.application import run_window
-
-        def make_for(bench: Bench) -> Carrier:
-            opened.append(own.connect(bench))
-            return opened[-1]
 
         def open_first(window: MainWindow) -> None:
             splash.finish(window)
@@ -129,21 +125,38 @@ def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: b
             if offers_last:
                 window.benches.offer_last()
 
-        status = run_window(open_first, make_for=make_for)
-    if opened and opened[-1].bench.has_manual_light and not opened[-1].goes_on:
-        terminal.remind(terminal.LIGHT_BY_HAND)
-    return status
+        return _run(open_first, own)
 
 
-def _window_of(access: Access, splash: Splash) -> int:
-    """Run the window on an instrument or a recording until it is closed, and return the exit status."""
-    from app.gui.application import run_window  # while the splash is seen
+def _window_of(access: Access, splash: Splash, name: str = NAME) -> int:
+    """Run the window on an instrument or a recording until it is closed, and return the exit status.
+
+    A bench that is opened in it has an instrument of this name.
+    """
+    from app.acquisition.remote.own_instrument import OwnInstrument
 
     def open_first(window: MainWindow) -> None:
         splash.finish(window)
         window.open(access)
 
-    return run_window(open_first)
+    with OwnInstrument(name) as own:
+        return _run(open_first, own)
+
+
+def _run(open_first: Callable[[MainWindow], object], own: OwnInstrument) -> int:
+    """Run a window that opens benches in a process of its own; remind of a light that is switched by hand."""
+    from app.gui.application import run_window  # while the splash is seen
+
+    opened: list[OwnConnection] = []
+
+    def make_for(bench: Bench) -> Carrier:
+        opened.append(own.connect(bench))
+        return opened[-1]
+
+    status = run_window(open_first, make_for=make_for)
+    if opened and opened[-1].bench.has_manual_light and not opened[-1].goes_on:
+        terminal.remind(terminal.LIGHT_BY_HAND)
+    return status
 
 
 def attached_window(name: str, *, is_attended: bool, seconds: float | None, out: Path, overwrite: bool) -> int:
@@ -164,7 +177,7 @@ def attached_window(name: str, *, is_attended: bool, seconds: float | None, out:
     access = Access(connect, begin=lambda _: ())  # it runs already
     if splash is None:
         return unattended_window(first.bench, access, seconds=seconds, out=out, overwrite=overwrite)
-    return _window_of(access, splash)
+    return _window_of(access, splash, name)
 
 
 def unattended_window(bench: Bench, access: Access, *, seconds: float | None, out: Path, overwrite: bool) -> int:

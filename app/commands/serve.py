@@ -10,6 +10,8 @@ import typer
 from app.acquisition.place import NAME, taken_place
 from app.commands import options, terminal
 from app.errors import Interrupted
+from app.measurement.routines import Cancelled
+from drivers.errors import LightHeldOff
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -43,13 +45,15 @@ def serve(
     def begin(acquisition: Acquisition) -> None:
         def tell(step: Future[Any]) -> None:
             error = step.exception()
-            if error is not None and acquisition.error is None:  # else the command ends with that
+            is_told = acquisition.error is not None or isinstance(error, Cancelled | LightHeldOff)  # at the end
+            if error is not None and not is_told:
                 terminal.print_warning(str(error))
 
         for step in () if idle else start_up(acquisition):
             step.add_done_callback(tell)
 
-    faulthandler.enable()  # a crash, as in a vendor's library, tells where
+    if not faulthandler.is_enabled():
+        faulthandler.enable()  # a crash, as in a vendor's library, tells where
     loaded = options.load(bench, setting)
     terminal.confirm_libraries(loaded, trust=trust_library)
     with taken_place(name) as place:

@@ -15,6 +15,7 @@ from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.noise import CameraNoise
+from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.settings import RegistrationSettings
 from reconstruction.wavefront import rms
 
@@ -117,6 +118,13 @@ def test_dark_frame_is_refused(small_bench: SmallBench) -> None:
     noise = np.random.default_rng(0).normal(500, 8, small_bench.reference.shape)
     with pytest.raises(ReconstructionError, match="is the light on"):
         small_bench.reconstructor()(noise)
+
+
+def test_dark_frame_of_a_known_camera_is_not_searched(small_bench: SmallBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    reconstructor = small_bench.reconstructor(noise=CameraNoise(1.0, 8.0))
+    monkeypatch.setattr(GaussNewton, "__call__", lambda *_, **__: pytest.fail("searched"))
+    with pytest.raises(ReconstructionError, match="is the light on"):
+        reconstructor(np.random.default_rng(0).normal(500, 8, small_bench.reference.shape))
 
 
 def test_frame_of_another_size_is_refused(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:

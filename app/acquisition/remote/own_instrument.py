@@ -67,12 +67,6 @@ class OwnInstrument:
     """Runs one bench after the other in a process of its own, `svwfs serve`, which it leaves to a connection."""
 
     def __init__(self, name: str = NAME) -> None:
-        """`RunError` if another instrument has the name."""
-        if is_taken(name):
-            named = "" if name == NAME else f" --name {name}"
-            raise RunError(
-                f"an instrument runs as {name} already: svwfs live --attach{named} shows it; another one needs a --name"
-            )
         self._name = name
         self._bench: Bench | None = None  # of the process
         self._process: subprocess.Popen[bytes] | None = None
@@ -93,11 +87,20 @@ class OwnInstrument:
         self._folder.cleanup()
 
     def start(self, bench: Bench) -> subprocess.Popen[bytes]:
-        """Start the process for a bench, whose libraries are confirmed, unless it runs; return at once."""
+        """Start the process for a bench, whose libraries are confirmed, unless it runs; return at once.
+
+        `RunError` if another instrument has the name.
+        """
         if self._process is not None and self._process.poll() is None and self._bench == bench:
             return self._process
         self._end()
         self._tell_crash()
+        if is_taken(self._name):
+            named = "" if self._name == NAME else f" --name {self._name}"
+            raise RunError(
+                f"an instrument runs as {self._name} already: svwfs live --attach{named} shows it; another one needs a"
+                " --name"
+            )
         file, self._bench = Path(self._folder.name, "bench.toml"), bench
         save_bench(file, bench)
         program, arguments = command_line("serve", "--bench", file, "--name", self._name, "--idle")

@@ -309,12 +309,15 @@ class Attachment:
         box.setIcon(QMessageBox.Icon.Question)
         box.setWindowTitle("svwfs")
         box.setText("Does the instrument go on without this window?")
-        box.setInformativeText("If it goes on, the light stays as it is, and recordings are continued.")
+        state = connection.recording
+        recording = state.folder.name if state is not None and state.stage == "recording" else ""
+        going_on = f"recording {recording} goes on, too; else it ends" if recording else "nothing is recorded"
+        box.setInformativeText(f"If it goes on, the light stays as it is, and {going_on}.")
         goes_on = box.addButton("It goes on", QMessageBox.ButtonRole.AcceptRole)
         ends = box.addButton("End it", QMessageBox.ButtonRole.DestructiveRole)
         is_own = isinstance(connection, OwnConnection)
-        box.setDefaultButton(ends if is_own else goes_on)
-        box.addButton(QMessageBox.StandardButton.Cancel)
+        cancel = box.addButton(QMessageBox.StandardButton.Cancel)
+        box.setDefaultButton(cancel if recording else ends if is_own else goes_on)
         box.exec()
         if box.clickedButton() is ends and is_own:
             return False

@@ -220,7 +220,14 @@ class RecordingBar(QFrame):
         self.commands.start_window("--replay", folder)
 
     def _restart(self) -> None:
+        """Go on with another acquisition; say if it does not have the recording that was under way."""
         self._starting = self._asked_disk = None
+        acquisition = self._controller.acquisition
+        state = None if acquisition is None else acquisition.recording
+        was_recording = self._stage in {"recording", "finishing"}
+        if was_recording and self._of is not None and (state is None or state.folder != self._of):
+            self._messages.alarm(f"recording {self._of.name} was cut off: svwfs recover {self._of} finishes it")
+            self._forget()
 
     def _keep(self) -> None:
         self._controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))

@@ -15,6 +15,7 @@ from pytestqt.qtbot import QtBot
 from support.command_line import run
 from support.gui_bench import FakeCamera
 from support.patience import HANG_S, wait_until
+from support.recordings import record
 from support.served import connected, served
 from support.window_tools import MakeWindow, wait_for_wavefront
 
@@ -56,12 +57,14 @@ def told(window: MainWindow) -> str:
     return window.messages.text.text().lower()
 
 
-def answer(monkeypatch: pytest.MonkeyPatch, label: str) -> list[str]:
-    """Click a button of the next message box; returns the questions asked."""
+def answer(monkeypatch: pytest.MonkeyPatch, label: str, defaults: list[str] | None = None) -> list[str]:
+    """Click a button of the next message box; returns the questions asked, and into `defaults` what Return answers."""
     asked: list[str] = []
 
     def click(box: QMessageBox) -> int:
-        asked.append(box.text())
+        asked.append(f"{box.text()} {box.informativeText()}")
+        if defaults is not None and (button := box.defaultButton()) is not None:
+            defaults.append(button.text().replace("&", ""))
         next(each for each in box.buttons() if each.text().replace("&", "") == label).click()
         return 0
 
@@ -102,7 +105,8 @@ def test_closing_asks_whether_the_instrument_goes_on(
 ) -> None:
     asked = answer(monkeypatch, "Cancel")
     window.quit()
-    assert asked == ["Does the instrument go on without this window?"]
+    (question,) = asked
+    assert question.startswith("Does the instrument go on without this window?")
     assert window.isVisible()
     answer(monkeypatch, label)
     window.quit()
@@ -246,16 +250,19 @@ def connection_of(window: MainWindow) -> OwnConnection:
 def test_window_runs_its_instrument_in_a_process_that_ends_with_it(
     started: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    defaults: list[str] = []
+
     def act(window: MainWindow) -> None:
         qtbot.waitUntil(lambda: is_measured(window))
         assert connection_of(window).place.process == started[-1].pid != os.getpid()
         assert "--trust-library" not in str(started[-1].args)  # the window has asked
         assert "attached" not in window.windowTitle()
         assert window.controller.left == ""
-        asked = answer(monkeypatch, "End it")
+        asked = answer(monkeypatch, "End it", defaults)
         window.quit()
         qtbot.waitUntil(lambda: not window.isVisible())
-        assert asked
+        assert defaults == ["End it"]
+        assert "nothing is recorded" in asked[0]
         assert started[-1].poll() == 0  # the window has waited for the end
 
     assert live_window(monkeypatch, small_toml, act) == 0
@@ -268,14 +275,21 @@ def test_window_runs_its_instrument_in_a_process_that_ends_with_it(
 def test_instrument_of_a_window_goes_on_if_its_user_says_so(
     started: list[subprocess.Popen[bytes]],
     small_toml: Path,
+    tmp_path: Path,
     qtbot: QtBot,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    defaults: list[str] = []
+
     def act(window: MainWindow) -> None:
         qtbot.waitUntil(lambda: is_measured(window))
-        answer(monkeypatch, "It goes on")
+        connection_of(window).start_recording(tmp_path / "run 1").result(HANG_S)
+        qtbot.waitUntil(lambda: "run 1" in window.recording_bar.text.text())
+        asked = answer(monkeypatch, "It goes on", defaults)
         window.quit()
+        assert defaults == ["Cancel"]  # no key ends a recording by mistake
+        assert "recording run 1 goes on" in asked[0]
         qtbot.waitUntil(lambda: not window.isVisible())
         assert window.controller.left == "the instrument goes on"
 
@@ -307,12 +321,16 @@ def test_another_bench_and_a_new_start_have_processes_of_their_own(
         assert connection_of(window).bench == load_bench(other_toml)
         window.light.switch(on=False)
         qtbot.waitUntil(lambda: is_dark(window))
+        connection_of(window).start_recording(other_toml.parent / "run 1").result(HANG_S)
+        qtbot.waitUntil(lambda: "run 1" in window.recording_bar.text.text())
         started[1].send_signal(signal.SIGSEGV)
         qtbot.waitUntil(lambda: f"the instrument's process {started[1].pid} was ended by sigsegv" in told(window))
         window.attachment.take_control()
         assert "runs the instrument itself" not in window.messages.log
         window.messages.reconnect.click()
         qtbot.waitUntil(lambda: (status := window.controller.status) is not None and status.is_running)
+        assert "recording run 1 was cut off: svwfs recover" in window.messages.log.lower()
+        assert "run 1" not in window.recording_bar.text.text()
         assert connection_of(window).bench == load_bench(other_toml)
         qtbot.waitUntil(lambda: window.controller.is_settled)
         assert is_dark(window)  # as its user left it
@@ -321,6 +339,26 @@ def test_another_bench_and_a_new_start_have_processes_of_their_own(
     assert [each.poll() for each in started] == [0, -signal.SIGSEGV, 0]
     assert "Segmentation fault" in capfd.readouterr().err  # where it crashed
     assert not is_taken(NAME)
+
+
+@pytest.mark.long
+def test_bench_that_the_window_of_a_recording_opens_has_a_process(
+    started: list[subprocess.Popen[bytes]],
+    small_toml: Path,
+    other_toml: Path,
+    qtbot: QtBot,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    record(small_toml, folder := other_toml.parent / "run", frames=3)
+    started.clear()
+
+    def act(window: MainWindow) -> None:
+        window.benches.open(str(other_toml))
+        qtbot.waitUntil(lambda: is_measured(window))
+        assert connection_of(window).place.process == started[0].pid
+
+    assert live_window(monkeypatch, small_toml, act, "--replay", str(folder)) == 0
+    assert [each.poll() for each in started] == [0]
 
 
 @pytest.mark.long

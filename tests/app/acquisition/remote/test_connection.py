@@ -493,7 +493,7 @@ def test_everything_is_closed_though_one_step_fails(camera: FakeCamera, monkeypa
 
 
 def test_larger_frames_get_a_larger_ring(server: Server) -> None:
-    with connected() as connection:
+    with closing(Connection("client", sinks=(lambda _: None,))) as connection:  # else it might be left out
         found = newest(connection)
         before = server._ring
         assert before is not None

@@ -165,6 +165,13 @@ def test_ctrl_c_ends_the_instrument_in_order(small_toml: Path, tmp_path: Path) -
     assert not is_taken(NAME)
 
 
+def test_ctrl_c_amid_the_reference_is_no_warning(small_toml: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with instrument(small_toml) as running:
+        running.send_signal(signal.SIGINT)
+        assert running.wait(HANG_S) == 130
+    assert capfd.readouterr().err == "svwfs: interrupted: the light is off\n"
+
+
 def test_measure_attaches(
     small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
