@@ -197,7 +197,8 @@ def print_measurement(measured: Measured, out: Path) -> None:
         f"error bar of one frame: {np.nanmean(measured.noise_rad):.3f} rad; assumed: {measured.assumed}"
     )
     light = "" if measured.light_current_a is None else f", light current {measured.light_current_a:.4g} A"
-    terminal.print_sentence(f"exposure {measured.exposure_s * 1e3:.4g} ms{light}")
+    simulated = "; camera and light are simulated" if measured.bench.is_simulated else ""
+    terminal.print_sentence(f"exposure {measured.exposure_s * 1e3:.4g} ms{light}{simulated}")
     if measured.mask_note:
         terminal.print_sentence(measured.mask_note)
     failed = measured.frames - measured.reconstructed

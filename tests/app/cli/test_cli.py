@@ -129,6 +129,7 @@ def test_measure_writes_results(
     said = capsys.readouterr().out
     assert "5 frames, 0 lost by the camera" in said
     assert f"exposure {line['exposure_s'] * 1e3:.4g} ms, light current {line['light_current_a']:.4g} A" in said
+    assert "camera and light are simulated" in said
     assert tifffile.imread(tmp_path / "m" / "reference.tif").shape == (172, 240)
     record = json.loads((tmp_path / "m" / "run.json").read_text())
     assert record["frames"] == {"acquired": 5, "recorded": 5, "reconstructed": 5, "lost": 0}
