@@ -73,7 +73,7 @@ def print_batch(batch: Batch, out: Path) -> None:
         terminal.print_warning(f"{folder}: {counted(len(reasons))} damaged and left out: {reasons[0]}")
     without = batch.frames - batch.wavefronts
     why = f" ({batch.problem})" if batch.problem else ""
-    missing = f"; {without} have no wavefront{why}" if without else ""
+    missing = f"; {without} of them without a wavefront{why}" if without else ""
     done = batch.recordings - len(batch.failed)
     before = f", {batch.frames - batch.computed} of them from before" if batch.frames > batch.computed else ""
-    terminal.print_sentence(f"{counted(done, 'recording')} with {counted(batch.frames)}{before} are in {out}{missing}")
+    terminal.print_sentence(f"{out} holds {counted(done, 'recording')} with {counted(batch.frames)}{before}{missing}")

@@ -156,6 +156,8 @@ def _configured(bench: Bench, name: str) -> DeviceSettings:
 
 def _connected(name: str) -> tuple[str, DeviceSettings]:
     """Return "camera" or "light" and the settings of a connected device, which has the defaults otherwise."""
+    if name in {"camera", "light"}:
+        raise InputError(f"--check {name} needs --bench: whose {name}?")
     kind = next((kind for kind in KINDS if kind.driver == name.split(":", 1)[0]), None)
     if kind is None:
         known = ", ".join(kind.driver for kind in KINDS)

@@ -320,7 +320,7 @@ def test_command_reports_failures_at_the_end(
         assert run(monkeypatch, *words) == 1
     said = capsys.readouterr()
     assert "nowhere: no such folder" in said.out
-    assert f"1 recording with {FRAMES} frames are in" in said.out
+    assert f"holds 1 recording with {FRAMES} frames" in said.out
     assert said.err.endswith("svwfs: 1 of 2 recordings failed\n")
 
 

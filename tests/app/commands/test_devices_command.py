@@ -280,6 +280,8 @@ def test_lost_light_ends_check(bench: SimulatedBench, monkeypatch: pytest.Monkey
 def test_unconnected_device_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RunError, match=r"dcam:2 is not connected; `svwfs devices` shows what is"):
         check_and_print("dcam:2")
+    with pytest.raises(InputError, match="--check camera needs --bench"):
+        check_and_print("camera")
     with pytest.raises(InputError, match="it begins with one of dcam, genicam"):
         check_and_print("/dev/ttyUSB0")
 
