@@ -139,6 +139,7 @@ class WavefrontPanel(Panel):
         """Forget all wavefronts, also the one that is subtracted: the lenslets may be others."""
         self.show_wavefront(None)
         self._reading = None
+        self._reading_timer.stop()
         self._display = WavefrontDisplay()
         self.menu.change(stored=None)
 
