@@ -60,7 +60,7 @@ class OwnMethods:
 NO_OWN = OwnMethods()
 
 _DARK_CONTRAST = 0.2  # of the reference's; a frame with less in which nothing matches has no light
-_READ_NOISE_ALONE = 1.5  # times the read noise; a frame that scatters less shows nothing else
+_READ_NOISE_ALONE = 0.7, 1.5  # times the read noise: a frame that scatters so shows nothing else; an average may
 _SPARSE = 4  # rows and columns in which that is looked for
 _NO_MATCH = "no lenslet of the frame could be matched with the reference"
 _NOISE_MODES = 45  # for the predicted noise of a warp; a smooth wavefront needs about as many
@@ -169,7 +169,7 @@ class Reconstructor:
         self.subimages, self._lenslet_model = self._cut(light), lenslet_model
         self._dark_contrast = _DARK_CONTRAST * float(self.subimages.light.std())
         read_noise = 0.0 if self.noise is None else self.noise.read_noise_counts
-        self._no_light = min(_READ_NOISE_ALONE * read_noise, self._dark_contrast)
+        self._no_light = tuple(min(each * read_noise, self._dark_contrast) for each in _READ_NOISE_ALONE)
         with one_blas_thread():  # so that results repeat
             self._prepare_estimators(light, registration)
 
@@ -208,7 +208,10 @@ class Reconstructor:
         saturated.
         """
         light, saturated = self._above_dark(frame, "frame")
-        if light[::_SPARSE, ::_SPARSE].std() < self._no_light:  # each lenslet would be searched for longest
+        least, most = self._no_light
+        if (
+            least < light[::_SPARSE, ::_SPARSE].std(dtype=np.float64) < most
+        ):  # each lenslet would be searched for longest
             raise ReconstructionError(f"{_NO_MATCH}: is the light on?", image="frame")
         displacement = self._prepared.method(light, saturated=saturated, start=start)
         if np.count_nonzero(displacement.valid) < 2:
