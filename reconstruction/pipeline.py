@@ -209,9 +209,7 @@ class Reconstructor:
         """
         light, saturated = self._above_dark(frame, "frame")
         least, most = self._no_light
-        if (
-            least < light[::_SPARSE, ::_SPARSE].std(dtype=np.float64) < most
-        ):  # each lenslet would be searched for longest
+        if least < light[::_SPARSE, ::_SPARSE].std(dtype=np.float64) < most:  # each lenslet would take longest
             raise ReconstructionError(f"{_NO_MATCH}: is the light on?", image="frame")
         displacement = self._prepared.method(light, saturated=saturated, start=start)
         if np.count_nonzero(displacement.valid) < 2:
