@@ -23,7 +23,7 @@ class _Taken:
 
 @dataclass(frozen=True, slots=True)
 class AverageState:
-    """What people are told of a dark or a reference."""
+    """State of a dark or reference, as the window shows it."""
 
     how: str = ""  # time and settings; empty if there is none
     taken_at: str = ""  # hours and minutes; empty if it was recorded
@@ -38,7 +38,7 @@ class AverageState:
 
     @property
     def note(self) -> str:
-        """How it was taken and, on a second line, why it is doubtful."""
+        """One line on how it was taken, and one on why it is doubtful."""
         return "\n".join(filter(None, (self.how or "none yet", self.doubt)))
 
 
@@ -96,7 +96,7 @@ class KeptAverages:
         return f"the {self._what} was taken {changed}: take it again" if changed else ""
 
     def state(self, doubt: str) -> AverageState:
-        """Return what people are told of the average in use, which is doubtful for this reason."""
+        """Return the state of the average in use; `doubt` is why it is doubtful, or empty."""
         if self._used is None:
             return AverageState(doubt=doubt)
         return AverageState(self._used.how, self._used.at, doubt)

@@ -219,6 +219,11 @@ class Acquisition:
         """True if the worker still runs."""
         return self._thread.is_alive()
 
+    @property
+    def is_closing(self) -> bool:
+        """True once the worker was asked to end."""
+        return self._stopping.is_set()
+
     def begin_close(self) -> None:
         """Turn the light off at once and ask the worker to end."""
         if not self._stopping.is_set() and self._thread.is_alive():

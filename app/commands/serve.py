@@ -11,7 +11,6 @@ from app.acquisition.place import NAME, taken_place
 from app.commands import options, terminal
 from app.errors import Interrupted
 from app.measurement.routines import Cancelled
-from drivers.errors import LightHeldOff
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -45,8 +44,8 @@ def serve(
     def begin(acquisition: Acquisition) -> None:
         def tell(step: Future[Any]) -> None:
             error = step.exception()
-            is_told = acquisition.error is not None or isinstance(error, Cancelled | LightHeldOff)  # at the end
-            if error is not None and not is_told:
+            ends = acquisition.error is not None or acquisition.is_closing  # the command tells why
+            if error is not None and not ends and not isinstance(error, Cancelled):
                 terminal.print_warning(str(error))
 
         for step in () if idle else start_up(acquisition):

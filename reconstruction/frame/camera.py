@@ -1,4 +1,4 @@
-"""What is known of the camera that took reference and frames."""
+"""Properties of the camera that took the reference and the frames."""
 
 import math
 from dataclasses import dataclass

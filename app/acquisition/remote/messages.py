@@ -38,7 +38,7 @@ _ERRORS: dict[str, type[Exception]] = {
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """A client enters; with `controls`, it takes control if nobody has it. It reads no record sooner after another."""
+    """A client enters; with `controls`, it takes control if nobody has it. It reads a record every `pause_s`."""
 
     name: str
     controls: bool

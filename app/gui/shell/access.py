@@ -1,4 +1,4 @@
-"""How the window reaches an instrument or a recording; without Qt, so that commands can prepare it before."""
+"""What a window opens: an instrument or a recording. Commands make it before Qt is loaded."""
 
 from __future__ import annotations
 

@@ -108,6 +108,7 @@ class RecordingBar(QFrame):
         documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
         self.recordings_folder = Path(documents or ".") / "svwfs"
         self._starting: Future[None] | None = None  # the last start of a recording
+        self._has_failed = False  # the acquisition, amid what it recorded
         self._ended: set[Path] = set()  # recordings whose end was shown
         self._free_minutes, self._disk_due_s = math.inf, -math.inf
         self._asked_disk: Future[float] | None = None  # a network disk may not answer
@@ -169,7 +170,7 @@ class RecordingBar(QFrame):
     def ask_to_end(self, then: Callable[[], object]) -> None:
         """Call `then`, after the user has agreed that a recording ends."""
         state = None if self._controller.acquisition is None else self._controller.acquisition.recording
-        if state is None or state.stage != "recording":
+        if state is None or state.stage != "recording" or self._controller.left:  # it goes on, in its own process
             then()
         else:
             question = f"the recording {state.folder.name} ends if another bench is opened"
@@ -180,6 +181,7 @@ class RecordingBar(QFrame):
         acquisition = self._controller.acquisition
         if acquisition is None:
             return
+        self._has_failed |= bool(acquisition.failure)
         self._query_disk(acquisition)
         state, kept = acquisition.recording, acquisition.kept
         is_starting = self._starting is not None and not self._starting.done()
@@ -220,14 +222,16 @@ class RecordingBar(QFrame):
         self.commands.start_window("--replay", folder)
 
     def _restart(self) -> None:
-        """Go on with another acquisition; say if it does not have the recording that was under way."""
+        """Go on with another acquisition, perhaps without the recording that was under way, which may be cut off."""
         self._starting = self._asked_disk = None
         acquisition = self._controller.acquisition
         state = None if acquisition is None else acquisition.recording
         was_recording = self._stage in {"recording", "finishing"}
         if was_recording and self._of is not None and (state is None or state.folder != self._of):
-            self._messages.alarm(f"recording {self._of.name} was cut off: svwfs recover {self._of} finishes it")
+            if self._has_failed:
+                self._messages.alarm(f"recording {self._of.name} was cut off: svwfs recover {self._of} finishes it")
             self._forget()
+        self._has_failed = False
 
     def _keep(self) -> None:
         self._controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from PyQt6.QtWidgets import QMessageBox
 from pytestqt.qtbot import QtBot
 from support.command_line import run
-from support.gui_bench import FakeCamera
+from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S, wait_until
 from support.recordings import record
 from support.served import connected, served
@@ -24,6 +25,7 @@ from app.acquisition.place import NAME, is_taken, taken_place
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
 from app.acquisition.remote.server import Server
+from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench, save_bench
 from app.gui.shell.access import Access
 from app.gui.shell.main_window import MainWindow
@@ -187,6 +189,21 @@ def test_window_goes_on_with_an_instrument_that_was_started_again(
         assert f"in process {second.place.process}" in window.status_line.devices.toolTip()
         window.controls.requested.emit("dark", 3)
         qtbot.waitUntil(lambda: "dark taken" in told(window))
+
+
+def test_recording_goes_on_when_the_window_opens_another_bench(
+    window: MainWindow, server: Server, qtbot: QtBot, tmp_path: Path
+) -> None:
+    server.acquisition.start_recording(tmp_path / "run 1").result(HANG_S)
+    qtbot.waitUntil(lambda: "run 1" in window.recording_bar.text.text())
+    window.open(Access(partial(Acquisition, BENCH, opener(FakeCamera()))))
+    qtbot.waitUntil(lambda: window.controller.status is not None)
+    window.recording_bar.refresh()
+    assert "run 1" not in window.recording_bar.text.text()
+    assert "cut off" not in window.messages.log
+    state = server.acquisition.recording
+    assert state is not None
+    assert state.stage == "recording"
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ from support.served import connected
 
 from app.acquisition.place import NAME, is_taken, runtime_folder
 from app.acquisition.remote.connection import Connection
+from app.bench.config import load_bench, save_bench
 from app.errors import RunError
 from app.recording.reader import Recording
 
@@ -165,10 +166,16 @@ def test_ctrl_c_ends_the_instrument_in_order(small_toml: Path, tmp_path: Path) -
     assert not is_taken(NAME)
 
 
-def test_ctrl_c_amid_the_reference_is_no_warning(small_toml: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    with instrument(small_toml) as running:
+def test_ctrl_c_amid_the_reference_is_no_warning(
+    small_toml: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    save_bench(slow := tmp_path / "slow.toml", load_bench(small_toml, ("camera.exposure_s=0.2",)))
+    with instrument(slow) as running, connected() as connection:
+        wait_until(lambda: "reference" in connection.activity.text)
         running.send_signal(signal.SIGINT)
         assert running.wait(HANG_S) == 130
+        assert running.stdout is not None
+        assert running.stdout.read() == ""
     assert capfd.readouterr().err == "svwfs: interrupted: the light is off\n"
 
 
