@@ -85,19 +85,29 @@ class Connection:
 
         `RunError` if no instrument runs or answers there.
         """
-        self.place = Place.of(name)
+        self._prepare(what, Place.of(name), sinks, controls=controls)
+        self._has_state.wait()
+        if self._ended is not None:
+            self.close()
+            raise self._ended
+
+    def _prepare(
+        self, what: str, place: Place, sinks: tuple[Callable[[Measurement], None], ...] = (), *, controls: bool = True
+    ) -> None:
+        """Begin to connect."""
+        self.place, self._controls = place, controls
         number = next(_COUNT)
         self.name = f"{what} {os.getpid()}{f'.{number}' * (number > 1)}"
         self.goes_on = True  # whether the instrument does when this connection is closed
         self.timings = _Timings()
         self.bench: Bench  # as the instrument was started with; the attributes are those of its newest state
-        self.status: Status | None  # None until the devices are open
-        self.counts: FrameTotals
-        self.recording: RecordingState | None
-        self.kept: RecordingState | None
-        self.clients: tuple[str, ...]  # names of all
-        self.controller: str  # name of the client that has control; empty: nobody
-        self._activity: Activity
+        self.status: Status | None = None  # until the devices are open
+        self.counts = FrameTotals()
+        self.recording: RecordingState | None = None
+        self.kept: RecordingState | None = None
+        self.clients: tuple[str, ...] = ()  # names of all
+        self.controller = ""  # name of the client that has control; empty: nobody
+        self._activity = Activity("starting the instrument", may_cancel=False)
         self._has_state, self._closing = threading.Event(), threading.Event()
         self._ended: Exception | None = None
         self._pending: dict[int, tuple[Future[Any], float]] = {}  # with the time when it was sent
@@ -116,24 +126,17 @@ class Connection:
             Answer: self._take_answer,
             Sign: lambda _: self._say(Hello(self.name, False, self._pause_s)),  # it has forgotten this client
         }
-        self._heard_s = self._said_s = time.monotonic()
+        self._heard_s = self._said_s = math.inf  # until the instrument is reached
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
         self._socket.setsockopt(zmq.LINGER, 200)
         self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
-        self._socket.connect(self.place.endpoint)
         self._wake = self._context.socket(zmq.PAIR)
         self._wake.bind("inproc://wake")
         self._woken = self._context.socket(zmq.PAIR)
         self._woken.connect("inproc://wake")
-        self._say(Hello(self.name, controls, self._pause_s))
         self._thread = threading.Thread(target=self._work, name="connection", daemon=True)
         self._thread.start()
-        if not self._has_state.wait(_ANSWER_S) or self._ended is not None:
-            self.close()
-            raise self._ended or RunError(
-                f"the instrument of process {self.place.process} does not answer: stop it, and start it again"
-            )
 
     @property
     def activity(self) -> Activity:
@@ -141,6 +144,11 @@ class Connection:
         if self.is_silent:
             return Activity("the instrument's process does not answer", may_cancel=False)
         return self._activity
+
+    @property
+    def is_reached(self) -> bool:
+        """True if the instrument runs, and its state is known."""
+        return self.is_alive and self._has_state.is_set()
 
     @property
     def is_silent(self) -> bool:
@@ -307,11 +315,14 @@ class Connection:
         for each in (self._socket, self._woken, self._monitor):
             poller.register(each, zmq.POLLIN)
         try:
+            self._reach()
             while not self._closing.is_set() and self._ended is None:
                 ready = dict(poller.poll(_TICK_MS))
                 self._turn(ready)
             self._say_outgoing()
             self._say(Sign.BYE)
+        except RunError as error:
+            self._ended = error
         except Exception as error:
             self._ended = error
             raise
@@ -326,6 +337,12 @@ class Connection:
             with self._sending:
                 self._context.destroy(linger=200)
             self._frames.close()
+
+    def _reach(self) -> None:
+        """Say hello to the instrument at `place`; called by the thread."""
+        self._socket.connect(self.place.endpoint)
+        self._heard_s = time.monotonic()
+        self._say(Hello(self.name, self._controls, self._pause_s))
 
     def _say_outgoing(self) -> None:
         with self._sending:
@@ -351,6 +368,10 @@ class Connection:
         if self._frames.error is not None and self._ended is None:
             self._ended = RunError(f"frames of the instrument cannot be shown: {self._frames.error}")
         now_s = time.monotonic()
+        if not self._has_state.is_set() and now_s > self._heard_s + _ANSWER_S:
+            raise RunError(
+                f"the instrument of process {self.place.process} does not answer: stop it, and start it again"
+            )
         if now_s > self._said_s + _ALIVE_S:
             self._say(Sign.ALIVE)
         for number, (future, sent_s) in list(self._pending.items()):

@@ -26,17 +26,44 @@ _ENDS_S = 45.0  # a frame of the slowest method takes up to half of it
 class OwnConnection(Connection):
     """A connection that ends the instrument when it is closed, unless it `goes_on` or another client controls it."""
 
-    def __init__(self, name: str, process: subprocess.Popen[bytes]) -> None:
-        """Connect as the window that has started this process; see `Connection`."""
-        self.process = process
+    def __init__(self, bench: Bench, name: str, process: subprocess.Popen[bytes], said: Path) -> None:
+        """Begin to connect to a process that has just been started, and prints into the file `said`.
+
+        If it cannot be reached, that is the connection's `error`.
+        """
+        self.bench, self.process, self._said = bench, process, said
         self._ends = False
-        super().__init__("window", name)
+        self._prepare("window", Place(name, process.pid, endpoint="", key=""))
         self.goes_on = False
 
     @property
     def is_alive(self) -> bool:
         """True while the instrument runs and this connection is open, and until it has ended if it ends."""
         return super().is_alive or (self._ends and self.process.poll() is None)
+
+    def _reach(self) -> None:
+        until_s = time.monotonic() + _STARTS_S
+        while not self._is_announced():
+            if self._closing.is_set():
+                self.process.terminate()
+                return
+            if self.process.poll() is not None:
+                said = self._said.read_text(errors="replace").strip().splitlines()
+                last = said[-1].removeprefix("svwfs: ") if said else "it said nothing"
+                raise RunError(f"the instrument's process has ended: {last}")
+            if time.monotonic() > until_s:
+                self.process.kill()
+                raise RunError(f"the instrument's process could not be reached within {_STARTS_S:g} s, and was ended")
+            time.sleep(_LOOK_S)
+        self.place = Place.of(self.place.name)
+        super()._reach()
+
+    def _is_announced(self) -> bool:
+        """True if the process has the name; another one may have taken it."""
+        if not is_taken(self.place.name):
+            return False
+        # On Windows, the process of a virtual environment starts another one.
+        return sys.platform == "win32" or Place.of(self.place.name).process == self.process.pid
 
     def _how_it_ended(self) -> str:
         with suppress(subprocess.TimeoutExpired):
@@ -120,9 +147,9 @@ class OwnInstrument:
         return self._process
 
     def connect(self, bench: Bench) -> OwnConnection:
-        """Connect to the process of a bench, started if need be, after the end of the one before.
+        """Begin to connect to the process of a bench, started if need be, after the end of the one before.
 
-        `RunError` with the last words of a process that ends before, or if the one before does not end, or goes on.
+        `RunError` if the one before does not end, or goes on, or as `start`.
         """
         if self._connection is not None:
             self._connection.close(_ENDS_S)
@@ -130,25 +157,8 @@ class OwnInstrument:
                 why = "goes on" if self._connection.goes_on else "does not end"
                 raise RunError(f"the instrument's process {self._connection.process.pid} {why}: its devices are in use")
             self._connection = None
-        process, until_s = self.start(bench), time.monotonic() + _STARTS_S
-        while not self._is_reached(process):
-            if process.poll() is not None:
-                said = self._said.read_text(errors="replace").strip().splitlines()
-                last = said[-1].removeprefix("svwfs: ") if said else "it said nothing"
-                raise RunError(f"the instrument's process has ended: {last}")
-            if time.monotonic() > until_s:
-                process.kill()
-                raise RunError(f"the instrument's process could not be reached within {_STARTS_S:g} s, and was ended")
-            time.sleep(_LOOK_S)
-        self._connection = OwnConnection(self._name, process)
+        self._connection = OwnConnection(bench, self._name, self.start(bench), self._said)
         return self._connection
-
-    def _is_reached(self, process: subprocess.Popen[bytes]) -> bool:
-        """True if the process has the name; another one may have taken it."""
-        if not is_taken(self._name):
-            return False
-        # On Windows, the process of a virtual environment starts another one.
-        return sys.platform == "win32" or Place.of(self._name).process == process.pid
 
     def _tell_crash(self) -> None:
         """Print what a process said that a signal has ended: where it crashed."""

@@ -126,7 +126,7 @@ _GIVE_UP_S = 600.0  # for rendering the bench and compiling
 class Span:
     """Measurements after the warm-up."""
 
-    first_wavefront_s: float  # since the instrument was reached, with opening and calibrating the devices
+    first_wavefront_s: float  # since its process was started, with opening and calibrating the devices
     began_s: float  # by time.perf_counter()
     seconds: float
     frames: FrameTotals

@@ -248,7 +248,7 @@ class Attachment:
     def connection(self) -> Connection | None:
         """The connection to the instrument's process, while there is one."""
         acquisition = self._controller.acquisition
-        return acquisition if isinstance(acquisition, Connection) and acquisition.is_alive else None
+        return acquisition if isinstance(acquisition, Connection) and acquisition.is_reached else None
 
     @property
     def only_watches(self) -> bool:

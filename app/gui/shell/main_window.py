@@ -241,6 +241,8 @@ class MainWindow(BaseWindow):
             self._timer.stop()
             self._text_timer.stop()
             self.controller.use(access, self._show_closing)
+            if (status := self.controller.status) is not None and not self.controller.left:
+                self.show_status(_ended(status))
             self.recording_bar.refresh()  # the recording has ended
             self.errors.restart()
             for panel in self.panels:
@@ -289,8 +291,7 @@ class MainWindow(BaseWindow):
         if self._is_silent:
             status = replace(status, is_running=False)
         if self._failure:
-            is_light_on = status.is_light_on and status.bench.has_manual_light
-            status = replace(status, is_running=False, is_light_on=is_light_on)
+            status = _ended(status)
         if status != self._status:
             self.show_status(status)
 
@@ -461,3 +462,8 @@ class MainWindow(BaseWindow):
     def _forget_status(self) -> None:
         """Show the status again, for example since icons are drawn in another theme."""
         self._status = None
+
+
+def _ended(status: Status) -> Status:
+    """Status of devices that are closed; a light without a driver stays as it is."""
+    return replace(status, is_running=False, is_light_on=status.is_light_on and status.bench.has_manual_light)

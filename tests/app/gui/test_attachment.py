@@ -334,6 +334,7 @@ def test_another_bench_and_a_new_start_have_processes_of_their_own(
         qtbot.waitUntil(lambda: is_measured(window))
         window.benches.open(str(other_toml))
         assert started[0].poll() == 0  # two must not have the devices
+        assert window.controls.light.text() == "Light off"
         qtbot.waitUntil(lambda: is_measured(window))
         assert connection_of(window).bench == load_bench(other_toml)
         window.light.switch(on=False)
@@ -431,12 +432,37 @@ def test_process_that_ends_at_once_is_told_with_its_last_words(
 
     def act(window: MainWindow) -> None:
         qtbot.waitUntil(lambda: "process has ended: an instrument runs as" in told(window))
-        assert window.controller.acquisition is None
+        assert window.attachment.connection is None
+        assert not window.messages.reconnect.isHidden()
 
     with taken_place() as place:
         place.announce()
         assert live_window(monkeypatch, small_toml, act) == 0
     assert [each.poll() for each in started] == [1]
+
+
+@pytest.mark.slow
+def test_window_acts_while_its_instrument_starts(
+    started: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing waits for the process, and the window can be closed before it is reached."""
+
+    def act(window: MainWindow) -> None:
+        started[0].send_signal(signal.SIGSTOP)
+        qtbot.waitUntil(lambda: "starting the instrument" in told(window))
+        assert not window.controller.is_silent
+        assert window.attachment.notice == ""
+        qtbot.wait(2500)  # until an instrument that was reached would count as silent
+        assert "starting the instrument" in told(window)
+        asked = answer(monkeypatch, "It goes on")
+        started[0].send_signal(signal.SIGCONT)
+        window.quit()
+        qtbot.waitUntil(lambda: not window.isVisible())
+        assert not asked  # what does not run yet cannot go on
+
+    assert live_window(monkeypatch, small_toml, act) == 0
+    assert started[0].poll() is not None
+    assert not is_taken(NAME)
 
 
 def test_process_without_a_window_ends(started: list[subprocess.Popen[bytes]], small_toml: Path) -> None:
