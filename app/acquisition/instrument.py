@@ -24,6 +24,7 @@ from app.measurement.measurement import SKIPPED, Assumptions, Measurement
 from app.measurement.routines import UNWATCHED, Circumstances, RoutineError, Watch, restored
 from app.measurement.sensor_region import SensorArea, moved_bench, moved_lattice, set_area
 from app.progress import counted
+from app.recording.recorded_devices import RecordedLight
 from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
 from reconstruction.displacement import Displacement
@@ -60,6 +61,7 @@ class Status:
     masks: tuple[str, ...]
     mask: str
     is_sample_in: bool
+    is_replay: bool  # a recording plays in place of the devices
     dark: AverageState
     reference: AverageState
     lattice: Lattice | None
@@ -141,6 +143,7 @@ class Instrument:
             masks=stage.masks,
             mask=stage.mask,
             is_sample_in=stage.is_sample_in,
+            is_replay=isinstance(light, RecordedLight),
             dark=self.darks.state(of_dark),
             reference=self.references.state(blamed or of_reference),
             lattice=self._lattice,

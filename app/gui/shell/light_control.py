@@ -10,7 +10,6 @@ from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
-from app.gui.shell.wording import is_replay
 from app.progress import counted
 
 _REST_S = 1.0  # after a request to switch off: the second click of a double click, or a held key, lights nothing
@@ -57,8 +56,8 @@ class LightControl:
         """Switch off what shines, or may be lighting up, by an L that is typed into a field; it never lights."""
         acquisition = self._acquisition
         status = None if acquisition is None else acquisition.status
-        is_lit = status is not None and status.is_light_on
-        if acquisition is not None and not is_replay(status) and (is_lit or self._is_busy(acquisition)):
+        is_lit, is_replay = (False, False) if status is None else (status.is_light_on, status.is_replay)
+        if acquisition is not None and not is_replay and (is_lit or self._is_busy(acquisition)):
             self.switch(on=False)
             self._messages.warn("L switches the light off, also where it is typed: outside of fields, L switches it on")
 

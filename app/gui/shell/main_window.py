@@ -37,7 +37,7 @@ from app.gui.shell.replay_bar import ReplayBar
 from app.gui.shell.sensor_region_dialog import SensorRegionDialog
 from app.gui.shell.state import PreferencesDialog, fit_to_screen, restore_state, save_state
 from app.gui.shell.status_line import StatusLine
-from app.gui.shell.wording import Situation, advice, is_replay, light_when_closing, liveness, way_out
+from app.gui.shell.wording import Situation, advice, light_when_closing, liveness, way_out
 from app.gui.widgets import theme
 from app.gui.widgets.basics import column, timer
 from app.gui.widgets.copies import write_picture
@@ -337,7 +337,7 @@ class MainWindow(BaseWindow):
         self.messages.show_state(
             failure=self._failure,
             way_out=way_out(status),
-            may_reconnect=not is_replay(status),
+            may_reconnect=status is None or not status.is_replay,
             only_watches=self.attachment.only_watches,
             warning="; ".join(filter(None, [alarm, self.replay.notice, self.attachment.notice])),
             advice=advice(status, self._activity, measurement),

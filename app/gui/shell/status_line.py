@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QGridLayout, QLabel, QWidget
 from app.acquisition.instrument import Status
 from app.acquisition.worker import Measurement
 from app.gui.panels.panel import Verdict
-from app.gui.shell.wording import as_sentence, is_replay, lenslet_summary
+from app.gui.shell.wording import as_sentence, lenslet_summary
 from app.gui.widgets import theme
 from app.gui.widgets.basics import ElidedLabel, colour_text, column, label, row, row_of
 from app.gui.widgets.presentation import NOTHING
@@ -113,7 +113,7 @@ class StatusLine(QWidget):
             return
         (first_s, first_count, _, first_lost), (last_s, last_count, _, lost) = self._recent[0], self._recent[-1]
         _write(self.lost, str(lost))
-        is_live = status is None or not is_replay(status)
+        is_live = status is None or not status.is_replay
         self.lost.setToolTip("" if is_live else "Frames that were lost when this was recorded")
         colour_text(self.lost, theme.RED if lost > first_lost and is_live else theme.TEXT)
         is_running = status is not None and status.is_running

@@ -14,7 +14,6 @@ from app.measurement.auto_exposure import AutoExposure
 from app.measurement.measurement import Gap
 from app.measurement.sensor_region import SensorArea, lenslets_outside
 from app.progress import counted
-from app.recording.recorded_devices import RecordedLight
 from app.recording.recorder import RecordingState
 from app.results.dataset import rotation_of
 from app.results.frame_tallies import ROTATES
@@ -61,7 +60,7 @@ def liveness(status: Status | None, failure: str, activity: Activity, measuremen
     age = f"{age_s:.0f} s" if age_s < 100 else f"{age_s / 60:.0f} min"
     if measurement.file:
         return Liveness(f"FILE {measurement.file}", "Space returns to the camera")
-    if is_replay(status):
+    if status.is_replay:
         return Liveness("REPLAY", status.camera_name)
     if failure:
         return Liveness(f"DISCONNECTED, {age} old", failure, is_grey=True)
@@ -108,7 +107,7 @@ def advice(status: Status | None, activity: Activity, measurement: Measurement |
     if status is None:
         return "no bench is open: open one (Ctrl+O), or a preset in the menu Bench"
     if not status.is_running:
-        return "the replay is paused: Space plays it" if is_replay(status) else "the camera is stopped: Space starts it"
+        return "the replay is paused: Space plays it" if status.is_replay else "the camera is stopped: Space starts it"
     if measurement is not None and _is_old(measurement):
         return "slow method: still reconstructing a frame; your command waits until it is done"
     return status.mask_note or "F1 shows keys and conventions"
@@ -119,17 +118,12 @@ def _is_old(measurement: Measurement) -> bool:
     return time.perf_counter() - measurement.exposure_end_s > _SLOW_S + 2 * measurement.frame.exposure_s
 
 
-def is_replay(status: Status | None) -> bool:
-    """True if a recording plays in place of the devices."""
-    return status is not None and status.light_name == RecordedLight.name
-
-
 def way_out(status: Status | None) -> str:
     """Return what a failure has shut down, and what to do: a manual light, only a person can switch off."""
-    if is_replay(status):
-        return "the replay has ended: open the recording again (Ctrl+Shift+O)"
     if status is None:
         return "no device is open: reconnect (Ctrl+R)"
+    if status.is_replay:
+        return "the replay has ended: open the recording again (Ctrl+Shift+O)"
     if status.bench.has_manual_light:
         return "the devices are shut down, switch the light off by hand: reconnect (Ctrl+R)"
     return "light and devices are shut down: reconnect (Ctrl+R)"

@@ -21,6 +21,7 @@ from app.acquisition.kept_averages import AverageState
 from app.gui.panels.panel import Liveness
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.wording import Situation, liveness
+from app.recording.recorded_devices import RecordedLight
 from drivers.interface import Disconnected
 
 
@@ -51,6 +52,9 @@ def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:
     assert preparing == Liveness("PAUSED, 3 min old", "preparing the reconstruction", is_grey=True)
     assert liveness(status, "", Activity(), old).reason == "no newer frame has come yet"
     assert liveness(status, "", Activity(), replace(old, latency_s=150.0)) == Liveness()  # of a slow method
+    renamed = replace(status, light_name=RecordedLight.name)  # a name makes no replay
+    assert liveness(renamed, "", Activity(), now) == Liveness()
+    assert liveness(replace(status, is_replay=True), "", Activity(), now).badge == "REPLAY"
     assert liveness(None, "", Activity(), None) == Liveness()
     assert liveness(None, "", Activity("opening the devices"), None).is_grey  # a picture of another bench may be seen
 
