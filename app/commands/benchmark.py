@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from app.bench.presets import DEFAULT
 from app.commands import options, terminal
 from app.errors import InputError, RunError
 from app.files import check_outputs, check_suffix
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from app.gui.shell.main_window import MainWindow
     from app.timing import StageTimes
 
-_LIVE_BENCH = "live_demo"
 _LIVE_EXPOSURE_S = 0.014286  # 70 frames/s
 _POLL_S = 0.1
 _WARM_UP_S = 3.0  # maximum, of the run without a window, which measures no memory
@@ -48,9 +48,7 @@ def benchmark(
     panels: Annotated[
         bool, typer.Option("--panels", help="With --live: open coefficients, history and histogram, too.")
     ] = False,
-    bench: Annotated[
-        str | None, options.bench_option(f"With --live: simulated bench [default: {_LIVE_BENCH}].")
-    ] = None,
+    bench: Annotated[str | None, options.bench_option(f"With --live: simulated bench [default: {DEFAULT}].")] = None,
     overwrite: options.Overwrite = False,
     setting: options.Set = None,
 ) -> None:
@@ -68,7 +66,7 @@ def benchmark(
         from app.evaluation.benchmark.live_path import LivePlan
 
         settings = (f"camera.exposure_s={_LIVE_EXPOSURE_S}", "reconstruction.refine=false", *(setting or ()))
-        loaded = options.load(bench or _LIVE_BENCH, list(settings))
+        loaded = options.load(bench or DEFAULT, list(settings))
         folder = None if no_record else record_in or Path(gettempdir())
         live_plan = LivePlan(bench=loaded, seconds=live, record_in=folder, with_panels=panels)
         _benchmark_live(live_plan, json, check=check)

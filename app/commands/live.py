@@ -16,6 +16,7 @@ import typer
 
 from app.acquisition.place import NAME
 from app.bench.config import load_bench
+from app.bench.presets import DEFAULT
 from app.bench.trusted_libraries import unconfirmed
 from app.commands import options, terminal
 from app.errors import InputError
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from app.gui.splash import Splash
 
 _LIVE_OUT = Path("svwfs-output")
-_LIVE_BENCH = "live_demo"
 _UNATTENDED_S = 8.0  # layers are found six to seven seconds after the first wavefront
 _PLATFORM = "QT_QPA_PLATFORM"
 _LOCAL_X = re.compile(r"(?:unix)?:(\d+)(?:\.\d+)?")
@@ -41,7 +41,7 @@ _LOCAL_X = re.compile(r"(?:unix)?:(\d+)(?:\.\d+)?")
 
 def live(
     *,
-    bench: Annotated[str | None, options.bench_option(f"Bench TOML file or preset [default: {_LIVE_BENCH}].")] = None,
+    bench: Annotated[str | None, options.bench_option(f"Bench TOML file or preset [default: {DEFAULT}].")] = None,
     setting: options.Set = None,
     replay: Annotated[
         Path | None, typer.Option(metavar="RECORDING", help="Play a recording repeatedly at its own rate.")
@@ -81,9 +81,9 @@ def live(
             raise InputError("--frames selects frames of a recording: add --replay RECORDING")
         if is_attended:
             offers_last = bench is None and not setting
-            source, overrides = bench or _LIVE_BENCH, tuple(setting or ())
+            source, overrides = bench or DEFAULT, tuple(setting or ())
             raise typer.Exit(bench_window(source, overrides, name, trust=trust_library, offers_last=offers_last))
-        loaded = options.load(bench or _LIVE_BENCH, setting)
+        loaded = options.load(bench or DEFAULT, setting)
         terminal.confirm_libraries(loaded, trust=trust_library)
         from app.acquisition.worker import Acquisition
         from app.gui.shell.access import Access

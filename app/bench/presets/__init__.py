@@ -3,4 +3,5 @@
 from pathlib import Path
 
 PRESETS = {path.stem: path for path in sorted(Path(__file__).parent.glob("*.toml"))}
-PRESETS["recommended"] = PRESETS["live_demo"]  # the bench to start from is the one that the program shows
+DEFAULT = "live_demo"  # what the program shows
+PRESETS["recommended"] = PRESETS[DEFAULT]  # the bench to start from

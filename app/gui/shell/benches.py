@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QDialog, QFileDialog, QHBoxLayout, QMenu, QWidget
 
 from app.bench.bench_files import BenchError, bench_file, excerpt, read_bench_text
 from app.bench.config import Bench, load_bench, save_bench
-from app.bench.presets import PRESETS
+from app.bench.presets import DEFAULT, PRESETS
 from app.bench.trusted_libraries import unconfirmed
 from app.errors import InputError, RunError
 from app.gui.shell.controller import Controller, SettingsControl
@@ -24,7 +24,6 @@ from app.gui.widgets import theme
 from app.gui.widgets.basics import Button, column, label
 from app.gui.widgets.copies import ask_file
 
-_TEMPLATE = "live_demo"
 _FILES = "Bench (*.toml)"
 _LAST = "last/bench"  # key of the settings
 
@@ -96,10 +95,10 @@ class Benches(QObject):
     def edit(self) -> None:
         """Edit the settings of the open bench, with lattice, exposure and current in force."""
         status = self._controller.status
-        self._settings_dialog().edit(load_bench(_TEMPLATE) if status is None else status.bench_in_force)
+        self._settings_dialog().edit(load_bench(DEFAULT) if status is None else status.bench_in_force)
 
     def make(self) -> None:
-        self._settings_dialog().make(replace(load_bench(_TEMPLATE), lattice=None))
+        self._settings_dialog().make(replace(load_bench(DEFAULT), lattice=None))
 
     def _settings_dialog(self) -> SettingsDialog:
         if self.settings is None:
