@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from app.acquisition import devices as bench_devices
-from app.acquisition.carrier import Activity
+from app.acquisition.carrier import WINDOW, Activity
 from app.acquisition.command_queue import CommandQueue, LightSwitch, begun_beside, done
 from app.acquisition.frame_path import FramePath, read_frame
 from app.acquisition.instrument import Instrument, Status
@@ -151,7 +151,7 @@ class Acquisition:
         self,
         folder: Path,
         *,
-        command: str = "live",
+        command: str = WINDOW,
         limit: RecordingLimit = RecordingLimit(),  # noqa: B008 - immutable
         may_rename: bool = False,
     ) -> Future[None]:
@@ -177,10 +177,10 @@ class Acquisition:
         self._recorder.stop()
         return done()
 
-    def keep_recent(self, folder: Path, *, command: str = "live", may_rename: bool = False) -> Future[None]:
+    def keep_recent(self, folder: Path, *, may_rename: bool = False) -> Future[None]:
         """Write the last ten seconds as a recording, even during another one; see `start_recording`."""
         return self.submit(
-            lambda instrument: self._recorder.keep_recent(folder, _facts(instrument, command), may_rename=may_rename)
+            lambda instrument: self._recorder.keep_recent(folder, _facts(instrument, WINDOW), may_rename=may_rename)
         )
 
     def free_minutes(self, folder: Path) -> Future[float]:

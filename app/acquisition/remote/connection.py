@@ -17,7 +17,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
-from app.acquisition.carrier import Activity
+from app.acquisition.carrier import WINDOW, Activity
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.place import NAME, Place, clear_abandoned
 from app.acquisition.remote.frames import NewestFrames
@@ -219,7 +219,7 @@ class Connection:
         self,
         folder: Path,
         *,
-        command: str = "live",
+        command: str = WINDOW,
         limit: RecordingLimit = RecordingLimit(),  # noqa: B008 - immutable
         may_rename: bool = False,
     ) -> Future[None]:
@@ -234,9 +234,9 @@ class Connection:
         """End the current recording."""
         return self._send("stop_recording")
 
-    def keep_recent(self, folder: Path, *, command: str = "live", may_rename: bool = False) -> Future[None]:
+    def keep_recent(self, folder: Path, *, may_rename: bool = False) -> Future[None]:
         """Let the instrument write its last ten seconds as a recording."""
-        return self._send("keep_recent", folder.absolute(), command=command, may_rename=may_rename)
+        return self._send("keep_recent", folder.absolute(), may_rename=may_rename)
 
     def free_minutes(self, folder: Path) -> Future[float]:
         """Find the recording time left in a folder at the current rate."""
