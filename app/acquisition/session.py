@@ -288,7 +288,7 @@ class LiveBench:
                 self._wait("finding layers and correction with the first frames", 0.0)
             self._result(begin())
         try:
-            while (state := acquisition.recording) is not None and state.stage in {"recording", "finishing"}:
+            while (state := acquisition.recording) is not None and not state.is_over:
                 self._wait(f"recording {counted(frames)}", state.frames / frames)
                 if not acquisition.is_alive:
                     self._raise_failure()
@@ -389,8 +389,7 @@ class ConnectedBench(LiveBench):
     def _let_finish(self) -> None:
         ends_s = time.monotonic() + _FINISH_S
         while time.monotonic() < ends_s and self._connection.is_alive:
-            state = self._connection.recording
-            if state is None or state.stage not in {"recording", "finishing"}:
+            if (state := self._connection.recording) is None or state.is_over:
                 break
             time.sleep(_WAIT_S)
 

@@ -52,6 +52,11 @@ class RecordingState:
     problem: str  # why it ended early; empty if it did not
     gaps: tuple[Gap, ...] = ()  # in which the camera stood
 
+    @property
+    def is_over(self) -> bool:
+        """True once all its files are written, also if it ended early."""
+        return self.stage in {"finished", "ended early"}
+
 
 class BackgroundRecording:
     """One recording and the thread that writes it, started at once.
@@ -233,7 +238,7 @@ class Recorder:
         if not may_rename:
             check_free(folder)
         with self._changing:
-            if self._recording is not None and self._recording.state.stage in {"recording", "finishing"}:
+            if self._recording is not None and not self._recording.state.is_over:
                 raise InputError(f"{self._recording.state.folder}: is still being recorded")
             folder = new_folder(folder) if may_rename else folder
             self._recording = BackgroundRecording(folder, facts, self._timings, limit=limit)
@@ -253,7 +258,7 @@ class Recorder:
         if not may_rename:
             check_free(folder)
         with self._changing:
-            if self._kept is not None and self._kept.state.stage == "finishing":
+            if self._kept is not None and not self._kept.state.is_over:
                 raise InputError(f"{self._kept.state.folder}: is still being written")
             if not self._recent:
                 raise InputError("there is no frame yet that could be kept")

@@ -209,7 +209,7 @@ class Course:
         )
         if self._record_into is not None:
             self._expected += (acquisition.stop_recording(),)
-            while (state := acquisition.recording) is not None and state.stage in {"recording", "finishing"}:
+            while (state := acquisition.recording) is not None and not state.is_over:
                 self._check()
                 yield
 

@@ -191,12 +191,12 @@ class RecordingBar(QFrame):
                 self._forget()
             self._of = state.folder
             self.show()
-        is_recording = state is not None and not _is_over(state)
+        is_recording = state is not None and not state.is_over
         if state is not None and is_recording:
             self._ended.discard(state.folder)  # one of this name was removed
             self._show_stage(state)
         for ended in (state, kept):
-            if ended is not None and _is_over(ended) and ended.folder not in self._ended:
+            if ended is not None and ended.is_over and ended.folder not in self._ended:
                 self._ended.add(ended.folder)
                 show = self._messages.alarm if ended.stage == "ended early" else self._messages.inform
                 show(recording_ended(ended))
@@ -271,7 +271,7 @@ class RecordingBar(QFrame):
 
     def _show_stage(self, state: RecordingState | None) -> None:
         self._stage = "" if state is None else state.stage
-        is_over = state is not None and _is_over(state)
+        is_over = state is not None and state.is_over
         for widget in self._limits:
             widget.setVisible(not is_over)
         for each in self._afterwards:
@@ -336,7 +336,3 @@ class RecordingBar(QFrame):
                 *("export", self.folder, "--to", to, "--out", name, "--overwrite"),
                 end=f"exported to {name}",
             )
-
-
-def _is_over(state: RecordingState) -> bool:
-    return state.stage in {"finished", "ended early"}
