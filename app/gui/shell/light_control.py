@@ -18,13 +18,14 @@ _REST_S = 1.0  # after a request to switch off: the second click of a double cli
 class LightControl:
     """Switches the light and takes dark and reference; a request to switch it off wins over all others."""
 
-    def __init__(self, controller: Controller, controls: ControlsPanel) -> None:
+    def __init__(self, controller: Controller, controls: ControlsPanel, end_sequence: Callable[[], bool]) -> None:
+        """`end_sequence` ends a sequence of commands, and returns whether one was running."""
         self._controller, self._controls, self._messages = controller, controls, controller.messages
+        self._end_sequence = end_sequence
         controls.light.typed.connect(self.take_key)
         self._switching_off: Future[None] | None = None
         self._rests_until_s = -math.inf
         self.is_kept_off = False  # whether the user's last request was to switch off
-        self.end_sequence: Callable[[], bool] = lambda: False  # of commands; returns whether one was running
 
     @property
     def is_switching_off(self) -> bool:
@@ -70,7 +71,7 @@ class LightControl:
         if acquisition is None:
             self.is_kept_off |= self._controller.acquisition is not None  # after a failure, when it connects again
             return
-        has_ended, status, now_s = self.end_sequence(), acquisition.status, time.monotonic()
+        has_ended, status, now_s = self._end_sequence(), acquisition.status, time.monotonic()
         is_busy, rests = has_ended or self._is_busy(acquisition), now_s < self._rests_until_s
         if status is not None and status.bench.has_manual_light:
             if has_ended:

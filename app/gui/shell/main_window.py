@@ -50,7 +50,7 @@ from drivers.light_source import MAY_BE_ON
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
 _REFRESH_INTERVAL_MS = 40
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
-_FOLDER, _TOUR = "folders/recordings", "tour/seen"  # keys of the settings
+_TOUR = "tour/seen"  # key of the settings
 
 
 class MainWindow(BaseWindow):
@@ -81,10 +81,9 @@ class MainWindow(BaseWindow):
         self.controller = Controller(self.messages)
         self.attachment = Attachment(self.controller, self)
         self.settings = SettingsControl(self.controller)
-        self.light = LightControl(self.controller, self.controls)
         self.routines = Routines(self.controller, self.settings, self.panels.camera)
         self.guide = CalibrationGuide(self.controller, self.routines.use_lattice, self)
-        self.light.end_sequence = self.guide.end_for_light
+        self.light = LightControl(self.controller, self.controls, self.guide.end_for_light)
         self.region_dialog = SensorRegionDialog(self.controller, self)
         self.recording_panel = RecordingPanel()
         self.recording_bar = RecordingBar(self.controller, self.recording_panel, settings)
@@ -98,9 +97,6 @@ class MainWindow(BaseWindow):
         fill_menus(self, self._menus())
         if settings is not None:
             restore_state(settings, self)
-            folder = settings.value(_FOLDER)
-            if isinstance(folder, str) and Path(folder).is_dir():
-                self.recording_bar.recordings_folder = Path(folder)
         fit_to_screen(self)
         self._timer = timer(self, _REFRESH_INTERVAL_MS, self.refresh)
         # Between two frames: together they would hold up the measurement.
@@ -422,7 +418,6 @@ class MainWindow(BaseWindow):
         if self._settings is not None:
             self.docks.use_tall_layout()
             save_state(self._settings, self)
-            self._settings.setValue(_FOLDER, str(self.recording_bar.recordings_folder))
         self._timer.stop()
         self._text_timer.stop()
         self.analyses.close()

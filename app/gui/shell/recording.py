@@ -31,6 +31,7 @@ _STOP = "Stop recording"
 _BEHIND = 70  # waiting frames from which the number is shown
 _DISK_INTERVAL_S = 2.0  # between two queries of the free disk space
 _NAME_TIP = "Appended to the name of the folder when the recording is finished"
+_FOLDER = "folders/recordings"  # key of the settings
 _EXPORTS = {  # suffix and what is written
     "tiff": ("tif", "Frames as TIFF"),
     "csv": ("csv", "RMS and coefficients as CSV"),
@@ -98,15 +99,14 @@ class RecordingBar(QFrame):
     """Records as a `RecordingPanel` asks; opens when a recording begins, and stays until it is closed."""
 
     def __init__(self, controller: Controller, panel: RecordingPanel, settings: QSettings | None) -> None:
-        """Remember the recordings in `settings`."""
+        """Remember the recordings, and their folder, in `settings`."""
         super().__init__()
         self.setProperty("role", "strip")
         self._controller, self._messages, self._panel = controller, controller.messages, panel
         panel.record.clicked.connect(self._record)
         panel.keep.clicked.connect(self._keep)
         controller.connected.connect(self._restart)
-        documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
-        self.recordings_folder = Path(documents or ".") / "svwfs"
+        self._settings, self.recordings_folder = settings, _recordings_folder(settings)
         self._starting: Future[None] | None = None  # the last start of a recording
         self._has_failed = False  # the acquisition, amid what it recorded
         self._ended: set[Path] = set()  # recordings whose end was shown
@@ -161,6 +161,8 @@ class RecordingBar(QFrame):
 
     def use_recordings_folder(self, folder: Path) -> None:
         self.recordings_folder = folder
+        if self._settings is not None:
+            self._settings.setValue(_FOLDER, str(folder))
         self._messages.inform(f"recordings are saved in {folder}")
 
     def choose_recordings_folder(self) -> None:
@@ -336,3 +338,11 @@ class RecordingBar(QFrame):
                 *("export", self.folder, "--to", to, "--out", name, "--overwrite"),
                 end=f"exported to {name}",
             )
+
+
+def _recordings_folder(settings: QSettings | None) -> Path:
+    """Return the folder that was chosen last, if it still exists, else one in the user's documents."""
+    chosen = None if settings is None else settings.value(_FOLDER)
+    if isinstance(chosen, str) and Path(chosen).is_dir():
+        return Path(chosen)
+    return Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation) or ".") / "svwfs"
