@@ -27,7 +27,6 @@ from app.gui.widgets.camera_image import (
     CameraImage,
     ClippedPixels,
     DrawingView,
-    Measuring,
     Picture,
     Segments,
     arrow_length_px,
@@ -39,6 +38,7 @@ from app.gui.widgets.camera_image import (
     rectangle,
 )
 from app.gui.widgets.copies import add_copy_menu, as_table
+from app.gui.widgets.measuring import Measuring
 from app.gui.widgets.presentation import percent
 from app.gui.widgets.scales import MAGNIFICATIONS, AdaptiveScale
 from app.measurement.measurement import Measurement

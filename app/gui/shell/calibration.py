@@ -9,7 +9,8 @@ from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
 from app.acquisition.instrument import Instrument, Setting
 from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, differs
 from app.gui.panels.camera import CameraPanel
-from app.gui.shell.controller import Controller, SettingsControl
+from app.gui.shell.controller import Controller
+from app.gui.shell.settings_control import SettingsControl
 from app.gui.shell.wording import exposure_found, lattice_found, linearity_found
 from app.gui.widgets import theme
 from app.gui.widgets.basics import Button, Scrolled, column, label, row, within_screen

@@ -1,17 +1,17 @@
-"""Help: keys and conventions, the message log, the documentation, how to cite, versions, and a tour of the window."""
+"""Help: keys and conventions, the message log, the documentation, how to cite, and versions."""
 
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from PyQt6.QtCore import QT_VERSION_STR, QEvent, QObject, QPoint, QRect, QSize, Qt, QUrl
-from PyQt6.QtGui import QCloseEvent, QFontDatabase, QImage, QKeyEvent, QTextCursor, QTextDocument
+from PyQt6.QtCore import QT_VERSION_STR, QSize, Qt, QUrl
+from PyQt6.QtGui import QFontDatabase, QImage, QTextCursor, QTextDocument
 from PyQt6.QtWidgets import QDialog, QFrame, QScrollArea, QTextBrowser, QWidget
 
 import app
 from app.gui.panels.panel import Entries
 from app.gui.shell.messages import MessageStrip
-from app.gui.widgets.basics import Button, column, keeps_key, label, row, within_screen
+from app.gui.widgets.basics import Button, column, label, row, within_screen
 from app.gui.widgets.copies import copy_text
 from app.run_facts import machine_facts, versions
 
@@ -33,7 +33,6 @@ A click or the arrow keys select the view whose MTF is plotted.</p>
 """
 
 _HELP_WIDTH, _MOST_WIDTH = 960, 2000  # px
-_TOUR_WIDTH = 340  # px
 _AROUND = 70  # px beside the help: margins and scroll bar
 PAPER = (
     'F. Feng, C. Liang, D. Chen, K. Du, R. Yang, C. Lu, S. Chen, L. Chen, L. Tao, and H. Mao, "Space-variant '
@@ -194,76 +193,3 @@ def show_about(parent: QWidget, present: Mapping[str, str]) -> None:
     text = "\n".join(f"{name}: {fact}" for name, fact in {**facts, **machine, **libraries}.items())
     about = f"svwfs: a live instrument for space-variant Shack-Hartmann wavefront sensing\n\n{text}\n"
     TextDialog("about", "About svwfs", parent).show_text(about)
-
-
-class Tour(QFrame):
-    """A bubble that explains one outlined part after the other; the window stays usable."""
-
-    def __init__(self, window: QWidget, steps: tuple[tuple[QWidget, str, str], ...]) -> None:
-        super().__init__(window)
-        self.setObjectName("tour")
-        self.setProperty("role", "bubble")
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        self._window, self._steps, self._index = window, steps, 0
-        self._outline = QFrame(window)
-        self._outline.setProperty("role", "outline")
-        self._outline.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self.title, self.text, self.count = label("", "title"), label("", wraps=True), label("", "dim")
-        self.text.setFixedWidth(_TOUR_WIDTH)
-        self.text.setAlignment(Qt.AlignmentFlag.AlignTop)
-        self.next = Button("Next", "The next part", self._advance)
-        self.end = Button("End the tour", "It stays in the menu Help", self.close)
-        buttons = row((self.count, 1), self.end, self.next)
-        column(self.title, self.text, buttons, spacing=8, parent=self).setContentsMargins(14, 12, 14, 12)
-        window.installEventFilter(self)
-
-    def begin(self) -> None:
-        for other in self._window.findChildren(Tour):
-            if other is not self:
-                other.close()
-        room, wrap = QRect(0, 0, _TOUR_WIDTH, 999), Qt.TextFlag.TextWordWrap
-        heights = [self.text.fontMetrics().boundingRect(room, wrap, text).height() for _, _, text in self._steps]
-        self.text.setFixedHeight(max(heights) + self.fontMetrics().height())
-        self.show()  # from now on it has the fonts of the style sheet
-        self.next.setText("Done")
-        self.next.setMinimumWidth(self.next.sizeHint().width())
-        self.adjustSize()
-        self._show_step()
-
-    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
-        """Follow the window's size, and end at Esc."""
-        if isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.isVisible():
-            if not keeps_key(event, Qt.Key.Key_Escape) and event.type() == QEvent.Type.KeyPress:
-                self.close()
-            return True
-        if event is not None and event.type() == QEvent.Type.Resize:
-            self._place()
-        return super().eventFilter(watched, event)
-
-    def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
-        self._outline.close()
-        super().closeEvent(event)
-
-    def _advance(self) -> None:
-        if self._index + 1 == len(self._steps):
-            self.close()  # it still receives events until it is deleted
-        else:
-            self._index += 1
-            self._show_step()
-
-    def _show_step(self) -> None:
-        _, title, text = self._steps[self._index]
-        self.title.setText(title)
-        self.text.setText(text)
-        self.count.setText(f"{self._index + 1} of {len(self._steps)}")
-        self.next.setText("Next" if self._index + 1 < len(self._steps) else "Done")
-        self._place()
-
-    def _place(self) -> None:
-        """Outline the part; the bubble stays at the middle of the window, so that its button stays in place."""
-        part = self._steps[self._index][0]
-        where = QRect(part.mapTo(self._window, QPoint(0, 0)), part.size())
-        self._outline.setGeometry(where)
-        self._outline.show()
-        self.move(self._window.rect().center() - self.rect().center())
-        self.raise_()

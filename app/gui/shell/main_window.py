@@ -25,18 +25,20 @@ from app.gui.shell.analyses import Analyses
 from app.gui.shell.base_window import BaseWindow, ErrorReports, LateMeasurements
 from app.gui.shell.benches import Benches
 from app.gui.shell.calibration import CalibrationGuide, Routines
-from app.gui.shell.controller import Attachment, Controller, SettingsControl
+from app.gui.shell.controller import Attachment, Controller
 from app.gui.shell.device_presets import DevicePresets
 from app.gui.shell.docks import PanelDocks
-from app.gui.shell.help import Tour, show_about, show_citation, show_documentation, show_keys, show_log
+from app.gui.shell.help import show_about, show_citation, show_documentation, show_keys, show_log
 from app.gui.shell.light_control import LightControl
 from app.gui.shell.menus import fill_menus
 from app.gui.shell.messages import MessageStrip
 from app.gui.shell.recording import RecordingBar, RecordingPanel
 from app.gui.shell.replay_bar import ReplayBar
 from app.gui.shell.sensor_region_dialog import SensorRegionDialog
+from app.gui.shell.settings_control import SettingsControl
 from app.gui.shell.state import PreferencesDialog, fit_to_screen, restore_state, save_state
 from app.gui.shell.status_line import StatusLine
+from app.gui.shell.tour import Tour
 from app.gui.shell.wording import Situation, advice, light_when_closing, liveness, way_out
 from app.gui.widgets import theme
 from app.gui.widgets.basics import column, timer
