@@ -23,7 +23,7 @@ _MOST_PIXELS = 2**28  # a small file can claim to hold more than the memory
 _ORIENTATION, _WHITE_IS_ZERO = 274, 0  # of TIFF: a tag, and a photometric interpretation
 _JPEG, _FITS, _PICTURES = b"\xff\xd8\xff", b"SIMPLE  =", (b"\x89PNG", b"BM", b"P5")
 _TEXT = b"P2"
-_FITS_BLOCK, _FITS_CARD = 2880, 80  # bytes
+_FITS_BLOCK_BYTES, _FITS_CARD_BYTES = 2880, 80
 _FITS_SIZE = "BITPIX, NAXIS, BSCALE or BZERO"
 _FITS_SCALING = ("BSCALE", "1"), ("BZERO", "0")
 _FITS_TYPES = {"8": ">u1", "16": ">i2", "32": ">i4", "64": ">i8", "-32": ">f4", "-64": ">f8"}  # of BITPIX
@@ -151,7 +151,7 @@ def _read_fits(path: Path) -> NDArray[Any]:
             raise ValueError("it ends before its last pixel")
         if pixels and header.get("XTENSION", "IMAGE") == "IMAGE":
             images.append((header.get("BLANK"), scale, zero, np.frombuffer(stored, kind, pixels, at).reshape(shape)))
-        at += -(-length // _FITS_BLOCK) * _FITS_BLOCK
+        at += -(-length // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
     ((blank, scale, zero, values),) = _only(images)
     values = np.reshape(values, [length for length in values.shape if length > 1]) if values.ndim > 2 else values
     if blank is not None and values.dtype.kind != "f" and (undefined := values == int(blank)).any():
@@ -166,10 +166,10 @@ def _read_fits(path: Path) -> NDArray[Any]:
 def _fits_header(stored: NDArray[np.uint8], at: int) -> tuple[dict[str, str], int]:
     """Read the header that begins at a byte: values without comments and quotes, and the byte after it."""
     header: dict[str, str] = {}
-    for start in range(at, len(stored) - _FITS_CARD + 1, _FITS_CARD):
-        card = stored[start : start + _FITS_CARD].tobytes().decode("latin-1")
+    for start in range(at, len(stored) - _FITS_CARD_BYTES + 1, _FITS_CARD_BYTES):
+        card = stored[start : start + _FITS_CARD_BYTES].tobytes().decode("latin-1")
         if card.rstrip() == "END":
-            return header, at + -(-(start + _FITS_CARD - at) // _FITS_BLOCK) * _FITS_BLOCK
+            return header, at + -(-(start + _FITS_CARD_BYTES - at) // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
         if card[8:10] == "= ":
             header[card[:8].rstrip()] = card[10:].split("/")[0].strip(" '")
     raise ValueError("its header has no end")
@@ -192,6 +192,6 @@ def fits_file(image: Floats, unit: str) -> bytes:
     rows, columns = image.shape
     cards: dict[str, Any] = {"SIMPLE": "T", "BITPIX": -32, "NAXIS": 2, "NAXIS1": columns, "NAXIS2": rows}
     lines = [f"{name:8}= {value:>20}" for name, value in cards.items()] + [f"BUNIT   = '{unit:8}'", "END"]
-    header = "".join(f"{line:{_FITS_CARD}}" for line in lines).encode("ascii")
-    parts = header.ljust(-(-len(header) // _FITS_BLOCK) * _FITS_BLOCK), image.astype(">f4").tobytes()
-    return b"".join(parts).ljust(-(-sum(map(len, parts)) // _FITS_BLOCK) * _FITS_BLOCK, b"\0")
+    header = "".join(f"{line:{_FITS_CARD_BYTES}}" for line in lines).encode("ascii")
+    parts = header.ljust(-(-len(header) // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES), image.astype(">f4").tobytes()
+    return b"".join(parts).ljust(-(-sum(map(len, parts)) // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES, b"\0")

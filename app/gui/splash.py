@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QApplication, QMessageBox, QSplashScreen
 
 from app.gui.widgets import theme
 
-_WIDTH, _HEIGHT, _ICON = 320, 150, 72  # px
+_WIDTH_PX, _HEIGHT_PX, _ICON_PX = 320, 150, 72
 _EXPOSED_S = 1.0  # time that a slow X server has to show a window
 _SETTLED_S = 0.1  # then a window manager may still add a frame and expose it again
 
@@ -20,11 +20,11 @@ class Splash(QSplashScreen):
     def __init__(self) -> None:
         self._application = QApplication.instance() or QApplication(sys.argv[:1])  # kept alive with the picture
         ratio = self._application.devicePixelRatio() if isinstance(self._application, QApplication) else 1.0
-        picture = QPixmap(round(_WIDTH * ratio), round(_HEIGHT * ratio))
+        picture = QPixmap(round(_WIDTH_PX * ratio), round(_HEIGHT_PX * ratio))
         picture.setDevicePixelRatio(ratio)
         picture.fill(theme.SURFACE)
         painter = QPainter(picture)
-        theme.icon().paint(painter, (_WIDTH - _ICON) // 2, 22, _ICON, _ICON)
+        theme.icon().paint(painter, (_WIDTH_PX - _ICON_PX) // 2, 22, _ICON_PX, _ICON_PX)
         painter.end()
         super().__init__(picture)
         at_bottom = Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignHCenter

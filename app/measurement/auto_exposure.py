@@ -43,7 +43,7 @@ _BRIGHT = 0.25  # of full scale; a level above this is light
 _MOST_BACKGROUND = 0.05  # of full scale; a camera's background is less, more is light between the subimages
 _FAINT = 3.0  # times the detection limit: enough for an estimate
 _USUAL_SPAN = 1000.0  # ratio of the goal to the detection limit until a frame has shown the noise
-_USUAL_NOISE = 0.8  # counts of a camera with few bits, until a frame has shown the noise
+_USUAL_NOISE_COUNTS = 0.8  # of a camera with few bits, until a frame has shown the noise
 _TO_REFINE = 2  # frames needed after the first detection
 _LITTLE = 10.0  # times the least light that exposure alone allows
 _MISJUDGED = 1.5  # typical error factor of an estimate from a faint frame
@@ -57,8 +57,8 @@ _HOT = 3.0  # times the spread of its neighbours above all of them; neither a st
 _FROM_1_TO_10 = 1.0448  # standard deviations between the 1st and 10th percentile of a normal distribution
 _FROM_10_TO_50 = 1.2816  # standard deviations; at least 10 % of the pixels lie between the subimages
 _SIGMA_OF_MEDIAN = 1.4826  # standard deviation over median of the absolute value, of a normal distribution
-_LEAST_NOISE = 0.3  # counts; rounding
-_HIDDEN_NOISE = 1.0  # counts; noise that a frame whose dark pixels are clipped to 0 may hide
+_LEAST_NOISE_COUNTS = 0.3  # rounding
+_HIDDEN_NOISE_COUNTS = 1.0  # that a frame whose dark pixels are clipped to 0 may hide
 _NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.bool_)
 
 
@@ -242,7 +242,7 @@ def _next_in_the_dark(shots: list[Shot], wanted: float, highest: float, reach: R
     Shorter exposures are tried before lower currents, unless two saturated frames leave little of them, or too few
     frames remain for both.
     """
-    span, too_little = min(_USUAL_SPAN, wanted / (_SEEN * _USUAL_NOISE)), 0.0
+    span, too_little = min(_USUAL_SPAN, wanted / (_SEEN * _USUAL_NOISE_COUNTS)), 0.0
     black = [shot for shot in shots if not shot.is_saturated]
     for shot in black:
         span = max(wanted / (_SEEN * shot.brightness.noise), 2 * _FAINT)
@@ -281,9 +281,9 @@ def brightness(pixels: NDArray[np.integer[Any]], cell_px: float) -> Brightness:
     light = pixels.astype(np.float32)
     darkest, dark, middle = (float(value) for value in np.percentile(light, (1, 10, 50)))
     of_steps = _SIGMA_OF_MEDIAN * float(np.median(np.abs(np.diff(light, axis=1)))) / np.sqrt(2)
-    noise = max(min(of_steps, (dark - darkest) / _FROM_1_TO_10), _LEAST_NOISE)  # both may include subimages
+    noise = max(min(of_steps, (dark - darkest) / _FROM_1_TO_10), _LEAST_NOISE_COUNTS)  # both may include subimages
     if darkest <= 0:  # half of the noise is clipped
-        noise = max(of_steps, _HIDDEN_NOISE)
+        noise = max(of_steps, _HIDDEN_NOISE_COUNTS)
     background = min(dark + _FROM_10_TO_50 * noise, middle)
     brightest = ndimage.maximum_filter(light, footprint=_NEIGHBOURS, mode="mirror")
     faintest = ndimage.minimum_filter(light, footprint=_NEIGHBOURS, mode="mirror")

@@ -20,7 +20,7 @@ from app.measurement.averages import AVERAGED_FRAMES
 from drivers.interface import Range
 from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis
 
-_GAP, _GROUP_GAP = 4, 8  # px between controls, and between groups of them
+_GAP_PX, _GROUP_GAP_PX = 4, 8  # between controls, and between groups of them
 _DIM = 0.3  # share of full scale below which noise matters
 _CHOICES = {  # tool tips by the names of the requests
     "amplifier": "Output amplifier; a change restarts the camera",
@@ -75,22 +75,22 @@ class ControlsPanel(Panel):
                 (_named("Exposure", (self.exposure, 2)), 3),
                 (_named("Gain", (self.em_gain, 1), (amplifier, 1)), 4),
                 *(_named("Speed", speed), self.sample, (mask, 2)),
-                spacing=_GROUP_GAP,
+                spacing=_GROUP_GAP_PX,
             ),
-            row(*calibration, _named("Frames", self.frames), self.calibrate, spacing=_GROUP_GAP // 2),
+            row(*calibration, _named("Frames", self.frames), self.calibrate, spacing=_GROUP_GAP_PX // 2),
             row(
                 (_named("Matching", (self.registration, 3), (self.warp, 2)), 5),
                 (_named("Wavefront", (self.method, 1), (self.basis, 1)), 4),
                 (_named("Modes", (self.pupil_modes, 1)), 2),
                 (self.refine, 1),
-                spacing=_GROUP_GAP,
+                spacing=_GROUP_GAP_PX,
             ),
         )
         rule = QFrame()
         rule.setFixedWidth(1)
         rule.setProperty("role", "rule")
         parts = column((self.light, 1), self.current, spacing=5), rule, (column(*lines, spacing=5), 1)
-        row(*parts, spacing=_GROUP_GAP, parent=self).setContentsMargins(8, 6, 8, 6)
+        row(*parts, spacing=_GROUP_GAP_PX, parent=self).setContentsMargins(8, 6, 8, 6)
         self.setProperty("role", "strip")
         self.setAttribute(Qt.WidgetAttribute.WA_StyledBackground)
         self.setEnabled(False)
@@ -98,7 +98,7 @@ class ControlsPanel(Panel):
     def _make_devices(self) -> None:
         about = "Start or stop taking frames (Space)"
         self.start = Button("Start", about, lambda: self.requested.emit("is_running", not self._is_running))
-        self.start.setMinimumWidth(self.start.sizeHint().width() + self.start.iconSize().width() + _GAP)
+        self.start.setMinimumWidth(self.start.sizeHint().width() + self.start.iconSize().width() + _GAP_PX)
         about = "Choose the sensor region and the binning (P)"
         self.sensor_region = Button("Region\N{HORIZONTAL ELLIPSIS}", about, self._ask("sensor_region"))
         self.exposure = NumberField(name="Exposure", unit="ms", decimals=3, tool_tip="Exposure time in force (E)")
@@ -305,7 +305,7 @@ def _modes_range(bench: Bench) -> Range:
 
 
 def _named(name: str, *controls: Item) -> QHBoxLayout:
-    return row(label(name, "dim"), *controls, spacing=_GAP)
+    return row(label(name, "dim"), *controls, spacing=_GAP_PX)
 
 
 def _choice(tool_tip: str, chosen: Callable[[object], object]) -> Choice:

@@ -13,7 +13,7 @@ from app.gui.widgets.view_grid import LEAST_LINES, Maps, ViewGrid
 from app.results.view_analysis import LensletInspection, inspect_lenslet
 from reconstruction.displacement import Outcome
 
-_GAP = 10  # px between two images
+_GAP_PX = 10  # between two images
 
 
 class _Images(QWidget):
@@ -36,15 +36,15 @@ class _Images(QWidget):
         super().resizeEvent(event)
         line, bars = self.fontMetrics().height(), (False, False, True, True)
         space = next(iter(self.tiles.values())).bar_space
-        side = min((self.width() - 2 * space - 3 * _GAP) // 4, self.height() - line)
+        side = min((self.width() - 2 * space - 3 * _GAP_PX) // 4, self.height() - line)
         if side < LEAST_LINES * line:  # too low for the numbers
-            bars, side = (False,) * 4, min((self.width() - 3 * _GAP) // 4, self.height() - line)
+            bars, side = (False,) * 4, min((self.width() - 3 * _GAP_PX) // 4, self.height() - line)
         left = 0
         for name, tile, has_bar in zip(self._names, self.tiles.values(), bars, strict=True):
             tile.has_bar = has_bar
             name.setGeometry(left, 0, max(side, name.sizeHint().width()), line)
             tile.setGeometry(left, line, side + has_bar * space, side)
-            left += max(tile.width(), name.sizeHint().width()) + _GAP
+            left += max(tile.width(), name.sizeHint().width()) + _GAP_PX
 
 
 class LensletPanel(Panel):

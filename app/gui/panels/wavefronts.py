@@ -18,10 +18,10 @@ from app.errors import InputError, RunError
 from app.files import check_outputs
 from app.gui.panels.panel import Entries, Panel, Request, Shown
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, colour_text, column, row_of, timer
+from app.gui.widgets.basics import REFRESH_MS, Button, Choice, ElidedLabel, Toggle, colour_text, column, row_of, timer
 from app.gui.widgets.copies import ask_file, write_picture
 from app.gui.widgets.enlarged_view import EnlargedView
-from app.gui.widgets.fields import BUTTONS_WIDTH, NumberField
+from app.gui.widgets.fields import BUTTONS_WIDTH_PX, NumberField
 from app.gui.widgets.presentation import PRESENTATIONS, Presentation, number, place
 from app.gui.widgets.scales import AdaptiveScale
 from app.gui.widgets.view_grid import Maps, ViewGrid
@@ -65,7 +65,7 @@ class WavefrontPanel(Panel):
         self._reach_mrad = AdaptiveScale()  # half width of PSF maps
         self._enlarged: EnlargedView | None = None
         self._reading: Future[StoredWavefront] | None = None  # of a file to subtract
-        self._reading_timer = timer(self, 40, self._take_file)
+        self._reading_timer = timer(self, REFRESH_MS, self._take_file)
         about = "Quantity shown for every view (keys 1 to 6)"
         self.choice = Choice(about, Quantity, self._redraw, key="view/quantity")
         for index, quantity in enumerate(Quantity):
@@ -76,7 +76,7 @@ class WavefrontPanel(Panel):
         self.freeze_scale.toggled.connect(self._show_limit)
         self.limit = NumberField(name="Limit of the colours", decimals=3, tool_tip="Limit of the frozen colour scale")
         self.limit.entered.connect(self._fix_limit)
-        self.limit.setFixedWidth(self.limit.fontMetrics().horizontalAdvance("0000.000 waves") + BUTTONS_WIDTH)
+        self.limit.setFixedWidth(self.limit.fontMetrics().horizontalAdvance("0000.000 waves") + BUTTONS_WIDTH_PX)
         self.limit.hide()
         self.menu = DisplayMenu(self)
         self.menu.changed.connect(self._apply_options)

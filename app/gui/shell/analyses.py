@@ -9,7 +9,7 @@ from typing import Any
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from app.gui.panels.panel import Check, Panel, Request, Shown
-from app.gui.widgets.basics import timer
+from app.gui.widgets.basics import REFRESH_MS, timer
 from reconstruction.runtime.threads import one_blas_thread
 
 _SHARE = 0.2  # of a core: the measurement needs the rest
@@ -91,7 +91,7 @@ class Analyses(QObject):
         quick = AnalysisThread(self._check)
         self.threads = {panel: AnalysisThread(self._check) if panel.is_slow else quick for panel in self._panels}
         shown.view_chosen.connect(self.poll)
-        self._timer = timer(self, 40, self.poll)
+        self._timer = timer(self, REFRESH_MS, self.poll)
         self._timer.start()
 
     def poll(self) -> None:

@@ -21,7 +21,7 @@ from reconstruction.frame.linearity import MeasuredLinearity
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 
-_LAMP = 16  # px
+_LAMP_PX = 16
 
 
 class Routines:
@@ -223,6 +223,6 @@ class CalibrationGuide(QDialog):
         lamp = theme.lamp(theme.ACCENT)
         if state != "running":
             lamp = theme.validity_lamp({"waiting": "missing", "done": "good", "failed": "doubtful"}[state])
-        self.lamps[step].setPixmap(lamp.pixmap(_LAMP, _LAMP))
+        self.lamps[step].setPixmap(lamp.pixmap(_LAMP_PX, _LAMP_PX))
         self.lamps[step].setToolTip(state)
         self.results[step].setText(text[:1].upper() + text[1:])

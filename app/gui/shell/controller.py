@@ -18,6 +18,7 @@ from app.cache import release_memory
 from app.errors import InputError, RunError
 from app.gui.shell.access import Access
 from app.gui.shell.messages import MessageStrip
+from app.gui.widgets.basics import REFRESH_MS
 from app.measurement.routines import Cancelled
 
 T = TypeVar("T")
@@ -121,7 +122,7 @@ class Controller(QObject):
         self.acquisition.begin_close()
         deadline_s = time.monotonic() + CLOSING_S
         while self.acquisition.is_alive and time.monotonic() < deadline_s:
-            self.acquisition.close(timeout_s=0.04)
+            self.acquisition.close(timeout_s=REFRESH_MS / 1e3)
             meanwhile()
         self.is_stuck = self.acquisition.is_alive
 

@@ -9,8 +9,8 @@ from app.gui.panels.panel import Panel
 from app.gui.widgets.basics import Slot, column, label, row, timer, within_screen
 
 _OPTIONS = QMainWindow.DockOption
-_MARGIN = 8  # px between the contents of a panel and its edge
-_BUTTON = 18  # px
+_MARGIN_PX = 8  # between the contents of a panel and its edge
+_BUTTON_PX = 18
 _LOW_LINES = 40  # 560 px with the usual font: in lower windows camera and plots take turns
 _SIDES = {Qt.DockWidgetArea.LeftDockWidgetArea, Qt.DockWidgetArea.RightDockWidgetArea}
 
@@ -24,7 +24,7 @@ class Dock(QDockWidget):
         self.setObjectName(panel.title)  # its key in a saved state
         self.panel, is_strip = panel, panel.place == "strip"
         body = QWidget()
-        column(panel, parent=body).setContentsMargins(*(0, 0, 0, 0) if is_strip else (_MARGIN, 2, _MARGIN, 4))
+        column(panel, parent=body).setContentsMargins(*(0, 0, 0, 0) if is_strip else (_MARGIN_PX, 2, _MARGIN_PX, 4))
         if is_strip:
             self.setFeatures(self.features() | self.DockWidgetFeature.DockWidgetVerticalTitleBar)
             body.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
@@ -53,7 +53,7 @@ class _TitleBar(QWidget):
         if is_strip:
             column(*buttons, spacing=0, parent=self).addStretch()
         else:
-            row((header, 1), *buttons, spacing=2, parent=self).setContentsMargins(_MARGIN, 4, 0, 4)
+            row((header, 1), *buttons, spacing=2, parent=self).setContentsMargins(_MARGIN_PX, 4, 0, 4)
 
     def sizeHint(self) -> QSize:  # noqa: N802 - Qt's name
         return QSize(0, 0) if self._is_compact else super().sizeHint()
@@ -189,6 +189,6 @@ def _tool_button(text: str, tool_tip: str, clicked: Slot) -> QToolButton:
     made.setToolTip(tool_tip)
     made.setAutoRaise(True)
     made.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-    made.setFixedSize(_BUTTON, _BUTTON)
+    made.setFixedSize(_BUTTON_PX, _BUTTON_PX)
     made.clicked.connect(clicked)
     return made

@@ -32,8 +32,8 @@ A click or the arrow keys select the view whose MTF is plotted.</p>
 <p>Arrows show the displacement of each lenslet, averaged over the field and magnified as stated.</p>
 """
 
-_HELP_WIDTH, _MOST_WIDTH = 960, 2000  # px
-_AROUND = 70  # px beside the help: margins and scroll bar
+_WIDTH_PX, _MOST_WIDTH_PX = 960, 2000
+_AROUND_PX = 70  # beside the help: margins and scroll bar
 PAPER = (
     'F. Feng, C. Liang, D. Chen, K. Du, R. Yang, C. Lu, S. Chen, L. Chen, L. Tao, and H. Mao, "Space-variant '
     'Shack-Hartmann wavefront sensing based on affine transformation estimation," Applied Optics (2022), '
@@ -58,12 +58,12 @@ def show_keys(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     dialog.setWindowTitle("Shortcuts and conventions")
     tables = [_key_table(title, entries) for title, entries in menus.items()]
     tables[0] += tables.pop()  # the help below the first, which has few keys
-    most = within_screen(parent, QSize(_MOST_WIDTH, 0)).width() - _AROUND
+    most = within_screen(parent, QSize(_MOST_WIDTH_PX, 0)).width() - _AROUND_PX
     if _width(_side_by_side(tables), parent) > most:
         tables[0] += tables.pop()
     shown = _side_by_side(tables)
     text = label(f"{shown}{_CONVENTIONS}", wraps=True)
-    width = max(min(_HELP_WIDTH, most), _width(shown, parent))
+    width = max(min(_WIDTH_PX, most), _width(shown, parent))
     text.setMinimumSize(width, text.heightForWidth(width))
     text.setContentsMargins(8, 0, 8, 0)
     area = QScrollArea()
@@ -71,7 +71,7 @@ def show_keys(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     area.setFrameShape(QFrame.Shape.NoFrame)
     close = row((QWidget(), 1), Button("Close", "Close the help (Esc)", dialog.close))
     column(area, close, parent=dialog).setContentsMargins(11, 11, 11, 11)
-    dialog.resize(within_screen(parent, QSize(width + _AROUND, text.minimumHeight() + 80)))
+    dialog.resize(within_screen(parent, QSize(width + _AROUND_PX, text.minimumHeight() + 80)))
     dialog.show()
 
 

@@ -41,7 +41,7 @@ from app.gui.shell.status_line import StatusLine
 from app.gui.shell.tour import Tour
 from app.gui.shell.wording import Situation, advice, light_when_closing, liveness, way_out
 from app.gui.widgets import theme
-from app.gui.widgets.basics import column, timer
+from app.gui.widgets.basics import REFRESH_MS, column, timer
 from app.gui.widgets.copies import write_picture
 from app.gui.widgets.fields import NumberField
 from app.images import SUFFIXES
@@ -50,7 +50,6 @@ from app.results.frame_statistics import frame_statistics
 from drivers.light_source import MAY_BE_ON
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
-_REFRESH_INTERVAL_MS = 40
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 _TOUR = "tour/seen"  # key of the settings
 
@@ -100,9 +99,9 @@ class MainWindow(BaseWindow):
         if settings is not None:
             restore_state(settings, self)
         fit_to_screen(self)
-        self._timer = timer(self, _REFRESH_INTERVAL_MS, self.refresh)
+        self._timer = timer(self, REFRESH_MS, self.refresh)
         # Between two frames: together they would hold up the measurement.
-        self._text_timer = timer(self, _REFRESH_INTERVAL_MS // 2, self.update_text, is_single=True)
+        self._text_timer = timer(self, REFRESH_MS // 2, self.update_text, is_single=True)
         self.recording_panel.setEnabled(False)
         self.update_text()
 

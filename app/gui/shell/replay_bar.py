@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QFrame, QSlider, QStyle
 from app.acquisition.instrument import Status
 from app.gui.panels.controls import ControlsPanel
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, Choice, label, row, timer
+from app.gui.widgets.basics import REFRESH_MS, Button, Choice, label, row, timer
 from app.recording.recover import frames_in_words
 from app.results.player import Player
 
@@ -63,7 +63,7 @@ class ReplayBar(QFrame):
         steps = self.back, self.play, self.forth
         parts = self.badge, *steps, (self.slider, 1), self.text, label("Speed", "dim"), self.speed
         row(*parts, parent=self).setContentsMargins(10, 4, 6, 4)
-        self._timer = timer(self, 40, self.refresh)
+        self._timer = timer(self, REFRESH_MS, self.refresh)
         self.use(None)
 
     @property

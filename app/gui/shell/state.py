@@ -16,7 +16,7 @@ from PyQt6.QtWidgets import (
 )
 
 from app.gui.widgets import theme
-from app.gui.widgets.basics import FRAME, Button, Choice, column, label, row, within_screen
+from app.gui.widgets.basics import FRAME_PX, Button, Choice, column, label, row, within_screen
 
 _LAYOUT = 1  # a state of another version is ignored
 _THEME, _SIZE = "preferences/theme", "preferences/text"  # keys of the settings
@@ -59,7 +59,7 @@ def fit_to_screen(window: QMainWindow) -> None:
         return
     free = screen.availableGeometry()
     window.resize(within_screen(window, window.size()))
-    outer = QRect(window.pos(), window.size() + FRAME)
+    outer = QRect(window.pos(), window.size() + FRAME_PX)
     outer.moveRight(min(outer.right(), free.right()))
     outer.moveBottom(min(outer.bottom(), free.bottom()))
     window.move(max(outer.left(), free.left()), max(outer.top(), free.top()))

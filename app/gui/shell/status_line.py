@@ -31,7 +31,7 @@ _DELAY = "Processing delay: from the end of the exposure to the result, median o
 _OLD_S = 30.0  # age of a correction; the next one takes some seconds at most
 _WINDOW_S = 1.0  # over which rate and delay are taken
 _TIMES_INTERVAL_S = 1.0  # the percentiles of thousands of times take a millisecond
-_GAP = 14  # px between two parts
+_GAP_PX = 14  # between two parts
 _TIMES = ("median", "99 %", "max")
 
 
@@ -69,7 +69,7 @@ class StatusLine(QWidget):
         self.devices.setMinimumWidth(max(map(self.devices.fontMetrics().horizontalAdvance, ("running", "stopped"))))
         self._counted, self._of_correction, self._of_limits = named[0], named[-2], named[-1]
         self._of_limits.hide()
-        line = row(*named, (self.assumed, 1), self.simulated, self.devices, spacing=_GAP)
+        line = row(*named, (self.assumed, 1), self.simulated, self.devices, spacing=_GAP_PX)
         column(self.timing_row, line, spacing=2, parent=self).setContentsMargins(10, 0, 10, 2)
 
     def count(self, measurement: Measurement) -> None:
@@ -192,7 +192,7 @@ class TimingRow(QWidget):
         super().__init__()
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 4)
-        grid.setHorizontalSpacing(_GAP)
+        grid.setHorizontalSpacing(_GAP_PX)
         grid.setVerticalSpacing(0)
         for index, text in enumerate(("ms", *_TIMES)):
             grid.addWidget(label(text, "dim"), index, 0)

@@ -28,8 +28,10 @@ from app.gui.widgets import theme
 Slot = Callable[..., object] | pyqtBoundSignal
 Item = QWidget | QLayout | tuple[QWidget | QLayout, int]  # the number is the stretch
 L = TypeVar("L", bound=QBoxLayout)
-_COMBO, _CURSOR = QStyle.ComplexControl.CC_ComboBox, 2  # px that Qt leaves beside a chosen text
-FRAME = QSize(10, 40)  # px; window managers add it only when a window is shown
+_COMBO = QStyle.ComplexControl.CC_ComboBox
+_CURSOR_PX = 2  # that Qt leaves beside a chosen text
+REFRESH_MS = 40  # 25 times a second
+FRAME_PX = QSize(10, 40)  # window managers add it only when a window is shown
 ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 NAMES = {  # human names of settings' values; the others are their word
     "gauss_newton": "Gauss-Newton",
@@ -233,7 +235,7 @@ class Choice(QComboBox):
         self.initStyleOption(option)
         if isinstance(style, QStyle):
             part = style.subControlRect(_COMBO, option, QStyle.SubControl.SC_ComboBoxEditField, self)
-            around = option.rect.width() - part.width() + _CURSOR
+            around = option.rect.width() - part.width() + _CURSOR_PX
             size.setWidth(self.fontMetrics().horizontalAdvance(self.currentText()) + around)
         return size
 
@@ -272,7 +274,7 @@ def column(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QVB
 def within_screen(widget: QWidget, size: QSize) -> QSize:
     """Return a size that fits, with the frame of its window, on the screen of a widget."""
     screen = widget.screen()
-    return size if screen is None else size.boundedTo(screen.availableGeometry().size() - FRAME)
+    return size if screen is None else size.boundedTo(screen.availableGeometry().size() - FRAME_PX)
 
 
 class Scrolled(QScrollArea):

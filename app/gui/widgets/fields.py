@@ -10,7 +10,7 @@ from app.bench.settings_form import typed_number
 from app.gui.widgets.basics import ENTER, keeps_key, mark_refused, scrolls_past
 from drivers.interface import Range
 
-BUTTONS_WIDTH = 26  # px, with the frame
+BUTTONS_WIDTH_PX = 26  # with the frame
 _LETTERS = 4  # of a word that may be shortened
 _COMMANDS = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.AltModifier | Qt.KeyboardModifier.MetaModifier
 
@@ -70,7 +70,7 @@ class NumberField(Field, QDoubleSpinBox):
         if decimals:
             self.setStepType(QAbstractSpinBox.StepType.AdaptiveDecimalStepType)
         usual = max((f"{0:.{decimals}f}".rjust(decimals + 5, "0") + self.suffix(), lowest), key=len)
-        self.setMinimumWidth(self.fontMetrics().horizontalAdvance(usual) + BUTTONS_WIDTH)  # independent of the range
+        self.setMinimumWidth(self.fontMetrics().horizontalAdvance(usual) + BUTTONS_WIDTH_PX)  # independent of the range
         self.valueChanged.connect(self._enter)
         if (line := self.lineEdit()) is not None:
             line.textChanged.connect(self._mark)

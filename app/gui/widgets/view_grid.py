@@ -28,12 +28,12 @@ from app.gui.widgets.scales import ColourScale, colour_table
 from app.results.pictures import Pixels, enlarged
 from reconstruction.arrays import Floats
 
-_GAP, _NARROW_GAP = 10, 3  # px between views with captions, and without
-_BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, space left of it, space before its numbers
+_GAP_PX, _NARROW_GAP_PX = 10, 3  # between views with captions, and without
+_BAR_WIDTH_PX, _BAR_MARGIN_PX, _BAR_TICK_PX = 14, 16, 7  # colour bar, space left of it, space before its numbers
 LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
-_CAPTION = 100  # px: small views stand apart, if there is room, so that their captions fit
-MARGIN = 3  # px around all views, for the selection frame
-_BETWEEN = 4  # px between the captions of neighbours
+_CAPTION_PX = 100  # small views stand apart, if there is room, so that their captions fit
+MARGIN_PX = 3  # around all views, for the selection frame
+_BETWEEN_PX = 4  # between the captions of neighbours
 _CAPTIONED = ((2, 50), (1, 40))  # lines and least px: of narrower views only the tool tips have the numbers
 STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
 
@@ -70,19 +70,19 @@ class Places:
 def arrange_views(room: QSize, shape: tuple[int, ...], *, bar_space: int, lines: int, line_px: int) -> Places:
     """Arrange maps (view_row, view_column, row, column) in a room, each above so many lines of captions."""
     view_rows, view_columns, rows, columns = shape
-    below, gap = (lines * line_px + 4, _GAP) if lines else (0, _NARROW_GAP)
+    below, gap = (lines * line_px + 4, _GAP_PX) if lines else (0, _NARROW_GAP_PX)
     if not min(shape):
         return Places(QPoint(), QSize(), QSize(), 0, caption_lines=0, tiles=QRegion())
-    width = (room.width() - 2 * MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
-    height = (room.height() - 2 * MARGIN - (view_rows - 1) * gap) / view_rows - below
+    width = (room.width() - 2 * MARGIN_PX - bar_space - (view_columns - 1) * gap) / view_columns
+    height = (room.height() - 2 * MARGIN_PX - (view_rows - 1) * gap) / view_rows - below
     scale = max(min(width / columns, height / rows), 0)
     size = QSize(int(scale * columns), int(scale * rows))
-    free = room.width() - 2 * MARGIN - bar_space - view_columns * size.width() - (view_columns - 1) * gap
-    wider = min(max(_CAPTION - size.width() - gap, 0), max(free, 0) // max(view_columns - 1, 1)) if below else 0
+    free = room.width() - 2 * MARGIN_PX - bar_space - view_columns * size.width() - (view_columns - 1) * gap
+    wider = min(max(_CAPTION_PX - size.width() - gap, 0), max(free, 0) // max(view_columns - 1, 1)) if below else 0
     step = QSize(size.width() + gap + wider, size.height() + below + gap)
     used = QSize(view_columns * step.width() - gap - wider + bar_space, view_rows * step.height() - gap)
     left, top = (room.width() - used.width()) // 2, (room.height() - used.height()) // 2
-    first = QPoint(max(left, MARGIN), max(top, MARGIN))
+    first = QPoint(max(left, MARGIN_PX), max(top, MARGIN_PX))
     tiles = QRegion()
     for row, column in np.ndindex(view_rows, view_columns):
         tiles += QRect(first + QPoint(column * step.width(), row * step.height()), size)
@@ -258,7 +258,7 @@ class ViewGrid(QWidget):
     @property
     def bar_space(self) -> int:
         """Width of a colour bar with its numbers, px."""
-        return _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
+        return _BAR_MARGIN_PX + _BAR_WIDTH_PX + _BAR_TICK_PX + self._number_width
 
     @property
     def _layout_key(self) -> tuple[int, ...]:
@@ -305,7 +305,8 @@ class ViewGrid(QWidget):
     @property
     def _caption_width(self) -> int:
         """Width of a view and half of the gaps beside it, without touching the colour bar."""
-        return min(self.places.step.width() - _BETWEEN, self.places.size.width() + 2 * (_BAR_MARGIN - _BETWEEN))
+        step, size = self.places.step.width(), self.places.size.width()
+        return min(step - _BETWEEN_PX, size + 2 * (_BAR_MARGIN_PX - _BETWEEN_PX))
 
     def _wording(self, line: int) -> int | None:
         """Return the longest wording of a line that fits under all views, if any."""
@@ -325,7 +326,7 @@ class ViewGrid(QWidget):
             y = bar.top() + round((1 - fraction) * (bar.height() - 1))
             text_y = min(max(y - line // 2, bar.top() - 2), bar.bottom() + 2 - line)
             painter.drawLine(bar.right() + 1, y, bar.right() + 4, y)
-            place = QRect(bar.right() + _BAR_TICK, text_y, self._number_width, line)
+            place = QRect(bar.right() + _BAR_TICK_PX, text_y, self._number_width, line)
             painter.drawText(place, Qt.AlignmentFlag.AlignVCenter, text)
 
     def _colour_bar(self, scale: ColourScale, size: QSize) -> QPixmap:
@@ -343,7 +344,7 @@ class ViewGrid(QWidget):
         view_rows, view_columns = maps.values.shape[:2]
         top, bottom = self.places.tile(0, view_columns - 1), self.places.tile(view_rows - 1, view_columns - 1)
         first = top.top() + self.fontMetrics().height() + 4
-        return QRect(top.right() + _BAR_MARGIN, first, _BAR_WIDTH, bottom.bottom() - first + 1)
+        return QRect(top.right() + _BAR_MARGIN_PX, first, _BAR_WIDTH_PX, bottom.bottom() - first + 1)
 
     def _ticks(self, scale: ColourScale, bar: QRect) -> tuple[tuple[float, str], ...]:
         """Return all numbers, both ends with the middle, or the ends only, as fit beside the bar."""
