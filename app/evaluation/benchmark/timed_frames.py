@@ -44,8 +44,8 @@ class TimedFrames:
         reconstruction = reconstruction or ReconstructionSettings()
         bench = replace(self.bench, registration=registration, reconstruction=reconstruction)
         known = KnownNoise(self.noise, _REFERENCE_FRAMES if self.noise is not None else np.inf)
-        given = Calibration.of_images(bench, self.reference, dark=self.dark, lattice=self.lattice, known=known)
-        return given.reconstructor()
+        given = Calibration.of_images(bench, self.reference, dark=self.dark, lattice=self.lattice)
+        return replace(given, known=known).reconstructor()
 
 
 def noise_free(bench: Bench) -> TimedFrames:

@@ -49,7 +49,8 @@ class WarpEstimator(Estimator):
         """Take a reference (row, column) above the dark, in the unit of the frames."""
         method = replace(bench, registration=RegistrationSettings(warp=warp), reconstruction=reconstruction)
         lattice, dark = bench.design_lattice(*reference.shape), np.zeros_like(reference)
-        super().__init__(Calibration.of_images(method, reference, dark=dark, lattice=lattice, known=KnownNoise(noise)))
+        given = Calibration.of_images(method, reference, dark=dark, lattice=lattice)
+        super().__init__(replace(given, known=KnownNoise(noise)))
 
     @cached_property
     def by_gradients(self) -> Reconstructor:
