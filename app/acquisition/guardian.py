@@ -19,14 +19,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TextIO
 
-from app.acquisition.place import clear_abandoned
+from app.acquisition.place import DYING_S, clear_abandoned
 from app.bench.device_kinds import DRIVERS
 from drivers.errors import DeviceError
 from drivers.light_source import MAY_BE_ON, LightSource
 
 PULSE_S = 0.25  # between two signs of life of the guardian
 _POLL_S = 0.05  # how late the end of a process whose pipe stays open is noticed
-_DYING_S = 0.5  # for a killed process to give its files back
 _ATTEMPTS = 3  # to reach a light that could not be switched off
 
 # What the instrument may ask; a light is opened off, and its own rules hold here, too.
@@ -159,7 +158,7 @@ def main() -> int:
             except DeviceError as error:
                 sys.stderr.write(f"svwfs: {error}; {MAY_BE_ON}\n")
         if pipe.has_ended:
-            clear_abandoned(patience_s=_DYING_S)
+            clear_abandoned(patience_s=DYING_S)
     return 0
 
 

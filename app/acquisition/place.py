@@ -16,6 +16,7 @@ from typing import Self
 from app.errors import InputError, RunError
 
 NAME = "instrument"
+DYING_S = 0.5  # for a killed process to give its files back
 _VARIABLE = "SVWFS_INSTRUMENT"  # names the instrument to processes that it starts
 _FOLDER = "SVWFS_RUNTIME_DIR"
 _LEFT = "json", "socket"  # endings of what a killed instrument leaves

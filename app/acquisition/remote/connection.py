@@ -19,7 +19,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from app.acquisition.carrier import WINDOW, Activity
 from app.acquisition.instrument import Instrument, Status
-from app.acquisition.place import NAME, Place, clear_abandoned
+from app.acquisition.place import DYING_S, NAME, Place, clear_abandoned
 from app.acquisition.remote.frames import NewestFrames
 from app.acquisition.remote.messages import (
     MOST_BYTES,
@@ -52,7 +52,6 @@ P = ParamSpec("P")
 _ANSWER_S = 5.0  # for the first state, and for a command to be accepted
 _ALIVE_S = 1.0  # between two signs of life
 _SILENT_S = 2.0  # after which the instrument counts as frozen
-_DYING_S = 0.5  # for a killed process to give its files back
 _TICK_MS = 50
 _SHOWN_S = 0.04  # between two measurements for a mailbox: as often as a window shows one
 
@@ -362,7 +361,7 @@ class Connection:
             for message in self._arrivals.receive(self._socket.recv()):
                 self._takers.get(type(message), lambda _: None)(message)
         if is_gone and self._ended is None:
-            clear_abandoned(self.place.name, _DYING_S)
+            clear_abandoned(self.place.name, DYING_S)
             process = f"the instrument's process {self.place.process}"
             self._ended = RunError(f"{process} {self._how_it_ended()}: its light is off, unless that is manual")
         if self._frames.error is not None and self._ended is None:
@@ -395,7 +394,7 @@ class Connection:
     def _take_state(self, state: State) -> None:
         self.bench, self.status, self._activity = state.bench, state.status, state.activity
         self.counts, self.recording, self.kept = state.counts, state.recording, state.kept
-        self.clients, self.controller = state.clients, state.controls
+        self.clients, self.controller = state.clients, state.controller
         self.timings.there = dict(state.timings)
         if not state.is_alive and self._ended is None:
             ended_by = state.ended_by

@@ -102,7 +102,7 @@ class State:
     is_alive: bool
     timings: Mapping[Stage, StageTimes]
     clients: tuple[str, ...]
-    controls: str  # name of the client that has control; empty: nobody
+    controller: str  # name of the client that has control; empty: nobody
 
 
 @dataclass(frozen=True, slots=True)

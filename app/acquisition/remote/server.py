@@ -329,7 +329,7 @@ class Server:
             is_alive=not is_over,
             timings=self._timings,
             clients=tuple(client.name for client in self._clients.values()),
-            controls="" if controller is None else controller.name,
+            controller="" if controller is None else controller.name,
         )
 
     def _tell_state(self, *, is_over: bool = False) -> None:
