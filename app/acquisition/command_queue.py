@@ -26,8 +26,8 @@ def done() -> Future[None]:
     return future
 
 
-def begun_beside(work: Callable[[], T], name: str) -> tuple[Future[T], threading.Thread]:
-    """Begin work that may wait for long, on a thread of its own; return its result to come, and the thread."""
+def run_in_thread(work: Callable[[], T], name: str) -> tuple[Future[T], threading.Thread]:
+    """Begin work that may take long on a thread of its own; return the future of its result, and the thread."""
     future: Future[T] = Future()
 
     def run() -> None:
@@ -132,7 +132,7 @@ class LightSwitch:
     def switch_off(self) -> Future[None]:
         """Switch the light off; the future resolves when it is off, or has the error of the light."""
         self.requests += 1
-        future, thread = begun_beside(self._switch_off, "light off")
+        future, thread = run_in_thread(self._switch_off, "light off")
         self._threads = [*(one for one in self._threads if one.is_alive()), thread]
         return future
 

@@ -17,7 +17,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from app.acquisition import devices as bench_devices
 from app.acquisition.carrier import WINDOW, Activity
-from app.acquisition.command_queue import CommandQueue, LightSwitch, begun_beside, done
+from app.acquisition.command_queue import CommandQueue, LightSwitch, done, run_in_thread
 from app.acquisition.frame_path import FramePath, read_frame
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.streams.publisher import stream_sinks
@@ -30,8 +30,6 @@ from app.recording.recorder import Recorder, RecordingLimit, RecordingState
 from app.timing import Timings, short_turns
 from drivers.interface import DeviceError, Devices, Frame, WrongState
 from reconstruction.runtime.threads import one_blas_thread
-
-__all__ = ["Acquisition", "FrameTotals", "Measurement"]
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -185,7 +183,7 @@ class Acquisition:
 
     def free_minutes(self, folder: Path) -> Future[float]:
         """Find the recording time left in a folder at the current rate; see `Recorder.free_minutes`."""
-        return begun_beside(partial(self._recorder.free_minutes, folder), "free space")[0]
+        return run_in_thread(partial(self._recorder.free_minutes, folder), "free space")[0]
 
     @property
     def recording(self) -> RecordingState | None:

@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
     from app.acquisition.carrier import Carrier
     from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
-    from app.acquisition.worker import Measurement
     from app.bench.config import Bench
     from app.gui.shell.access import Access
     from app.gui.shell.main_window import MainWindow
     from app.gui.splash import Splash
+    from app.measurement.measurement import Measurement
 
 _LIVE_OUT = Path("svwfs-output")
 _UNATTENDED_S = 8.0  # layers are found six to seven seconds after the first wavefront

@@ -9,7 +9,7 @@ from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageH
 
 from app.acquisition.carrier import Carrier
 from app.acquisition.start_up import FirstWavefront
-from app.acquisition.worker import Acquisition, Measurement
+from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError, ended_by
 from app.gui.shell.controller import CLOSING_S
@@ -18,6 +18,7 @@ from app.gui.shell.state import apply_preferences, settings_file
 from app.gui.shell.wording import left_behind
 from app.gui.widgets.basics import timer
 from app.gui.widgets.theme import styled_application
+from app.measurement.measurement import Measurement
 
 _FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run
 

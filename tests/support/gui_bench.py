@@ -10,8 +10,8 @@ from contextlib import ExitStack
 import numpy as np
 from numpy.typing import NDArray
 
-from app.acquisition.worker import FrameTotals, Measurement
 from app.bench.config import Bench
+from app.measurement.measurement import FrameTotals, Measurement
 from drivers.interface import (
     BadValue,
     Camera,

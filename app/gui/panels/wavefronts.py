@@ -13,7 +13,7 @@ from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QActionGroup
 from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
 
-from app.acquisition.command_queue import begun_beside
+from app.acquisition.command_queue import run_in_thread
 from app.errors import InputError, RunError
 from app.files import check_outputs
 from app.gui.panels.panel import Entries, Panel, Request, Shown
@@ -221,7 +221,7 @@ class WavefrontPanel(Panel):
     def subtract_file(self, path: Path) -> None:
         """Read a file of results on a thread of its own, and subtract its wavefront as soon as it is known."""
         lenslets = None if self._newest is None else self._newest.displacement.outcome.shape
-        self._reading, _ = begun_beside(partial(StoredWavefront.from_results, path, lenslets), "file to subtract")
+        self._reading, _ = run_in_thread(partial(StoredWavefront.from_results, path, lenslets), "file to subtract")
         self._reading_timer.start()
 
     def _take_file(self) -> None:

@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import QApplication, QFileDialog, QWidget
 
 from app.acquisition.carrier import Activity, Carrier
 from app.acquisition.instrument import Status
-from app.acquisition.worker import Acquisition, Measurement
+from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.files import make_folder
@@ -45,6 +45,7 @@ from app.gui.widgets.basics import REFRESH_MS, column, timer
 from app.gui.widgets.copies import write_picture
 from app.gui.widgets.fields import NumberField
 from app.images import SUFFIXES
+from app.measurement.measurement import Measurement
 from app.recording.folder import read_run
 from app.results.frame_statistics import frame_statistics
 from drivers.light_source import MAY_BE_ON

@@ -8,7 +8,7 @@ from functools import partial
 from PyQt6.QtCore import QSize
 from PyQt6.QtWidgets import QCheckBox, QDialog, QFormLayout, QLineEdit, QListWidget, QStackedWidget, QWidget
 
-from app.acquisition.command_queue import begun_beside
+from app.acquisition.command_queue import run_in_thread
 from app.bench.config import Bench, save_bench
 from app.bench.device_kinds import KINDS
 from app.bench.settings_form import FormField, SettingsForm, fault_in_words, fault_path
@@ -95,7 +95,7 @@ class SettingsDialog(QDialog):
         if self._search is None:
             self._found = []
             self.failed.setText("")
-            self._search, _ = begun_beside(_discover, "device search")
+            self._search, _ = run_in_thread(_discover, "device search")
             self._timer.start()
 
     def _poll(self) -> None:

@@ -11,13 +11,12 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QGridLayout, QLabel, QWidget
 
 from app.acquisition.instrument import Status
-from app.acquisition.worker import Measurement
 from app.gui.panels.panel import Verdict
 from app.gui.shell.wording import as_sentence, lenslet_summary
 from app.gui.widgets import theme
 from app.gui.widgets.basics import ElidedLabel, colour_text, column, label, row, row_of
 from app.gui.widgets.presentation import NOTHING
-from app.measurement.measurement import RefinementState, sample_sentence
+from app.measurement.measurement import Measurement, RefinementState, sample_sentence
 from app.timing import MEANINGS, STAGES, Stage, StageTimes, Timings
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE

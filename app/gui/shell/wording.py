@@ -7,11 +7,10 @@ import numpy as np
 
 from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Status
-from app.acquisition.worker import Measurement
 from app.gui.panels.panel import Liveness
 from app.gui.widgets.presentation import percent
 from app.measurement.auto_exposure import AutoExposure
-from app.measurement.measurement import Gap
+from app.measurement.measurement import Gap, Measurement
 from app.measurement.sensor_region import SensorArea, lenslets_outside
 from app.progress import counted
 from app.recording.recorder import RecordingState

@@ -13,9 +13,10 @@ from support.simulated_scene import current_state, states_rendered
 from app.acquisition.devices import open_devices, simulated_bench
 from app.acquisition.instrument import Instrument
 from app.acquisition.start_up import knows_sample, start_up
-from app.acquisition.worker import Acquisition, Measurement
+from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.evaluation.frames import NoiseFreeFrames
+from app.measurement.measurement import Measurement
 from reconstruction.wavefront import Wavefront, rms
 from simulated_devices.camera import SimulatedCamera
 

@@ -17,11 +17,11 @@ from support.simulated_faults import lose_frames, stall, unplug
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.start_up import start_up
-from app.acquisition.worker import Acquisition, Measurement
+from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import SKIPPED
+from app.measurement.measurement import SKIPPED, Measurement
 from app.measurement.routines import Cancelled
 from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
 from reconstruction.pipeline import Reconstructor

@@ -19,11 +19,12 @@ from support.patience import HANG_S, wait_until
 
 from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument
-from app.acquisition.worker import Acquisition, Measurement
+from app.acquisition.worker import Acquisition
 from app.errors import Interrupted, RunError
 from app.gui.application import run_window, unattended_steps
 from app.gui.shell.access import Access
 from app.gui.shell.main_window import MainWindow
+from app.measurement.measurement import Measurement
 from drivers.interface import Disconnected
 
 pytestmark = pytest.mark.usefixtures("restored_theme")

@@ -16,11 +16,11 @@ from pytestqt.qtbot import QtBot
 from support.recordings import record
 from support.window_tools import picture, press
 
-from app.acquisition.worker import Acquisition, FrameTotals
+from app.acquisition.worker import Acquisition
 from app.gui.shell.access import Access
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
-from app.measurement.measurement import Measurement
+from app.measurement.measurement import FrameTotals, Measurement
 from app.recording.folder import describe
 from app.recording.reader import Recording
 from app.recording.recorded_devices import RecordedCamera

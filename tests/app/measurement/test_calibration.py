@@ -11,10 +11,10 @@ from support.patience import HANG_S, wait_until
 
 from app.acquisition.devices import open_devices
 from app.acquisition.start_up import start_up
-from app.acquisition.worker import Acquisition, Measurement
+from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import SKIPPED
+from app.measurement.measurement import SKIPPED, Measurement
 from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.solve.modal import ModalSolution

@@ -20,8 +20,9 @@ from support.wires.dcam.stand_in import pattern
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
 from app.acquisition.start_up import start_up
-from app.acquisition.worker import Acquisition, Measurement
+from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench, parse_bench, write_bench
+from app.measurement.measurement import Measurement
 from app.measurement.sensor_region import (
     SensorArea,
     in_steps,
