@@ -49,7 +49,7 @@ def _outcome() -> tuple[int, BaseException | None]:
 
 
 def _show(lines: list[str]) -> None:
-    from app.commands.live import use_display
+    from app.commands.display import use_display
 
     if use_display():
         from app.gui.splash import show_ending

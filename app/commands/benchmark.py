@@ -105,7 +105,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
 
     The light is turned off and the recording removed, also on an error or Ctrl-C.
     """
-    from app.commands.live import use_display
+    from app.commands.display import use_display
     from app.evaluation.benchmark.live_path import Course, LiveFigures, recording_folder
 
     is_seen = use_display()

@@ -1,10 +1,7 @@
-"""`svwfs live`: the window on a bench or a recording, attended or not, and whether there is a display for it."""
+"""`svwfs live`: the window on a bench or a recording, attended or not."""
 
 from __future__ import annotations
 
-import os
-import re
-import socket
 import sys
 from contextlib import suppress
 from dataclasses import asdict
@@ -19,6 +16,7 @@ from app.bench.config import load_bench
 from app.bench.presets import DEFAULT
 from app.bench.trusted_libraries import unconfirmed
 from app.commands import options, terminal
+from app.commands.display import use_display
 from app.errors import InputError
 from app.files import check_outputs, make_folder
 
@@ -35,8 +33,6 @@ if TYPE_CHECKING:
 
 _LIVE_OUT = Path("svwfs-output")
 _UNATTENDED_S = 8.0  # layers are found six to seven seconds after the first wavefront
-_PLATFORM = "QT_QPA_PLATFORM"
-_LOCAL_X = re.compile(r"(?:unix)?:(\d+)(?:\.\d+)?")
 
 
 def live(
@@ -224,39 +220,3 @@ def _write_run(path: Path, acquisition: Carrier) -> None:
         **software_facts(),
     }
     write_record(path, record)
-
-
-def use_display() -> bool:
-    """Return whether windows can be seen; if not, make Qt, which is not loaded yet, draw offscreen."""
-    has_display = _has_display()
-    if not has_display:
-        os.environ[_PLATFORM] = "offscreen"
-    return has_display
-
-
-def _has_display() -> bool:
-    if platform := os.environ.get(_PLATFORM):
-        return platform != "offscreen"
-    if not sys.platform.startswith("linux"):
-        return True
-    name = os.environ.get("WAYLAND_DISPLAY", "")
-    if name and _answers(str(Path(os.environ.get("XDG_RUNTIME_DIR", "/"), name))):
-        return True
-    os.environ.pop("WAYLAND_DISPLAY", None)  # left by a session that has ended: Qt would abort
-    local = _LOCAL_X.fullmatch(os.environ.get("DISPLAY", ""))
-    if local is None:
-        return bool(os.environ.get("DISPLAY"))  # on another computer
-    path = f"/tmp/.X11-unix/X{local[1]}"  # noqa: S108 - where X11 has it
-    return _answers(path) or _answers(f"\0{path}")
-
-
-def _answers(path: str) -> bool:
-    """True if something listens at a local socket."""
-    if sys.platform == "win32":
-        return False
-    with socket.socket(socket.AF_UNIX) as client:
-        try:
-            client.connect(path)
-        except OSError:
-            return False
-    return True

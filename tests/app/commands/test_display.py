@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.commands.live import use_display
+from app.commands.display import use_display
 
 
 @pytest.fixture(autouse=True)
