@@ -1,4 +1,4 @@
-"""Array types and the reading of NumPy's files, shared by the packages."""
+"""Array types, medians, and the reading of NumPy's files, shared by the packages."""
 
 import warnings
 from collections.abc import Iterator
@@ -14,6 +14,8 @@ Image = NDArray[np.float32]
 Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
 """Camera frame as read from a camera or a file, (row, column)."""
 Booleans = NDArray[np.bool_]
+
+SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal noise over the median of its magnitude
 
 
 def median(values: Floats) -> float:

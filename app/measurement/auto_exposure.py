@@ -22,6 +22,7 @@ from scipy import ndimage
 from app.measurement.routines import RoutineError, Watch, next_frame, restored
 from drivers.interface import BadValue, Devices, Range
 from drivers.light_source import ManualLight
+from reconstruction.arrays import SIGMA_OF_MEDIAN
 
 FILL = 0.70  # of full scale
 TOLERANCE = 0.05  # of full scale
@@ -56,7 +57,6 @@ _OUTSTANDING = 1.3  # times the usual cell; the middle of a beam as wide as the 
 _HOT = 3.0  # times the spread of its neighbours above all of them; neither a star's peak nor noise reaches it
 _FROM_1_TO_10 = 1.0448  # standard deviations between the 1st and 10th percentile of a normal distribution
 _FROM_10_TO_50 = 1.2816  # standard deviations; at least 10 % of the pixels lie between the subimages
-_SIGMA_OF_MEDIAN = 1.4826  # standard deviation over median of the absolute value, of a normal distribution
 _LEAST_NOISE_COUNTS = 0.3  # rounding
 _HIDDEN_NOISE_COUNTS = 1.0  # that a frame whose dark pixels are clipped to 0 may hide
 _NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.bool_)
@@ -280,7 +280,7 @@ def brightness(pixels: NDArray[np.integer[Any]], cell_px: float) -> Brightness:
     """
     light = pixels.astype(np.float32)
     darkest, dark, middle = (float(value) for value in np.percentile(light, (1, 10, 50)))
-    of_steps = _SIGMA_OF_MEDIAN * float(np.median(np.abs(np.diff(light, axis=1)))) / np.sqrt(2)
+    of_steps = SIGMA_OF_MEDIAN * float(np.median(np.abs(np.diff(light, axis=1)))) / np.sqrt(2)
     noise = max(min(of_steps, (dark - darkest) / _FROM_1_TO_10), _LEAST_NOISE_COUNTS)  # both may include subimages
     if darkest <= 0:  # half of the noise is clipped
         noise = max(of_steps, _HIDDEN_NOISE_COUNTS)

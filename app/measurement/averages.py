@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from app.measurement.routines import Watch, next_frame, restored
 from app.progress import counted
 from drivers.interface import BadValue, Camera, Devices, Frame
-from reconstruction.arrays import Counts
+from reconstruction.arrays import SIGMA_OF_MEDIAN, Counts
 
 AVERAGED_FRAMES = range(1, 10_001)  # allowed numbers
 
@@ -139,7 +139,7 @@ def compare_backgrounds(dark: Average, now: Average, levels: list[float]) -> Bac
         variance = np.average([each.variance.astype(np.float64) for each in known], axis=0, weights=weights)
         usual = float(np.mean(np.minimum(variance, np.percentile(variance, 99))))
     else:  # two single frames: their difference has the noise of both
-        spread = 1.4826 * float(np.median(np.abs(difference - drift)))
+        spread = SIGMA_OF_MEDIAN * float(np.median(np.abs(difference - drift)))
         variance = np.full(difference.shape, spread**2 / per_frame)
         usual = float(variance[0, 0])
     usual = max(usual, 1 / 12)  # quantisation

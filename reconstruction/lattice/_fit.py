@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-from reconstruction.arrays import Floats, Image
+from reconstruction.arrays import SIGMA_OF_MEDIAN, Floats, Image
 from reconstruction.frame.spline import spline_coefficients
 from reconstruction.geometry import Arrangement, Lattice
 from reconstruction.lattice.cells import CellMatch, Cells, cut, match_cells, rough_background, without_background
@@ -110,7 +110,6 @@ _ROUGH_ROUNDS, _FINE_ROUNDS = 3, 2
 _REWEIGHTINGS = 5
 _OUTLYING = 4.685  # standard deviations beyond which a cell has no weight (Tukey's biweight, 95 % efficient)
 _FINEST = 1e-6  # pitches; a smaller scatter is rounding
-_TYPICAL = 1.4826  # standard deviation of normal noise over its median magnitude
 _FEWEST = 2  # lit cells
 _NOTHING = 1e-30
 SMALLEST_PITCH_PX = 8.0  # limit of `Lattice`
@@ -226,7 +225,7 @@ def _similarity(position: Floats, displacement: Floats, weight: Floats) -> tuple
         spread = max(float(counts @ (x**2 + y**2)), _NOTHING)
         stretch, turn = float(counts @ (x * dx + y * dy)) / spread, float(counts @ (x * dy - y * dx)) / spread
         rest = displacement - mean - np.stack([stretch * x - turn * y, stretch * y + turn * x], axis=-1)
-        scatter = max(_TYPICAL * float(np.median(np.abs(rest[weight > 0]))), _FINEST)
+        scatter = max(SIGMA_OF_MEDIAN * float(np.median(np.abs(rest[weight > 0]))), _FINEST)
         outlying = np.minimum(np.hypot(*rest.T) / (_OUTLYING * scatter), 1)
         counts = weight * (1 - outlying**2) ** 2
         if not counts.any():
