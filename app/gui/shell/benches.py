@@ -19,13 +19,11 @@ from app.errors import InputError, RunError
 from app.gui.shell.controller import Controller
 from app.gui.shell.menus import RecentFiles, listing_menu
 from app.gui.shell.settings_control import SettingsControl
-from app.gui.shell.settings_dialog import SettingsDialog
+from app.gui.shell.settings_dialog import BENCH_FILES, SettingsDialog, ask_bench_file
 from app.gui.shell.wording import as_sentence
 from app.gui.widgets import theme
 from app.gui.widgets.basics import Button, column, label
-from app.gui.widgets.copies import ask_file
 
-_FILES = "Bench (*.toml)"
 _LAST = "last/bench"  # key of the settings
 
 Choices = tuple[tuple[str, str, Callable[[], object]], ...]  # text, tool tip, action
@@ -116,14 +114,14 @@ class Benches(QObject):
 
     def ask(self) -> None:
         folder = next((str(path.parent) for path in self.recent.paths()), "")
-        name, _ = QFileDialog.getOpenFileName(self._window, "Open a bench", folder, _FILES)
+        name, _ = QFileDialog.getOpenFileName(self._window, "Open a bench", folder, BENCH_FILES)
         if name:
             self.open(name)
 
     def save(self) -> None:
         """Ask for a file and save the bench with the lattice and device settings in force."""
         status = self._controller.status
-        path = None if status is None else ask_file(self._window, "Save the bench", "bench.toml", _FILES)
+        path = None if status is None else ask_bench_file(self._window)
         if status is None or path is None:
             return
         try:

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
+from pathlib import Path
 
 from PyQt6.QtCore import QSize
 from PyQt6.QtWidgets import QCheckBox, QDialog, QFormLayout, QLineEdit, QListWidget, QStackedWidget, QWidget
@@ -33,6 +34,7 @@ from app.gui.widgets.fields import NumberLine, TextLine
 from drivers.device import DiscoveredDevice
 
 _DETAIL = re.compile(r" \(.*?\)(?=:)")  # of an error, before the advice: a system's words, in its language
+BENCH_FILES = "Bench (*.toml)"  # of a dialog
 _NO_DEVICE = "Other, or simulated: choose the driver below"
 
 
@@ -218,7 +220,7 @@ class SettingsDialog(QDialog):
 
     def _save(self) -> None:
         bench = self._check()
-        path = None if bench is None else ask_file(self, "Save the bench", "bench.toml", "Bench (*.toml)")
+        path = None if bench is None else ask_bench_file(self)
         if bench is None or path is None:
             return
         try:
@@ -228,6 +230,11 @@ class SettingsDialog(QDialog):
             return
         self.close()
         self._opened(str(path))
+
+
+def ask_bench_file(parent: QWidget) -> Path | None:
+    """Ask for the name of a bench file to write; None if the user does not want to."""
+    return ask_file(parent, "Save the bench", "bench.toml", BENCH_FILES)
 
 
 def _discover() -> tuple[list[DiscoveredDevice], list[str]]:
