@@ -13,14 +13,6 @@ Validity = Literal["missing", "doubtful", "good"]
 _MOST = 8  # each as large as two frames of floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Taken:
-    average: Average
-    circumstances: Circumstances
-    how: str  # time and settings, for people
-    at: str = ""  # hours and minutes; empty if it was recorded
-
-
 @dataclass(frozen=True, slots=True)
 class AverageState:
     """State of a dark or reference, as the window shows it."""
@@ -40,6 +32,13 @@ class AverageState:
     def note(self) -> str:
         """One line on how it was taken, and one on why it is doubtful."""
         return "\n".join(filter(None, (self.how or "none yet", self.doubt)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Taken:
+    average: Average
+    circumstances: Circumstances
+    state: AverageState  # without doubt
 
 
 class KeptAverages:
@@ -64,7 +63,7 @@ class KeptAverages:
             f" exposure {now.exposure_s * 1e3:.4g} ms, amplifier {now.amplifier},"
             f" gain {now.em_gain:.4g}, mask {now.mask}"
         )
-        self._used = _Taken(average, now, how, f"{time:%H:%M}")
+        self._used = _Taken(average, now, AverageState(how, f"{time:%H:%M}"))
         key = self._key(now)
         self._kept.pop(key, None)
         self._kept[key] = self._used
@@ -77,7 +76,7 @@ class KeptAverages:
         if average is not None:
             exposure_s, em_gain, amplifier = average.exposure_s, average.em_gain, average.amplifier
             then = replace(now, exposure_s=exposure_s, em_gain=em_gain, amplifier=amplifier)
-            self._used = _Taken(average, then, "as recorded")
+            self._used = _Taken(average, then, AverageState("as recorded"))
 
     def choose(self, now: Circumstances) -> None:
         """Use the average that was taken of the current region and with the current mask, if there is one."""
@@ -97,9 +96,7 @@ class KeptAverages:
 
     def state(self, doubt: str) -> AverageState:
         """Return the state of the average in use; `doubt` is why it is doubtful, or empty."""
-        if self._used is None:
-            return AverageState(doubt=doubt)
-        return AverageState(self._used.how, self._used.at, doubt)
+        return replace(AverageState() if self._used is None else self._used.state, doubt=doubt)
 
     def _key(self, circumstances: Circumstances) -> tuple[Region, int, str]:
         return circumstances.region, circumstances.binning, circumstances.mask if self._is_lit else ""
