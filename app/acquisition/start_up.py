@@ -95,11 +95,11 @@ class CalibrationStep:
     explanation: str
     is_lit: bool  # whether its frames need the light
     request: Callable[..., Any]  # of the instrument
-    averages: bool = False  # whether the request takes the number of averaged frames
+    takes_frames: bool = False  # whether the request takes the number of averaged frames
 
     def begin(self, acquisition: Carrier, frames: int) -> Future[Any]:
         """Send the request."""
-        return acquisition.submit(self.request, *([frames] if self.averages else []))
+        return acquisition.submit(self.request, *([frames] if self.takes_frames else []))
 
 
 LATTICE = CalibrationStep(
@@ -116,14 +116,14 @@ DARK = CalibrationStep(
     "Averages frames with the light off: the background of all frames.",
     is_lit=False,
     request=Instrument.take_dark,
-    averages=True,
+    takes_frames=True,
 )
 REFERENCE = CalibrationStep(
     "Reference",
     "Averages frames with the light on and without the sample: the zero point of the displacements.",
     is_lit=True,
     request=Instrument.take_reference,
-    averages=True,
+    takes_frames=True,
 )
 STEPS = (LATTICE, EXPOSURE, DARK, REFERENCE)
 

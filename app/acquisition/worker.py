@@ -252,7 +252,7 @@ class Acquisition:
                 self.activity = Activity()
                 self._update_status(instrument)
                 while not self._stopping.is_set():
-                    self._execute_commands(instrument, wait=not devices.camera.is_running)
+                    self._execute_commands(instrument, may_wait=not devices.camera.is_running)
                     if not devices.camera.is_running:
                         self._poll_status(instrument)
                     else:
@@ -304,9 +304,9 @@ class Acquisition:
         self._path.gap_cause = text
         return {"progress": show_progress, "should_stop": should_stop}
 
-    def _execute_commands(self, instrument: Instrument, *, wait: bool) -> None:
+    def _execute_commands(self, instrument: Instrument, *, may_wait: bool) -> None:
         self._keep_alive(_ALIVE_S)
-        execute = self._commands.next(_IDLE_S if wait else 0.0)
+        execute = self._commands.next(_IDLE_S if may_wait else 0.0)
         while execute is not None:
             self._keep_alive(_COMMAND_S)
             execute(instrument)
