@@ -84,7 +84,7 @@ class Benches(QObject):
         name = None if self._remembered is None else self._remembered.value(_LAST)
         if isinstance(name, str) and name and Path(name).is_file():
             question = f'the bench "{Path(name).name}" was open last: open it again?'
-            self._controller.ask(question, partial(self.open, name), "Open it", "Not now")
+            self._messages.ask(question, partial(self.open, name), "Open it", "Not now")
 
     def _remember(self, path: Path) -> None:
         self.recent.add(path)

@@ -42,7 +42,7 @@ class Routines:
 
         def propose(survey: Survey) -> None:
             self._camera.propose(survey)
-            self._controller.ask(lattice_found(survey), partial(self.use_lattice, survey.lattice))
+            self._messages.ask(lattice_found(survey), partial(self.use_lattice, survey.lattice))
 
         self._controller.send(lambda to: to.submit(Instrument.survey_lattice), propose)
 
@@ -58,7 +58,7 @@ class Routines:
 
         def propose(found: MeasuredLinearity) -> None:
             use = partial(self._use, "linearity", found.linearity, "frames are corrected")
-            self._controller.ask(linearity_found(found), use)
+            self._messages.ask(linearity_found(found), use)
 
         self._controller.send(lambda to: to.submit(Instrument.measure_linearity), propose)
 

@@ -45,7 +45,6 @@ class Controller(QObject):
         self.acquisition: Carrier | None = None
         self.is_stuck = False  # whether the worker did not end on `close`
         self._pending: list[tuple[Future[Any], Then, Otherwise]] = []
-        self.ask = messages.ask
         messages.answered.connect(self.question_closed)  # a lambda would keep the closed window
         messages.cancel_requested.connect(self.cancel)
 
@@ -212,7 +211,7 @@ class Attachment:
         elif connection.is_of_another:
             self._controller.messages.warn(self.notice)
         else:
-            self._controller.ask(
+            self._controller.messages.ask(
                 "the instrument ends for everybody: the light goes off, recordings are finished",
                 lambda: self._controller.send(lambda _: connection.end()),
                 "End it",

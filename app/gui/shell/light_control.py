@@ -117,7 +117,7 @@ class LightControl:
 
     def _ask_by_hand(self, *, on: bool, then: Callable[[], object] = lambda: None) -> None:
         """Ask a person to switch a manual light, and note it when that is confirmed."""
-        self._controller.ask(
+        self._messages.ask(
             f"switch the light {'on' if on else 'off'} by hand",
             lambda: self._controller.send(lambda to: to.submit(Instrument.set, "is_light_on", on), lambda _: then()),
             "Done",

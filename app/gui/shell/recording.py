@@ -176,7 +176,7 @@ class RecordingBar(QFrame):
             then()
         else:
             question = f"the recording {state.folder.name} ends if another bench is opened"
-            self._controller.ask(question, then, "End it and open", "Keep recording", loses=True)
+            self._messages.ask(question, then, "End it and open", "Keep recording", loses=True)
 
     def refresh(self) -> None:
         """Show the state of the recordings, and each end once."""
