@@ -17,6 +17,7 @@ from support.pictures import assert_drawn
 from app.bench.config import load_bench, parse_bench
 from app.bench.presets import PRESETS
 from app.commands.calibrate import bench_text, differences, find_lattice, summary, write_found
+from app.measurement.linearity import EXPOSURE_FRAMES
 from app.results.figures import lattice_figure
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.cells import cell_index
@@ -248,6 +249,13 @@ def test_linearity_is_measured_with_the_devices_and_written(
     said = json.loads(capsys.readouterr().out)
     assert said["linearity"]["quadratic"] == pytest.approx(found.linearity.quadratic, abs=5e-3)
     assert again.read_text().count("[linearity]") == 1  # in place of the other
+
+
+def test_help_has_the_default_number_of_exposed_frames(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "calibrate", "--help") == 0
+    assert f"[default: {EXPOSURE_FRAMES}]" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(
