@@ -7,16 +7,13 @@ entry. Readers may miss the newest entry but never see a wrong one.
 from __future__ import annotations
 
 import math
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-
-from reconstruction.runtime.threads import ProcessSetting
 
 Stage = Literal["wait", "copy", "register", "reconstruct", "publish", "record", "draw", "to_result", "to_screen"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
@@ -62,27 +59,6 @@ class _Ring:
             return StageTimes()
         p50_s, p99_s = np.percentile(self._times_s[:count], (50, 99))
         return StageTimes(count, float(p50_s), float(p99_s), self._max_s)
-
-
-_TURN_S = 0.0005
-
-
-def short_turns() -> AbstractContextManager[None]:
-    """Switch Python threads every 0.5 ms instead of 5 ms inside a `with`.
-
-    A thread waits for its turn after each system call: beside a busy window, writing a frame (ten calls) would take up
-    to 50 ms instead of 5. Several acquisitions may nest this in any order.
-    """
-    return _short_turns.wanted()
-
-
-def _shorten_turns() -> Callable[[], object]:
-    before_s = sys.getswitchinterval()
-    sys.setswitchinterval(_TURN_S)
-    return lambda: sys.setswitchinterval(before_s)
-
-
-_short_turns = ProcessSetting(_shorten_turns)
 
 
 class Timings:

@@ -27,9 +27,9 @@ from app.measurement.measurement import FrameTotals, LightState, Measurement
 from app.measurement.routines import Cancelled, Watch
 from app.measurement.sensor_region import SensorArea
 from app.recording.recorder import Recorder, RecordingLimit, RecordingState
-from app.timing import Timings, short_turns
+from app.timing import Timings
 from drivers.interface import DeviceError, Devices, Frame, WrongState
-from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.runtime.threads import one_blas_thread, short_turns
 
 T = TypeVar("T")
 P = ParamSpec("P")

@@ -18,10 +18,9 @@ from threadpoolctl import threadpool_info, threadpool_limits  # type: ignore[imp
 
 import svwfs
 from app.bench.imaging_model import BenchModel
-from app.timing import short_turns
 from reconstruction.layers.layer_search import find_layers
 from reconstruction.pipeline import Reconstructor
-from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.runtime.threads import one_blas_thread, short_turns
 
 
 def blas_threads() -> set[int]:
