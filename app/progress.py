@@ -1,6 +1,8 @@
-"""Long work: progress callbacks, counts in words, and independent tasks."""
+"""Long work: progress callbacks, counts in words, independent tasks, and threads of their own."""
 
+import threading
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
 from typing import Protocol, TypeVar
 
 T = TypeVar("T")
@@ -38,6 +40,23 @@ def counting(items: Iterable[T], count: int, progress: Progress, text: str) -> I
 def counted(count: int, noun: str = "frame") -> str:
     """Return a count with its noun: "1 frame", "2 frames"."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def run_in_thread(work: Callable[[], T], name: str) -> tuple[Future[T], threading.Thread]:
+    """Begin work that may take long on a thread of its own; return the future of its result, and the thread."""
+    future: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            result = work()
+        except BaseException as error:  # noqa: BLE001 - the future passes it on
+            future.set_exception(error)
+        else:
+            future.set_result(result)
+
+    thread = threading.Thread(target=run, name=name, daemon=True)
+    thread.start()
+    return future, thread
 
 
 class Evaluate(Protocol):

@@ -1,4 +1,4 @@
-"""Paths to the thread that owns the devices: its queue of commands, and beside it the switch of the light."""
+"""The queue of commands of the thread that owns the devices."""
 
 import queue
 import threading
@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from app.acquisition.instrument import Instrument
 from app.errors import InputError
 from app.measurement.routines import Cancelled, RoutineError
-from drivers.interface import BadValue, LightSource, Unsupported, WrongState
+from drivers.interface import BadValue, Unsupported, WrongState
 from reconstruction.errors import ReconstructionError
 
 T = TypeVar("T")
@@ -24,23 +24,6 @@ def done() -> Future[None]:
     future: Future[None] = Future()
     future.set_result(None)
     return future
-
-
-def run_in_thread(work: Callable[[], T], name: str) -> tuple[Future[T], threading.Thread]:
-    """Begin work that may take long on a thread of its own; return the future of its result, and the thread."""
-    future: Future[T] = Future()
-
-    def run() -> None:
-        try:
-            result = work()
-        except BaseException as error:  # noqa: BLE001 - the future passes it on
-            future.set_exception(error)
-        else:
-            future.set_result(result)
-
-    thread = threading.Thread(target=run, name=name, daemon=True)
-    thread.start()
-    return future, thread
 
 
 class CommandQueue:
@@ -104,44 +87,3 @@ class CommandQueue:
             _, future = self._waiting.get()
             if future.set_running_or_notify_cancel():
                 future.set_exception(WrongState(refusal))
-
-
-class LightSwitch:
-    """Switches the light off on a thread of its own, and keeps it off against commands that were sent before.
-
-    The worker calls `attach` and `begin_command`; any thread may call `switch_off`. A light serialises its calls, so
-    that `switch_off` waits for one of them at most.
-    """
-
-    def __init__(self) -> None:
-        self._light: LightSource | None = None
-        self.requests = 0  # to switch off, so far
-        self.served = 0  # requests that have been carried out
-        self._known = 0  # requests that were made before the present command was sent
-        self._threads: list[threading.Thread] = []
-
-    def attach(self, light: LightSource) -> None:
-        """Use this light from now on."""
-        self._light = light
-        light.may_shine = lambda: self._known == self.requests
-
-    def begin_command(self, known: int) -> None:
-        """Note how many requests had been made when the command was sent that begins now."""
-        self._known = known
-
-    def switch_off(self) -> Future[None]:
-        """Switch the light off; the future resolves when it is off, or has the error of the light."""
-        self.requests += 1
-        future, thread = run_in_thread(self._switch_off, "light off")
-        self._threads = [*(one for one in self._threads if one.is_alive()), thread]
-        return future
-
-    def close(self, timeout_s: float) -> None:
-        """Wait for requests under way."""
-        for thread in self._threads:
-            thread.join(timeout_s)
-
-    def _switch_off(self) -> None:
-        if self._light is not None:  # else no device is open yet, and `may_shine` keeps the light off
-            self._light.set_on(False)
-        self.served += 1

@@ -17,15 +17,17 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from app.acquisition import devices as bench_devices
 from app.acquisition.carrier import WINDOW, Activity
-from app.acquisition.command_queue import CommandQueue, LightSwitch, done, run_in_thread
+from app.acquisition.command_queue import CommandQueue, done
 from app.acquisition.frame_path import FramePath, read_frame
 from app.acquisition.instrument import Instrument, Status
+from app.acquisition.light_switch import LightSwitch
 from app.acquisition.streams.publisher import stream_sinks
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError
 from app.measurement.measurement import FrameTotals, LightState, Measurement
 from app.measurement.routines import Cancelled, Watch
 from app.measurement.sensor_region import SensorArea
+from app.progress import run_in_thread
 from app.recording.recorder import Recorder, RecordingLimit, RecordingState
 from app.timing import Timings
 from drivers.interface import DeviceError, Devices, Frame, WrongState

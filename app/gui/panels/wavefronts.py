@@ -13,7 +13,6 @@ from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QActionGroup
 from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
 
-from app.acquisition.command_queue import run_in_thread
 from app.errors import InputError, RunError
 from app.files import check_outputs
 from app.gui.panels.panel import Entries, Panel, Request, Shown
@@ -26,6 +25,7 @@ from app.gui.widgets.presentation import PRESENTATIONS, Presentation, number, pl
 from app.gui.widgets.scales import AdaptiveScale
 from app.gui.widgets.view_grid import Maps, ViewGrid
 from app.measurement.measurement import Measurement
+from app.progress import run_in_thread
 from app.results.dataset import write_shown
 from app.results.frame_tallies import rms_noise
 from app.results.shown_wavefront import (

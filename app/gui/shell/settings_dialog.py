@@ -9,7 +9,6 @@ from pathlib import Path
 from PyQt6.QtCore import QSize
 from PyQt6.QtWidgets import QCheckBox, QDialog, QFormLayout, QLineEdit, QListWidget, QStackedWidget, QWidget
 
-from app.acquisition.command_queue import run_in_thread
 from app.bench.config import Bench, save_bench
 from app.bench.device_kinds import KINDS
 from app.bench.settings_form import FormField, SettingsForm, fault_in_words, fault_path
@@ -31,6 +30,7 @@ from app.gui.widgets.basics import (
 )
 from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberLine, TextLine
+from app.progress import run_in_thread
 from drivers.device import DiscoveredDevice
 
 _DETAIL = re.compile(r" \(.*?\)(?=:)")  # of an error, before the advice: a system's words, in its language

@@ -1,0 +1,48 @@
+"""The switch that turns the light off beside the thread that owns the devices."""
+
+import threading
+from concurrent.futures import Future
+
+from app.progress import run_in_thread
+from drivers.interface import LightSource
+
+
+class LightSwitch:
+    """Switches the light off on a thread of its own, and keeps it off against commands that were sent before.
+
+    The worker calls `attach` and `begin_command`; any thread may call `switch_off`. A light serialises its calls, so
+    that `switch_off` waits for one of them at most.
+    """
+
+    def __init__(self) -> None:
+        self._light: LightSource | None = None
+        self.requests = 0  # to switch off, so far
+        self.served = 0  # requests that have been carried out
+        self._known = 0  # requests that were made before the present command was sent
+        self._threads: list[threading.Thread] = []
+
+    def attach(self, light: LightSource) -> None:
+        """Use this light from now on."""
+        self._light = light
+        light.may_shine = lambda: self._known == self.requests
+
+    def begin_command(self, known: int) -> None:
+        """Note how many requests had been made when the command was sent that begins now."""
+        self._known = known
+
+    def switch_off(self) -> Future[None]:
+        """Switch the light off; the future resolves when it is off, or has the error of the light."""
+        self.requests += 1
+        future, thread = run_in_thread(self._switch_off, "light off")
+        self._threads = [*(one for one in self._threads if one.is_alive()), thread]
+        return future
+
+    def close(self, timeout_s: float) -> None:
+        """Wait for requests under way."""
+        for thread in self._threads:
+            thread.join(timeout_s)
+
+    def _switch_off(self) -> None:
+        if self._light is not None:  # else no device is open yet, and `may_shine` keeps the light off
+            self._light.set_on(False)
+        self.served += 1
