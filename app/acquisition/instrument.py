@@ -176,13 +176,13 @@ class Instrument:
     def take_dark(self, frames: int) -> None:
         """Average frames with the light off, and use them as dark from now on."""
         watch = self._watch(self, f"taking the dark, {counted(frames)}")
-        self.darks.keep(take_dark(self.devices, frames, **watch), self._now())
+        self.darks.keep(take_dark(self.devices, frames, watch), self._now())
         self._prepare("with the new dark")
 
     def take_reference(self, frames: int) -> None:
         """Average frames without the sample, use them as reference from now on, and find the lattice if unknown."""
         watch = self._watch(self, f"taking the reference, {counted(frames)}")
-        self.references.keep(take_reference(self.devices, frames, **watch), self._now())
+        self.references.keep(take_reference(self.devices, frames, watch), self._now())
         self._prepare("with the new reference; after an installation, its compilation takes half a minute")
 
     def use(self, calibration: Calibration) -> None:
@@ -211,12 +211,12 @@ class Instrument:
         doubt, dark = self.darks.doubt(self._now()), self.darks.average
         if dark is None or doubt:
             raise RoutineError(doubt)
-        return check_background(self.devices, dark, frames, **watch)
+        return check_background(self.devices, dark, frames, watch)
 
     def find_lattice(self) -> Survey:
         """Find the lenslets in a few frames without the sample, without changing anything."""
         watch = self._watch(self, "finding the lattice")
-        return self._survey(take_reference(self.devices, _LATTICE_FRAMES, **watch))
+        return self._survey(take_reference(self.devices, _LATTICE_FRAMES, watch))
 
     def survey_lattice(self) -> Survey:
         """Find the lenslets in the reference without changing anything."""
@@ -230,7 +230,7 @@ class Instrument:
     def measure_linearity(self, frames: int = EXPOSURE_FRAMES) -> MeasuredLinearity:
         """Measure the camera's nonlinearity in exposures of `frames` frames without the sample, changing nothing."""
         watch = self._watch(self, "measuring the camera's nonlinearity")
-        return measure_linearity(self.devices, self._pitch_px, frames, **watch)
+        return measure_linearity(self.devices, self._pitch_px, frames, watch)
 
     def set_area(self, area: SensorArea) -> SensorArea:
         """Read out another area of the sensor, the camera paused; return the area that the camera accepted.
@@ -331,7 +331,7 @@ class Instrument:
         return self.bench.sensor.lenslet_pitch_px if self._lattice is None else self._lattice.pitch_px
 
     def _auto_expose(self, watch: Watch) -> AutoExposure:
-        return auto_expose(self.devices, self._pitch_px, **watch)
+        return auto_expose(self.devices, self._pitch_px, watch)
 
     def _survey(self, reference: Average) -> Survey:
         """Find the lenslets in a reference of the current region; `ReconstructionError` if it shows none."""

@@ -304,7 +304,7 @@ class Acquisition:
         self._status_due_s = -math.inf
         self.activity = Activity(text)
         self._path.gap_cause = text
-        return {"progress": show_progress, "should_stop": should_stop}
+        return Watch(show_progress, should_stop)
 
     def _execute_commands(self, instrument: Instrument, *, may_wait: bool) -> None:
         self._keep_alive(_ALIVE_S)

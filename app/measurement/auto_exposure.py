@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,7 @@ class AutoExposure:
     frames: int  # test frames
 
 
-def auto_expose(devices: Devices, cell_px: float, *, fill: float = FILL, **watch: Unpack[Watch]) -> AutoExposure:
+def auto_expose(devices: Devices, cell_px: float, watch: Watch, *, fill: float = FILL) -> AutoExposure:
     """Set the exposure, and if necessary the current, so that the brightest lenslets fill `fill` of full scale.
 
     `cell_px` is the lenslet pitch on the camera. The light is on during the search and then restored. A `RoutineError`
@@ -89,13 +89,13 @@ def auto_expose(devices: Devices, cell_px: float, *, fill: float = FILL, **watch
         devices.light.set_on(True)
         while True:
             camera.start()
-            frame = next_frame(camera, watch["should_stop"])
+            frame = next_frame(camera, watch.should_stop)
             camera.stop()
             full_scale = camera.capabilities.full_scale  # some cameras show it only by their frames
             seen = brightness(frame.pixels, cell_px)
             is_reached = abs(seen.level / full_scale - fill) <= TOLERANCE
             shots.append(Shot(taken, seen, seen.level >= SATURATED * full_scale))
-            watch["progress"](frame, 1.0 if is_reached else len(shots) / MOST_FRAMES)
+            watch.progress(frame, 1.0 if is_reached else len(shots) / MOST_FRAMES)
             if is_reached:
                 if seen.level - seen.background < _LEAST_CONTRAST * seen.level:
                     why = "light falls on the camera, but shows no subimages: is the room dark, the lamp on?"

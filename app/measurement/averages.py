@@ -1,7 +1,7 @@
 """Averages of frames: the dark and the reference; and the check whether the dark is still good."""
 
 from dataclasses import dataclass
-from typing import Self, Unpack, cast
+from typing import Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ class Average:
         return cls(cast("NDArray[np.float32]", image), unknown, 1, np.nan, np.nan, "")
 
 
-def average(camera: Camera, frames: int, **watch: Unpack[Watch]) -> Average:
+def average(camera: Camera, frames: int, watch: Watch) -> Average:
     """Restart the camera, to exclude earlier frames, and average `frames` frames.
 
     Recurrence of B. P. Welford (Technometrics 4, 419, 1962), which avoids cancellation.
@@ -46,11 +46,11 @@ def average(camera: Camera, frames: int, **watch: Unpack[Watch]) -> Average:
     camera.start()
     mean, squares = np.zeros((2, camera.capabilities.rows, camera.capabilities.columns))
     for index in range(frames):
-        frame = next_frame(camera, watch["should_stop"])
+        frame = next_frame(camera, watch.should_stop)
         away = frame.pixels - mean
         mean += away / (index + 1)
         squares += away * (frame.pixels - mean)
-        watch["progress"](frame, (index + 1) / frames)
+        watch.progress(frame, (index + 1) / frames)
     return Average(
         mean=mean.astype(np.float32),
         variance=(squares / max(frames - 1, 1)).astype(np.float32),
@@ -61,21 +61,21 @@ def average(camera: Camera, frames: int, **watch: Unpack[Watch]) -> Average:
     )
 
 
-def take_dark(devices: Devices, frames: int, **watch: Unpack[Watch]) -> Average:
+def take_dark(devices: Devices, frames: int, watch: Watch) -> Average:
     """Average frames with the light off."""
     _check(frames)
     with restored(devices):
         devices.light.set_on(False)
-        return average(devices.camera, frames, **watch)
+        return average(devices.camera, frames, watch)
 
 
-def take_reference(devices: Devices, frames: int, **watch: Unpack[Watch]) -> Average:
+def take_reference(devices: Devices, frames: int, watch: Watch) -> Average:
     """Average frames with the light on and the sample out."""
     _check(frames)
     with restored(devices):
         devices.stage.set_sample_in(False)
         devices.light.set_on(True)
-        return average(devices.camera, frames, **watch)
+        return average(devices.camera, frames, watch)
 
 
 def _check(frames: int) -> None:
@@ -115,15 +115,15 @@ class BackgroundCheck:
         return f"the background has changed since the dark: drift {drift}, {pixels}; take the dark again"
 
 
-def check_background(devices: Devices, dark: Average, frames: int, **watch: Unpack[Watch]) -> BackgroundCheck:
+def check_background(devices: Devices, dark: Average, frames: int, watch: Watch) -> BackgroundCheck:
     """Compare `frames` frames without light with the dark, which must be of the same exposure and mode."""
     levels: list[float] = []
 
     def note(frame: Frame, fraction: float) -> None:
         levels.append(float(np.mean(frame.pixels)))
-        watch["progress"](frame, fraction)
+        watch.progress(frame, fraction)
 
-    now = take_dark(devices, frames, progress=note, should_stop=watch["should_stop"])
+    now = take_dark(devices, frames, Watch(note, watch.should_stop))
     return compare_backgrounds(dark, now, levels)
 
 

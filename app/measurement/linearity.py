@@ -4,8 +4,6 @@ Equal exposures at different times tell light that drifts from a nonlinearity. T
 gives at another current is not known, the exposure time is.
 """
 
-from typing import Unpack
-
 import numpy as np
 
 from app.measurement.auto_exposure import auto_expose
@@ -25,7 +23,7 @@ _PASSES = 2  # up and down
 _MARGIN = 1.2  # of the exposure that a lower current shall demand
 
 
-def measure_linearity(devices: Devices, cell_px: float, frames: int, **watch: Unpack[Watch]) -> MeasuredLinearity:
+def measure_linearity(devices: Devices, cell_px: float, frames: int, watch: Watch) -> MeasuredLinearity:
     """Measure the nonlinearity in the camera's present mode from averages of `frames` frames.
 
     `cell_px` is the lenslet pitch on the camera. A `RoutineError` says why it cannot be told; everything is restored.
@@ -44,7 +42,7 @@ def measure_linearity(devices: Devices, cell_px: float, frames: int, **watch: Un
         def averaged(exposure_s: float) -> Average:
             camera.stop()
             camera.set_exposure(exposure_s)
-            return average(camera, frames, **_at(next(shares), watch))
+            return average(camera, frames, _at(next(shares), watch))
 
         light.set_on(False)
         darks = {exposure_s: averaged(exposure_s) for exposure_s in exposures_s}
@@ -68,19 +66,19 @@ def measure_linearity(devices: Devices, cell_px: float, frames: int, **watch: Un
 
 def _at(share: float, watch: Watch) -> Watch:
     """Callbacks of a part of the routine, during which the progress stays at `share`."""
-    return {"progress": lambda frame, _: watch["progress"](frame, share), "should_stop": watch["should_stop"]}
+    return Watch(lambda frame, _: watch.progress(frame, share), watch.should_stop)
 
 
 def _exposure_times(devices: Devices, cell_px: float, watch: Watch) -> list[float]:
     """Set the current, and return the exposures, s, of which the longest nearly fills the camera's scale."""
     camera, light = devices.camera, devices.light
-    longest_s = auto_expose(devices, cell_px, fill=_FILL, **_at(0.0, watch)).exposure_s
+    longest_s = auto_expose(devices, cell_px, _at(0.0, watch), fill=_FILL).exposure_s
     allowed = camera.capabilities.exposure_range_s
     wanted_s = min(_SPAN * allowed.minimum, allowed.maximum)
     if longest_s < wanted_s:
         dimmed_a = max(light.current_a * longest_s / (_MARGIN * wanted_s), light.current_range_a.minimum)
         light.set_current(dimmed_a)
-        longest_s = auto_expose(devices, cell_px, fill=_FILL, **_at(0.0, watch)).exposure_s
+        longest_s = auto_expose(devices, cell_px, _at(0.0, watch), fill=_FILL).exposure_s
     shortest_s = max(allowed.minimum, longest_s / _SPAN)
     if longest_s < LEAST_SPAN * shortest_s:
         raise RoutineError(

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TypedDict
 
 import numpy as np
 
@@ -31,14 +30,15 @@ FrameProgress = Callable[[Frame, float], None]  # newest frame, fraction done 0 
 ShouldStop = Callable[[], bool]
 
 
-class Watch(TypedDict):
-    """Callbacks of a routine."""
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """Callbacks of a routine; by default nobody watches."""
 
-    progress: FrameProgress
-    should_stop: ShouldStop
+    progress: FrameProgress = lambda *_: None
+    should_stop: ShouldStop = lambda: False
 
 
-UNWATCHED: Watch = {"progress": lambda *_: None, "should_stop": lambda: False}
+UNWATCHED = Watch()
 
 _SLICE_S = 0.005  # longest wait for a frame: commands and a stop take effect at once even in a long exposure
 _MARGIN_S = 3.0  # timeout beyond the exposure

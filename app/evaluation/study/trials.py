@@ -25,7 +25,7 @@ from app.evaluation.studies import CaseResult, TrialStudy, trial
 from app.evaluation.study.noise import camera
 from app.images import read_image
 from app.measurement.auto_exposure import FILL, MOST_FRAMES, TOLERANCE, auto_expose
-from app.measurement.routines import RoutineError
+from app.measurement.routines import UNWATCHED, RoutineError
 from app.progress import Progress
 from drivers.interface import Range
 from reconstruction.arrays import Floats, Image
@@ -208,7 +208,7 @@ def _exposure_trial(
     devices, instrument, lamp = exposure_bench(scene, exposure_s=first_s, current_a=current_a)
     problem, fill, frames = "", math.nan, math.nan
     try:
-        fill = auto_expose(devices, PITCH_PX, progress=lambda *_: None, should_stop=lambda: False).fill
+        fill = auto_expose(devices, PITCH_PX, UNWATCHED).fill
         frames = len(instrument.exposed_s)
     except RoutineError as error:
         problem = str(error)

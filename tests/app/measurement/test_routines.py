@@ -23,7 +23,7 @@ from app.measurement.averages import (
     take_dark,
     take_reference,
 )
-from app.measurement.routines import Cancelled, next_frame
+from app.measurement.routines import UNWATCHED, Cancelled, Watch, next_frame
 from drivers.interface import (
     BadValue,
     Camera,
@@ -127,24 +127,20 @@ BEFORE = Average(
 Routine = Callable[[Devices, Callable[[], bool]], object]
 
 
-def quiet(_frame: Frame, _fraction: float) -> None:
-    """Show no progress."""
-
-
 def dark(devices: Devices, should_stop: Callable[[], bool]) -> object:
-    return take_dark(devices, 2, progress=quiet, should_stop=should_stop)
+    return take_dark(devices, 2, Watch(should_stop=should_stop))
 
 
 def reference(devices: Devices, should_stop: Callable[[], bool]) -> object:
-    return take_reference(devices, 2, progress=quiet, should_stop=should_stop)
+    return take_reference(devices, 2, Watch(should_stop=should_stop))
 
 
 def exposure(devices: Devices, should_stop: Callable[[], bool]) -> object:
-    return auto_expose(devices, PITCH_PX, progress=quiet, should_stop=should_stop)
+    return auto_expose(devices, PITCH_PX, Watch(should_stop=should_stop))
 
 
 def background(devices: Devices, should_stop: Callable[[], bool]) -> object:
-    return check_background(devices, BEFORE, 2, progress=quiet, should_stop=should_stop)
+    return check_background(devices, BEFORE, 2, Watch(should_stop=should_stop))
 
 
 ROUTINES: dict[str, Routine] = {"dark": dark, "reference": reference, "exposure": exposure, "background": background}
@@ -194,7 +190,7 @@ def test_averages_set_light_and_sample(devices: Devices) -> None:
     for take, is_light_on in ((take_dark, False), (take_reference, True)):
         LIVE.set(devices)
         seen.clear()
-        take(devices, 2, progress=note, should_stop=never)
+        take(devices, 2, Watch(note))
         assert seen == {(is_light_on, not is_light_on)}  # a dark does not move the sample
 
 
@@ -278,10 +274,10 @@ def test_failing_progress_callback_restores_devices(devices: Devices, name: str)
 
     LIVE.set(devices)
     with_progress: dict[str, Callable[[], object]] = {
-        "dark": lambda: take_dark(devices, 2, progress=fail, should_stop=never),
-        "reference": lambda: take_reference(devices, 2, progress=fail, should_stop=never),
-        "exposure": lambda: auto_expose(devices, PITCH_PX, progress=fail, should_stop=never),
-        "background": lambda: check_background(devices, BEFORE, 2, progress=fail, should_stop=never),
+        "dark": lambda: take_dark(devices, 2, Watch(fail)),
+        "reference": lambda: take_reference(devices, 2, Watch(fail)),
+        "exposure": lambda: auto_expose(devices, PITCH_PX, Watch(fail)),
+        "background": lambda: check_background(devices, BEFORE, 2, Watch(fail)),
     }
     with pytest.raises(KeyError):
         with_progress[name]()
@@ -293,7 +289,7 @@ def test_average_needs_at_least_one_frame(devices: Devices, frames: int) -> None
     LIVE.set(devices)
     for take in (take_dark, take_reference):
         with pytest.raises(BadValue, match=r"cannot be averaged"):
-            take(devices, frames, progress=quiet, should_stop=never)
+            take(devices, frames, UNWATCHED)
     assert State.of(devices) == LIVE
 
 
@@ -319,7 +315,7 @@ class Played:
 def test_mean_and_variance_match_numpy(frames: int) -> None:
     random = np.random.default_rng(3)
     stack = (50_000 + random.integers(-3, 4, (frames, 4, 5))).astype(np.uint16)
-    made = average(cast("Camera", Played(stack)), frames, progress=quiet, should_stop=never)
+    made = average(cast("Camera", Played(stack)), frames, UNWATCHED)
     np.testing.assert_allclose(made.mean, stack.mean(axis=0), rtol=1e-7)
     expected = stack.astype(np.float64).var(axis=0, ddof=1) if frames > 1 else np.zeros((4, 5))
     np.testing.assert_allclose(made.variance, expected, rtol=1e-6, atol=1e-9)
@@ -385,8 +381,8 @@ def test_new_hot_and_cooled_pixels_are_counted() -> None:
 
 def test_simulated_background_matches_its_dark(devices: Devices) -> None:
     AT_REST.set(devices)
-    before = take_dark(devices, 12, progress=quiet, should_stop=never)
-    check = check_background(devices, before, 6, progress=quiet, should_stop=never)
+    before = take_dark(devices, 12, UNWATCHED)
+    check = check_background(devices, before, 6, UNWATCHED)
     assert check.is_good
     assert check.frames == 6
     assert check.noise_counts == pytest.approx(25 / 5.8, rel=0.05)

@@ -24,6 +24,7 @@ from app.errors import InputError, RunError
 from app.measurement.averages import Average, average, take_dark, take_reference
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
+from app.measurement.routines import UNWATCHED
 from app.recording.reader import Recording
 from app.recording.recorded_devices import AveragedFrames, RecordedCamera, recorded_devices
 from app.recording.writer import Record, RecordingWriter
@@ -85,10 +86,6 @@ def copied(recording: Recording, folder: Path) -> Recording:
 
 def ignore(_what: object, _fraction: float) -> None:
     """Progress callback that does nothing."""
-
-
-def never() -> bool:
-    return False
 
 
 def read(camera: Camera) -> Frame:
@@ -202,8 +199,8 @@ def test_dark_and_reference_have_the_recorded_averages(recording: Recording) -> 
     with recorded_devices(recording, range(FRAMES), pace="fastest") as devices:
         assert not devices.light.is_on
         assert not devices.stage.is_sample_in
-        taken = {"dark": take_dark(devices, kept.dark.frames, progress=ignore, should_stop=never)}
-        taken["reference"] = take_reference(devices, kept.reference.frames, progress=ignore, should_stop=never)
+        taken = {"dark": take_dark(devices, kept.dark.frames, UNWATCHED)}
+        taken["reference"] = take_reference(devices, kept.reference.frames, UNWATCHED)
         devices.light.set_on(True)
         devices.stage.set_sample_in(True)
         devices.camera.start()
@@ -272,7 +269,7 @@ def test_dark_and_reference_are_those_of_the_next_frame(two_references: Recordin
         for half, exposure_s in enumerate((0.02, 0.04)):
             kept = two_references.calibration(half)
             camera.see(is_lit=True, is_sample_in=False)
-            shown = average(camera, kept.reference.frames, progress=ignore, should_stop=never)
+            shown = average(camera, kept.reference.frames, UNWATCHED)
             np.testing.assert_array_equal(shown.mean, kept.reference.mean)
             assert (shown.exposure_s, camera.capabilities.exposure_range_s.maximum) == (exposure_s, exposure_s)
             camera.see(is_lit=True, is_sample_in=True)
