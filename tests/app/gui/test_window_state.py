@@ -83,6 +83,8 @@ def test_damaged_or_outdated_state_is_ignored(make_window: MakeWindow, settings:
     window = make_window(settings=settings)
     assert window.panels.wavefronts.quantity is Quantity.WAVEFRONT
     assert window.recording_bar.recordings_folder.name == "svwfs"
+    window.close()
+    assert settings.value("folders/recordings") == str(tmp_path / "removed")  # its disk may come back
 
 
 def test_window_without_a_bench_says_how_to_open_one(make_window: MakeWindow) -> None:
