@@ -22,10 +22,11 @@ from app.gui.panels.panel import Entries, Shown
 from app.gui.panels.registry import make_panels
 from app.gui.shell.access import Access
 from app.gui.shell.analyses import Analyses
+from app.gui.shell.attachment import Attachment
 from app.gui.shell.base_window import BaseWindow, ErrorReports, LateMeasurements
 from app.gui.shell.benches import Benches
 from app.gui.shell.calibration import CalibrationGuide, Routines
-from app.gui.shell.controller import Attachment, Controller
+from app.gui.shell.controller import Controller
 from app.gui.shell.device_presets import DevicePresets
 from app.gui.shell.docks import PanelDocks
 from app.gui.shell.help import show_about, show_citation, show_documentation, show_keys, show_log

@@ -1,0 +1,102 @@
+"""The process of the instrument, if that is not the window's: who controls it, and whether it goes on."""
+
+from collections.abc import Callable
+
+from PyQt6.QtWidgets import QMessageBox, QWidget
+
+from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.own_instrument import OwnConnection
+from app.gui.shell.controller import Controller
+
+_NOT_ATTACHED = "this window runs the instrument itself: svwfs live --attach opens one on another process"
+
+
+class Attachment:
+    """Commands about the process of the instrument, if that is not this one."""
+
+    def __init__(self, controller: Controller, parent: QWidget) -> None:
+        self._controller, self._parent = controller, parent
+
+    @property
+    def connection(self) -> Connection | None:
+        """The connection to the instrument's process, while there is one."""
+        acquisition = self._controller.acquisition
+        return acquisition if isinstance(acquisition, Connection) and acquisition.is_reached else None
+
+    @property
+    def only_watches(self) -> bool:
+        """True if this window could take control."""
+        connection = self.connection
+        return connection is not None and not connection.has_control and not connection.is_silent
+
+    @property
+    def notice(self) -> str:
+        """Why commands are refused; empty if they are not."""
+        connection = self.connection
+        if connection is not None and connection.is_silent:
+            return f"the instrument's process {connection.place.process} does not answer: if that lasts, end it"
+        if connection is None or connection.has_control:
+            return ""
+        who = f"{connection.controller} has control" if connection.controller else "nobody has control"
+        return f"this window only watches: {who}"
+
+    @property
+    def place(self) -> str:
+        """Process that has the devices, and its clients; empty if it is this one."""
+        connection = self.connection
+        if connection is None:
+            return ""
+        return f"in process {connection.place.process}, connected: {', '.join(connection.clients)}"
+
+    def take_control(self) -> None:
+        if (connection := self.connection) is None:
+            self._controller.messages.warn(self._controller.failure or _NOT_ATTACHED)
+        else:
+            self._controller.send(lambda _: connection.take_control())
+
+    def end_instrument(self) -> None:
+        if (connection := self.connection) is None:
+            self._controller.messages.warn(self._controller.failure or _NOT_ATTACHED)
+        elif connection.is_of_another:
+            self._controller.messages.warn(self.notice)
+        else:
+            self._controller.messages.ask(
+                "the instrument ends for everybody: the light goes off, recordings are finished",
+                lambda: self._controller.send(lambda _: connection.end()),
+                "End it",
+                "Keep it",
+                loses=True,
+            )
+
+    def ask_to_leave(self, then: Callable[[], object]) -> bool:
+        """Ask whether the instrument goes on, and call `then`; return False if it need not be asked, or ends with it.
+
+        An instrument that another client controls goes on.
+        """
+        if (connection := self.connection) is None:
+            return False
+        if connection.is_of_another:
+            then()
+            return True
+        box = QMessageBox(self._parent)
+        box.setIcon(QMessageBox.Icon.Question)
+        box.setWindowTitle("svwfs")
+        box.setText("Does the instrument go on without this window?")
+        state = connection.recording
+        recording = state.folder.name if state is not None and state.stage == "recording" else ""
+        going_on = f"recording {recording} goes on, too; else it ends" if recording else "nothing is recorded"
+        box.setInformativeText(f"If it goes on, the light stays as it is, and {going_on}.")
+        goes_on = box.addButton("It goes on", QMessageBox.ButtonRole.AcceptRole)
+        ends = box.addButton("End it", QMessageBox.ButtonRole.DestructiveRole)
+        is_own = isinstance(connection, OwnConnection)
+        cancel = box.addButton(QMessageBox.StandardButton.Cancel)
+        box.setDefaultButton(cancel if recording else ends if is_own else goes_on)
+        box.exec()
+        if box.clickedButton() is ends and is_own:
+            return False
+        if box.clickedButton() is ends:
+            self._controller.send(lambda _: connection.end(), lambda _: then(), lambda _: None)
+        elif box.clickedButton() is goes_on:
+            connection.goes_on = True
+            then()
+        return True
