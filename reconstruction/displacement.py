@@ -3,13 +3,14 @@
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, lru_cache
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.modes.field_modes import FieldModes, LegendreModes
+from reconstruction.runtime.deferred import Deferred
 
 # Error of each coefficient without noise, taken as uncorrelated. On the screens of docs/estimator.md it is 0.001 px and
 # correlated along rows of lenslets; with 0.002 to 0.004 the residuals were least.
@@ -62,22 +63,6 @@ class CovarianceSource(Protocol):
         ...
 
 
-class _Deferred:
-    """Attribute that holds a value or, until it is first read, the callable that computes it."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-
-    def __get__(self, instance: object, owner: type) -> Any:
-        held = instance.__dict__[self._name]
-        if callable(held):
-            held = instance.__dict__[self._name] = held()
-        return held
-
-    def __set__(self, instance: object, value: object) -> None:
-        instance.__dict__[self._name] = value
-
-
 TRANSMISSION_MODES = LegendreModes(6)  # constant, linear and quadratic over the field, also a circular one
 
 
@@ -103,12 +88,24 @@ class Displacement:
 
     modes: FieldModes  # T_q
     coefficients: Floats  # c_q, px, (lenslet_row, lenslet_column, field_mode, xy); NaN where not converged
-    covariance: Floats  # px^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy); NaN where not converged
+    covariance_source: Floats | CovarianceSource  # `covariance`, or what computes it
     outcome: Outcomes  # (lenslet_row, lenslet_column)
     residual_rms: Floats  # misfit over the contrast of the reference's best subimage; NaN where not converged
     chi_square: Floats  # reduced; NaN where not converged and where the camera's noise is unknown
     range_used: Floats  # share of the dynamic range used by the field's edge; above 1 only where LEFT_CELL
-    transmission: Transmission | None = None  # None: the method does not measure it
+    transmission_source: Transmission | Deferred[Transmission] | None = None  # None: the method does not measure it
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """px^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy); NaN where not converged."""
+        source = self.covariance_source
+        return source if isinstance(source, np.ndarray) else source()
+
+    @property
+    def transmission(self) -> Transmission | None:
+        """How much of the light the sample lets through; None if the method does not measure it."""
+        source = self.transmission_source
+        return source() if isinstance(source, Deferred) else source
 
     @cached_property
     def valid(self) -> Booleans:
@@ -118,15 +115,14 @@ class Displacement:
         return valid
 
     def minus(self, bias: Floats) -> Self:
-        """Subtract a known error, px, of the shape of `coefficients`; the rest stays, computed or not."""
-        held = {name: self.__dict__[name] for name in _SELDOM_NEEDED}
-        return replace(self, coefficients=self.coefficients - bias, **held)
+        """Subtract a known error, px, of the shape of `coefficients`; no covariance is computed for it."""
+        return replace(self, coefficients=self.coefficients - bias)
 
     @property
     def mean_variance(self) -> Floats:
         """Mean variance of a lenslet's coefficients, px^2, (lenslet_row, lenslet_column); NaN where not converged."""
-        held = self.__dict__["covariance"]
-        trace = np.einsum("rcqdqd->rc", held) if isinstance(held, np.ndarray) else held.trace()
+        source = vars(self).get("covariance", self.covariance_source)  # the covariance if it has been computed
+        trace = np.einsum("rcqdqd->rc", source) if isinstance(source, np.ndarray) else source.trace()
         return np.asarray(trace / (2 * self.modes.count))
 
     @property
@@ -145,11 +141,6 @@ def _means(modes: FieldModes) -> Floats:
     """Mean of each field mode over the field, (field_mode,)."""
     nodes, weights = np.polynomial.legendre.leggauss(6)
     return np.asarray(np.einsum("qyx,y,x->q", modes.values(nodes, nodes[:, None]), weights, weights) / 4)
-
-
-_SELDOM_NEEDED = ("covariance", "transmission")  # computed when first read, if only their sources are given
-for _name in _SELDOM_NEEDED:
-    setattr(Displacement, _name, _Deferred(_name))
 
 
 def diagonal_covariance(variance: Floats) -> Floats:

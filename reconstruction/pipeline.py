@@ -351,12 +351,12 @@ class Reconstructor:
         at_rest, parameters, sensor = prepared.at_rest, prepared.parameters, self.sensor
         if prepared.hidden or not at_rest.valid.any():  # nothing determines it
             return math.inf
+        covariance = np.mean(at_rest.covariance[at_rest.valid], axis=0)
         everywhere = replace(
             at_rest,
             coefficients=np.zeros_like(at_rest.coefficients),
-            # A few lit lenslets could not carry the modes.
-            covariance=np.broadcast_to(np.mean(at_rest.covariance[at_rest.valid], axis=0), at_rest.covariance.shape),
-            outcome=np.full_like(at_rest.outcome, Outcome.CONVERGED),
+            covariance_source=np.broadcast_to(covariance, at_rest.covariance.shape),
+            outcome=np.full_like(at_rest.outcome, Outcome.CONVERGED),  # a few lit lenslets could not carry the modes
         )
         lattice_count = len(pupil_modes(sensor, "legendre", None).degree)
         modes = pupil_modes(sensor, "legendre", min(_NOISE_MODES, lattice_count))

@@ -133,7 +133,8 @@ class FinderProcess:
 
     def find(self, newest: Solved) -> Found:
         """See `Finder.find`; `EOFError` or `OSError` if the process has ended."""
-        self._process.send(newest._replace(measured=replace(newest.measured, transmission=None)))  # costly, not used
+        measured = replace(newest.measured, transmission_source=None)  # costly, not used
+        self._process.send(newest._replace(measured=measured))
         found: Found = self._process.receive()
         if found.sample is None or self._sample is None or not _are_the_same(found.sample, self._sample):
             self._sample = found.sample

@@ -200,7 +200,7 @@ def _as_start(coefficients: Floats | None) -> Displacement | None:
     return Displacement(
         modes=LegendreModes(shape[2]),
         coefficients=coefficients,
-        covariance=np.full((*shape, *shape[2:]), np.nan),
+        covariance_source=np.full((*shape, *shape[2:]), np.nan),
         outcome=np.zeros(shape[:2], np.int8),
         residual_rms=unknown,
         chi_square=unknown,

@@ -249,7 +249,7 @@ def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
     displacement = Displacement(
         modes=modes,
         coefficients=np.swapaxes(of_lenslets.reshape(*shape, 2, -1), 2, 3),
-        covariance=variance,
+        covariance_source=variance,
         outcome=np.where(results["valid"].values.astype(bool) & basis.inside, Outcome.CONVERGED, Outcome.DARK),
         residual_rms=unknown,
         chi_square=unknown,

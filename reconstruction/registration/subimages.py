@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from functools import cached_property, partial
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -231,17 +231,15 @@ def classify_lenslets(  # noqa: PLR0913 - all that a method knows of its lenslet
             kept[keep] = values[keep]
         return kept.reshape(*reference.lenslets, *values.shape[1:])
 
-    # A source in place of the covariance is resolved on first access.
-    kept = arrange(covariance) if isinstance(covariance, np.ndarray) else cast("Floats", covariance.kept(found))
     unknown = np.full(len(coefficients), np.nan)
     valid = found.reshape(reference.lenslets)
     return Displacement(
         modes=modes,
         coefficients=arrange(np.swapaxes(coefficients, 1, 2)),
-        covariance=kept,
+        covariance_source=arrange(covariance) if isinstance(covariance, np.ndarray) else covariance.kept(found),
         outcome=outcome.reshape(reference.lenslets),
         residual_rms=arrange(residual_rms),
         chi_square=arrange(unknown if chi_square is None else chi_square),
         range_used=arrange(range_used, found | far),
-        transmission=None if transmission is None else cast("Transmission", Deferred(partial(transmission, valid))),
+        transmission_source=None if transmission is None else Deferred(partial(transmission, valid)),
     )

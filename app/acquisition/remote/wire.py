@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.errors import RunError
+from reconstruction.runtime.deferred import Deferred
 
 _ROOMS = ("app.", "drivers.", "reconstruction.", "simulated_devices.")
 _ALIGNED_BYTES = 64
@@ -81,11 +82,9 @@ class Packed:
             return [self._plain(each) for each in value]
         if not is_dataclass(value):
             raise TypeError(f"a {type(value).__name__} cannot be sent to another process")
-        # A value that is computed when it is first read travels as what computes it, where that is plain data.
-        stored = getattr(value, "__dict__", {})
-        names = [each.name for each in fields(value)]
-        is_plain = {name: is_dataclass(stored[name]) for name in names if callable(stored.get(name))}
-        return {name: self._plain(stored[name] if is_plain.get(name) else getattr(value, name)) for name in names}
+        # A deferred value is computed first; the source of a covariance is plain data and travels as it is.
+        contents = {each.name: getattr(value, each.name) for each in fields(value)}
+        return {name: self._plain(each() if isinstance(each, Deferred) else each) for name, each in contents.items()}
 
     def _place(self, array: NDArray[Any]) -> int:
         place, self._end = self._end, _aligned(self._end + array.nbytes)

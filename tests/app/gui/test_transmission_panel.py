@@ -24,7 +24,7 @@ def measurement(*, is_known: bool = True) -> Measurement:
     coefficients[..., 0], coefficients[..., 1], covariance[..., 0, 0] = 0.8, 0.1, 0.02**2
     coefficients[2, :, 0] = 0.95
     found = Transmission(coefficients, covariance) if is_known else None
-    displacement = replace(wavefront.displacement, transmission=found)
+    displacement = replace(wavefront.displacement, transmission_source=found)
     return replace(make_measurement(dim_frame(), views()), wavefront=replace(wavefront, displacement=displacement))
 
 

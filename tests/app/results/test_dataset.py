@@ -90,7 +90,7 @@ def test_axes_and_errors_are_the_wavefronts_own(small_bench: SmallBench) -> None
     measured = small_bench.reconstructor()(small_bench.reference)
     displacement = measured.displacement
     known = np.broadcast_to([4.0, 9.0], displacement.coefficients.shape)
-    displacement = replace(displacement, covariance=diagonal_covariance(known))
+    displacement = replace(displacement, covariance_source=diagonal_covariance(known))
     dataset = result_dataset(Wavefront.of(measured.sensor, wide, displacement, measured.solution))
     assert dataset["view_x"].dims == ("view_column",)
     np.testing.assert_allclose(dataset["view_x"], np.arange(-2, 3) * wide.view_spacing_m)

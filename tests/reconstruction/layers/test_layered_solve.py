@@ -36,7 +36,7 @@ def without(displacement: Displacement, *lenslets: tuple[int, int]) -> Displacem
     outcome = displacement.outcome.copy()
     for lenslet in lenslets:
         outcome[lenslet] = Outcome.DARK
-    return replace(displacement, outcome=outcome, covariance=displacement.covariance)
+    return replace(displacement, outcome=outcome)
 
 
 @pytest.mark.parametrize("ratios", [(-0.8,), (-0.8, 0.3)])

@@ -208,7 +208,7 @@ def test_rigid_rotation_is_exact_and_gradients_have_none(modes: PolynomialModes)
     def measured(displacement: Floats) -> Circulation:
         coefficients = np.broadcast_to((displacement.T @ to_modes).T, (4, 5, modes.count, 2))
         known = converged(modes, coefficients, np.ones_like(coefficients))
-        both = replace(known, covariance=np.broadcast_to(covariance, (4, 5, *covariance.shape)))
+        both = replace(known, covariance_source=np.broadcast_to(covariance, (4, 5, *covariance.shape)))
         circulation = measure_circulation(both, 8.0)
         assert circulation is not None
         return circulation

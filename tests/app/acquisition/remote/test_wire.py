@@ -96,10 +96,10 @@ def test_enums_and_mappings_arrive() -> None:
 def test_a_registered_frame_arrives_without_its_covariance_being_computed(checker_bench: SmallBench) -> None:
     reconstructor = checker_bench.reconstructor("quadratic", pupil_modes=15)
     sent = reconstructor.register(checker_bench.reference)
-    assert not isinstance(sent.__dict__["covariance"], np.ndarray)
+    assert "covariance" not in sent.__dict__
     found = there_and_back(sent)
     assert isinstance(found, Displacement)
-    assert not isinstance(sent.__dict__["covariance"], np.ndarray)
+    assert "covariance" not in sent.__dict__
     np.testing.assert_array_equal(found.covariance, sent.covariance)
     np.testing.assert_array_equal(reconstructor.solve(found).views, reconstructor.solve(sent).views)
     np.testing.assert_array_equal(reconstructor.solve(found).sigma(), reconstructor.solve(sent).sigma())
