@@ -133,11 +133,11 @@ class Displacement:
     @property
     def mean(self) -> Floats:
         """Mean displacement over the field, px, (lenslet_row, lenslet_column, xy)."""
-        return np.tensordot(_means(self.modes), self.coefficients, axes=([0], [2]))
+        return np.tensordot(field_means(self.modes), self.coefficients, axes=([0], [2]))
 
 
 @lru_cache(maxsize=8)
-def _means(modes: FieldModes) -> Floats:
+def field_means(modes: FieldModes) -> Floats:
     """Mean of each field mode over the field, (field_mode,)."""
     nodes, weights = np.polynomial.legendre.leggauss(6)
     return np.asarray(np.einsum("qyx,y,x->q", modes.values(nodes, nodes[:, None]), weights, weights) / 4)

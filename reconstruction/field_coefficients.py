@@ -16,12 +16,10 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import FieldModes, SampledModes
 from reconstruction.modes.polynomials import number_up_to, zernike_projection
-from reconstruction.modes.pupil_modes import BASES, PupilModes, pupil_modes
+from reconstruction.modes.pupil_modes import BASES, ROUNDING_SHARE, PupilModes, pupil_modes
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
-
-_NONE = 1e-12  # coefficient of a polynomial, of its largest, that is rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +67,7 @@ class FieldCoefficients:
     def field_order(self) -> int:
         """Highest radial order of the field's Zernike polynomials that the field modes contain."""
         parts = np.abs(_field_projection(self.field_modes, _degree(self.field_modes))).max(axis=1)
-        count = int(np.flatnonzero(parts > _NONE * parts.max())[-1]) + 1
+        count = int(np.flatnonzero(parts > ROUNDING_SHARE * parts.max())[-1]) + 1
         return math.ceil((math.sqrt(8 * count + 1) - 3) / 2)  # lowest degree up to which there are as many
 
     def double_zernikes(self, field_order: int | None = None) -> tuple[Floats, Floats]:

@@ -13,7 +13,7 @@ from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, Outcomes, RegistrationMethod
 from reconstruction.errors import ReconstructionError, TooManyModes
 from reconstruction.frame.camera import KnownCamera
-from reconstruction.frame.pixels import AboveDark, find_bad_pixels
+from reconstruction.frame.pixels import TOO_BRIGHT, AboveDark, find_bad_pixels
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.layers.layer_search import find_layers
 from reconstruction.layers.layer_solver import FrameEquations, LayerModes, LayerSolver
@@ -63,7 +63,7 @@ _DARK_CONTRAST = 0.2  # of the reference's; a frame with less in which nothing m
 _READ_NOISE_ALONE = 0.7, 1.5  # times the read noise: a frame that scatters so shows nothing else; an average may
 _SPARSE = 4  # rows and columns in which that is looked for
 _NO_MATCH = "no lenslet of the frame could be matched with the reference"
-_NOISE_MODES = 45  # for the predicted noise of a warp; a smooth wavefront needs about as many
+NOISE_MODES = 45  # pupil modes for which noise is predicted; a smooth wavefront needs about as many
 # Systematic error, rad: mean over the ensembles of docs/estimator.md with the square, in the paper's world (4.2 rad).
 _SYSTEMATIC_RAD: dict[Warp, float] = {"affine": 0.24, "quadratic": 0.036, "cubic": 0.009, "quartic": 0.007}
 _CHOSEN_WARPS = list(_SYSTEMATIC_RAD)
@@ -359,7 +359,7 @@ class Reconstructor:
             outcome=np.full_like(at_rest.outcome, Outcome.CONVERGED),  # a few lit lenslets could not carry the modes
         )
         lattice_count = len(pupil_modes(sensor, "legendre", None).degree)
-        modes = pupil_modes(sensor, "legendre", min(_NOISE_MODES, lattice_count))
+        modes = pupil_modes(sensor, "legendre", min(NOISE_MODES, lattice_count))
         layered = layered_wavefronts(sensor, modes, at_rest.modes, parameters)
         gradients = MeanGradients(sensor, parameters)
         solver = ModalSolver(modes, gradients, parameters, everywhere.covariance, layered=layered)
@@ -431,7 +431,7 @@ def _why_lost(outcome: Outcomes) -> str:
     counts = np.bincount(outcome.ravel(), minlength=len(Outcome)).tolist()
     left, saturated = counts[Outcome.LEFT_CELL], counts[Outcome.SATURATED]
     if saturated > outcome.size / 4:
-        return f"{saturated} are saturated, shorten the exposure or lower the light's current"
+        return f"{saturated} are saturated, {TOO_BRIGHT}"
     if left > outcome.size / 4:
         return f"{left} subimages have left their cells, the aberration is beyond the dynamic range"
     return f"{counts[Outcome.DIVERGED]} subimages look different: another mask, out of focus, moved or partly blocked?"

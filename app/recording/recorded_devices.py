@@ -50,8 +50,8 @@ class RecordedCamera(Camera):
 
     After a stop it continues at the same frame. With the light on and the sample in it returns the recorded frames,
     else frames whose average is the dark or the reference of the next frame. At the fastest pace a frame comes as soon
-    as it is read, and its camera time is when it would have come. A frame whose line or pixels are
-    damaged counts as lost; a folder that has become unreadable, as on a lost network share, as an unplugged camera.
+    as it is read, and its camera time is when it would have come. A frame whose line or pixels are damaged counts as
+    lost; a folder that has become unreadable, as on a lost network share, as an unplugged camera.
     """
 
     def __init__(

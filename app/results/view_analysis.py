@@ -13,7 +13,7 @@ from app.cache import kept_while_alive
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
 from reconstruction.arrays import Floats, Image
-from reconstruction.displacement import Displacement, Outcome
+from reconstruction.displacement import Displacement, Outcome, field_means
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.pixels import BACKGROUND_PERCENT, find_bad_pixels
 from reconstruction.frame.spline import sample
@@ -70,8 +70,7 @@ def inspect_lenslet(measurement: Measurement, row: int, column: int) -> LensletI
         gain_and_offset = np.linalg.lstsq(terms[is_fitted], reference[is_fitted])[0]
         fitted = (terms @ gain_and_offset).reshape(square)
         residual = np.where(is_fitted, reference - fitted.ravel(), np.nan).reshape(square)
-    nodes, weights = np.polynomial.legendre.leggauss(6)
-    share = np.einsum("qyx,y,x->q", displacement.modes.values(nodes, nodes[:, None]), weights, weights) / 4
+    share = field_means(displacement.modes)
     variance = np.einsum("q,qdrd,r->d", share, displacement.covariance[row, column], share)
     return LensletInspection(
         row,

@@ -14,10 +14,17 @@ from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.linearity import LINEAR
 from reconstruction.runtime.compilation import compiled
 
-SATURATED_FRACTION = 0.01  # of the image's pixels; with more, it is rejected
+_SATURATED_FRACTION = 0.01  # of the image's pixels; with more, it is rejected
+TOO_BRIGHT = "shorten the exposure or lower the light's current"
 CLIPPED = 0.01  # share of the pixels, piled up at one highest count, from which on an image is clipped
 BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
 PEAK_PERCENT = 99.9  # this one is the peak, so that hot pixels do not count
+
+
+def require_unsaturated(saturated: int, pixels: int, name: str) -> None:
+    """Raise a `ReconstructionError`, which says `name`, if too many of an image's pixels are saturated."""
+    if saturated > _SATURATED_FRACTION * pixels:
+        raise ReconstructionError(f"the {name} is saturated: {TOO_BRIGHT}", image=name)
 
 
 class AboveDark:
@@ -50,10 +57,7 @@ class AboveDark:
             full = int(np.count_nonzero(saturated))
             if self._linearity is not None:
                 light = np.asarray(self._linearity.light(light), np.float32)
-        if full > SATURATED_FRACTION * image.size:
-            raise ReconstructionError(
-                f"the {name} is saturated: shorten the exposure or lower the light's current", image=name
-            )
+        require_unsaturated(full, image.size, name)
         return light, saturated
 
     def _of_camera(self, image: Counts, dark: Image) -> tuple[Image, Booleans, int]:

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.pixels import SATURATED_FRACTION, find_bad_pixels, repaired
+from reconstruction.frame.pixels import find_bad_pixels, repaired, require_unsaturated
 from reconstruction.geometry import Arrangement, Lattice, Sensor, lenslet_centers, nominal_lattice
 from reconstruction.lattice._fit import (
     REACH,
@@ -183,10 +183,7 @@ def _light(reference: Counts, sensor: Sensor, dark: Counts | None, full_scale: f
     for image, name in ((reference, "reference"), (dark, "dark")):
         if image is not None and not np.isfinite(image).all():
             raise ReconstructionError(f"the {name} holds values that are not finite", image=name)
-    if np.count_nonzero(reference >= full_scale) > SATURATED_FRACTION * reference.size:
-        raise ReconstructionError(
-            "the reference is saturated: shorten the exposure or lower the light's current", image="reference"
-        )
+    require_unsaturated(int(np.count_nonzero(reference >= full_scale)), reference.size, "reference")
     light = np.asarray(reference, np.float32) - np.float32(0 if dark is None else dark)
     if np.ptp(light) == 0:
         raise ReconstructionError("the reference shows no lattice: all its pixels are alike", image="reference")

@@ -26,7 +26,7 @@ from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.runtime.deferred import Remembered
 from reconstruction.solve.evidence import Components, FitQuality
 from reconstruction.solve.expected_errors import ExpectedErrors, Whitened
-from reconstruction.solve.modal import PRIOR_EXPONENT, ModalSolver
+from reconstruction.solve.modal import PRIOR_EXPONENT, UNSEEN, ModalSolver
 
 _FIELD_NODES = {"square": 12, "circle": 24}  # along each axis; exact on a square
 
@@ -129,7 +129,6 @@ class LayerModes:
         return np.asarray(np.einsum("pxi,pm->ixm", values, project, optimize=True))
 
 
-_UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
 # Degree of a layer's phase: the field positions of a lenslet lie between those of its neighbours, so that more than the
 # lenslets alone can carry are seen.
 _MORE_THAN_LENSLETS, _HIGHEST_DEGREE = 3, 18
@@ -206,7 +205,7 @@ def principal(gram: Floats) -> tuple[Floats, Floats]:
     What the displacements do not show has the value 0: it keeps the prior's variance.
     """
     square, vectors = np.linalg.eigh(gram)
-    return np.sqrt(np.where(square > _UNSEEN * square[-1], square, 0.0)), vectors
+    return np.sqrt(np.where(square > UNSEEN * square[-1], square, 0.0)), vectors
 
 
 def along_principal(frame: Whitened, columns: Floats, singular: Floats, vectors: Floats) -> Components:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import Floats
+from reconstruction.geometry import Field
 from reconstruction.modes.polynomials import (
     legendre,
     legendre_gradients,
@@ -69,6 +70,11 @@ class ZernikeModes(PolynomialModes):
 
     __slots__ = ()
     _family = _Family(zernike_products, zernike, zernike_gradients)
+
+
+def polynomial_modes(field: Field, count: int) -> PolynomialModes:
+    """Return the first `count` polynomials that are orthogonal over a field."""
+    return (ZernikeModes if field.shape == "circle" else LegendreModes)(count)
 
 
 def gradient_basis(modes: PolynomialModes) -> Floats:

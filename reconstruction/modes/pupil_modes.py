@@ -23,7 +23,7 @@ from reconstruction.modes.polynomials import (
 from reconstruction.settings import PupilBasis
 
 _HIGHEST_DEGREE = 16  # highest for which the mean gradients of both bases are exact
-_NONE = 1e-12  # coefficient of a polynomial, of its largest, that is rounding
+ROUNDING_SHARE = 1e-12  # of a polynomial's largest coefficient; one that is not larger is rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +109,7 @@ def polynomial_modes(sensor: Sensor, products: Floats, inside: Booleans | None =
     ValueError
         If the first mode is not the piston.
     """
-    is_part = np.abs(products) > _NONE * np.abs(products).max(axis=(1, 2), keepdims=True)
+    is_part = np.abs(products) > ROUNDING_SHARE * np.abs(products).max(axis=(1, 2), keepdims=True)
     if np.flatnonzero(is_part[0]).tolist() != [0]:
         raise ValueError("the first pupil mode must be the piston, a constant")
     highest = products.shape[1] - 1

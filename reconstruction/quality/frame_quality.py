@@ -19,7 +19,7 @@ import numpy as np
 from reconstruction.arrays import Booleans, Counts, Floats
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.frame.camera import KnownCamera
-from reconstruction.frame.pixels import BACKGROUND_PERCENT, CLIPPED, clipped_fraction
+from reconstruction.frame.pixels import BACKGROUND_PERCENT, CLIPPED, TOO_BRIGHT, clipped_fraction
 from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.polynomials import number_up_to
@@ -145,8 +145,7 @@ class FrameJudge:
             moved = "has the camera turned since the reference, or is the frame torn?"
             yield Fault.SLOPES, f"slopes differ from those of any wavefront by {slopes_px:.2f} px: {moved}"
         if saturated > _SATURATED * lit:
-            advice = "shorten the exposure or lower the light's current"
-            yield Fault.CLIPPED, f"{saturated} of {count} lenslets are saturated: {advice}"
+            yield Fault.CLIPPED, f"{saturated} of {count} lenslets are saturated: {TOO_BRIGHT}"
         if left > _LEFT * lit:
             yield Fault.RANGE, f"{left} of {count} subimages have left their cells: the aberration is too strong"
         if dark > _BLOCKED * lit:
@@ -188,8 +187,7 @@ class FrameJudge:
             read_noise = self._noise.read_noise_counts
         clipped = clipped_fraction(counts, scatter, read_noise)
         if clipped > CLIPPED:
-            advice = "shorten the exposure or lower the current"
-            yield Fault.CLIPPED, f"{100 * clipped:.0f} % of the pixels are clipped: {advice}"
+            yield Fault.CLIPPED, f"{100 * clipped:.0f} % of the pixels are clipped: {TOO_BRIGHT}"
 
     def _sizes_px(self, displacement: Displacement) -> tuple[float, float]:
         """RMS deformation of the subimages, and RMS scatter of their mean displacements, px."""

@@ -12,7 +12,7 @@ import numpy as np
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.noise import TransferCurve
-from reconstruction.frame.pixels import CLIPPED, clipped_fraction
+from reconstruction.frame.pixels import CLIPPED, TOO_BRIGHT, clipped_fraction
 from reconstruction.frame.spline import sample
 from reconstruction.geometry import Lattice, Sensor, centered_steps, lenslet_centers
 from reconstruction.quality.verdict import Fault, Quality
@@ -75,8 +75,7 @@ def reference_quality(
     clipped = clipped_fraction(reference, scatter, read_noise)
     if clipped > CLIPPED:
         reasons[Fault.CLIPPED] = (
-            f"{100 * clipped:.0f} % of the reference's pixels are clipped below the camera's full scale:"
-            " shorten the exposure or lower the current"
+            f"{100 * clipped:.0f} % of the reference's pixels are clipped below the camera's full scale: {TOO_BRIGHT}"
         )
     if variance is not None and frames > 1 and not variance.any():
         reasons[Fault.FROZEN] = "all frames of the reference are identical: the camera repeats one frame"

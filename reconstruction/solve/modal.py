@@ -159,7 +159,7 @@ class ModalSolution:
 
 PRIOR_EXPONENT = 5.0  # of the degree; with 4 the residuals at 100,000 e- are a fifth larger
 _PRIOR_PER_FIELD_DEGREE = 0.5  # t; with 0.25 or 1, residuals changed by 15 % at most, in most cases by 3 %
-_UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
+UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
 _NOTHING = 1e-18  # eigenvalue over the largest, of what the displacements do not show
 # Without a prior: largest variance of the wavefront in one component over the median component's. It is below 2000 for
 # as many modes as the lattice carries, and above 20 000 for a tenth more.
@@ -297,7 +297,7 @@ class ModalSolver:
         least = max(square[-1], _TINY)
         if self._is_smooth:
             return np.sqrt(np.maximum(square, _NOTHING * least)), vectors
-        seen = square > _UNSEEN * least
+        seen = square > UNSEEN * least
         return np.sqrt(square[seen]), vectors[:, seen]
 
     def _require_distinct(self, values: Floats, scaled: Floats) -> None:

@@ -1,9 +1,8 @@
 """Zonal reconstruction at the lenslet centres: Southwell's equations (J. Opt. Soc. Am. 70, 998, 1980).
 
 Between neighbouring lenslets, four or six, the wavefront rises by the mean of their slopes along the way times the
-pitch. The weighted
-least-squares solution over all pairs of valid lenslets needs one sparse factorisation, cached until the valid lenslets
-or their weights change.
+pitch. The weighted least-squares solution over all pairs of valid lenslets needs one sparse factorisation, cached until
+the valid lenslets or their weights change.
 """
 
 from dataclasses import dataclass

@@ -20,7 +20,7 @@ from reconstruction.frame.linearity import Exposures, Linearity
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.pipeline import Reconstructor
+from reconstruction.pipeline import NOISE_MODES, Reconstructor
 from reconstruction.quality.information import layered_information, wavefront_bound
 from reconstruction.registration.response import mean_subimage
 from reconstruction.settings import ReconstructionSettings, Warp
@@ -180,8 +180,6 @@ EM_GAIN = Sweep(
 )
 
 
-_MODES = 45  # pupil modes for which noise is studied; a smooth wavefront needs about as many
-
 Views = NDArray[np.bool_] | None  # the views that count, (view_row, view_column); None: all of them
 
 
@@ -197,7 +195,7 @@ class Scatter:
 def without_prior(bench: Bench) -> ReconstructionSettings:
     """Modal reconstruction with 45 modes, or all that the lattice carries: unbiased, as the bound requires."""
     all_modes = len(pupil_modes(bench.sensor, "legendre", None).degree)
-    return ReconstructionSettings(pupil_modes=min(_MODES, all_modes))
+    return ReconstructionSettings(pupil_modes=min(NOISE_MODES, all_modes))
 
 
 def scatter_of(wavefronts: Iterable[Wavefront], expected: Floats, views: Views = None) -> Scatter:

@@ -27,7 +27,7 @@ from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import Displacement, Outcome, RegistrationMethod, Transmission
 from reconstruction.frame.spline import noise_power, noise_power_polynomial
 from reconstruction.geometry import Field
-from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes, gradient_basis
+from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis, polynomial_modes
 from reconstruction.registration.gauss_newton._alignment import FrameData
 from reconstruction.registration.gauss_newton._lenslet_fits import (
     FitLimits,
@@ -195,7 +195,7 @@ def prepare(
     reference: ReferenceSubimages, settings: RegistrationSettings, field: Field, model: LensletModel | None
 ) -> RegistrationMethod:
     """Prepare the method `gauss_newton` with the warp of the settings."""
-    modes = (ZernikeModes if field.shape == "circle" else LegendreModes)(FIELD_MODES[settings.warp or "quadratic"])
+    modes = polynomial_modes(field, FIELD_MODES[settings.warp or "quadratic"])
     return GaussNewton(
         reference,
         modes,
