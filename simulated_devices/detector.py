@@ -31,7 +31,7 @@ _30, _27, _31, _32 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(32)
 _LOW = np.uint64(0xFFFFFFFF)
 _ONE = np.uint64(1)
 
-_CELLS = 4096
+_CELLS = 4096  # of the table of normal quantiles
 _TAIL = 16
 """Cells at either end of the table in which the quantile is not linear enough."""
 _IN_CELL, _CELL_MASK = np.uint64(20), np.uint64(0xFFFFF)  # bits that place a 32-bit number in its cell

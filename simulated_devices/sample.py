@@ -266,10 +266,13 @@ def _generated_phases(
 
 
 def mean_view_rms(wavefront: Floats) -> float:
-    """Mean over views of the RMS over lenslet centres (rad) of piston-free wavefronts."""
+    """Mean over views of the RMS over lenslet centres of wavefronts, rad, without piston.
+
+    (view_row, view_column, lenslet_row, lenslet_column).
+    """
     return float(np.sqrt((wavefront**2).mean(axis=(2, 3))).mean())
 
 
 def scintillation(intensity: Floats) -> float:
-    """RMS of A^2 - 1, A^2 the light at the lenslets relative to that without sample; 0 if it is uniform."""
+    """RMS of A^2 - 1, A^2 the light at the lenslets, of any shape, over that without sample; 0 if it is uniform."""
     return float(np.sqrt(np.mean((intensity - 1) ** 2)))

@@ -200,10 +200,11 @@ def _rectangles(is_open: NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int
 def narrowest_px(is_part: NDArray[np.bool_], *, beyond: bool = False) -> int | None:
     """Return the width in pixels of the narrowest part of a picture; None if none is narrower than about half of it.
 
-    A square that is moved about inside a wide part reaches all of it, but for rounded ends and the steps of slanting
-    edges: so places closer than a quarter of its side count as reached. The width is the side of the least square
-    that leaves more. A disc has 0.5 to 0.8 of its diameter, a slanting line 0.7 to 1 of its width, a pointed end a
-    pixel or a few: drawn as pixels it is that narrow. `beyond` tells whether the part continues outside the picture.
+    The part is True in the picture (row, column). A square that is moved about inside a wide part reaches all of it,
+    but for rounded ends and the steps of slanting edges: so places closer than a quarter of its side count as reached.
+    The width is the side of the least square that leaves more. A disc has 0.5 to 0.8 of its diameter, a slanting line
+    0.7 to 1 of its width, a pointed end a pixel or a few: drawn as pixels it is that narrow. `beyond` tells whether the
+    part continues outside the picture.
     """
     most = max(1, max(is_part.shape) // (2 if beyond else 1))
     fits, fails = 0, 1

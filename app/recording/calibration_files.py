@@ -64,7 +64,7 @@ def read_calibration(folder: Path) -> Calibration:
 
 
 def write_array(path: Path, values: Floats) -> None:
-    """Write an array as NPY (atomic)."""
+    """Write an array of any shape as NPY (atomic)."""
     with atomic_write(path) as temporary:
         np.save(temporary, values, allow_pickle=False)
 

@@ -130,7 +130,7 @@ def lock(file: IO[bytes]) -> None:
 
 _STAMP = re.compile(r"\d{8}-\d{6}(-kept)?(-\d+)?(?=-|$)")  # of the folders that the window makes
 _FORBIDDEN = re.compile(r'[\\/:*?"<>|\x00-\x1f]')  # in a file name, on any system
-_LONGEST = 100
+_LONGEST = 100  # letters of a name
 
 
 def describe(folder: Path, *, name: str, note: str) -> Path:

@@ -95,7 +95,7 @@ class FrameArray:
         return made
 
     def write(self, index: int, values: NDArray[Any]) -> int:
-        """Write the values of one frame, growing if necessary; return the number of bytes."""
+        """Write the values of one frame, of `shape`, growing if necessary; return the number of bytes."""
         if values.shape != self.shape:
             raise RunError(f"the size has changed from {_size(self.shape)} to {_size(values.shape)}")
         if index >= self.length:

@@ -72,7 +72,7 @@ class FrameLine:
 
 
 def checksum(pixels: NDArray[np.uint16]) -> str:
-    """CRC-32 of pixels as they are stored, in eight hexadecimal digits."""
+    """CRC-32 of pixels, (row, column) as they are stored, in eight hexadecimal digits."""
     return f"{zlib.crc32(np.ascontiguousarray(pixels, '<u2').data):08x}"
 
 
@@ -151,7 +151,7 @@ def _index_of(text: bytes) -> int | None:
         return None
 
 
-_MOST_LAYERS, _MOST_RATIO = 2, 1e4
+_MOST_LAYERS, _MOST_RATIO = 2, 1e4  # in a sound line
 
 
 def sample_line(sample: AssumedSample) -> SampleLine:

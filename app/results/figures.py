@@ -137,7 +137,10 @@ _CENTER = "#d1495b"
 
 
 def lattice_figure(reference: NDArray[Any], found: Survey) -> Figure:
-    """Return the figure: the frame with its cells, the typical lenslet, and each lenslet's displacement."""
+    """Return the figure: the frame with its cells, the typical lenslet, and each lenslet's displacement.
+
+    The reference is in counts, (row, column).
+    """
     lattice, lit = found.lattice, found.illuminated
     figure = Figure(figsize=(13.6, 10.2), layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.35, 1])

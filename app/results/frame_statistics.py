@@ -13,7 +13,7 @@ from reconstruction.frame.pixels import is_piled_up
 from reconstruction.runtime.compilation import compiled
 
 NEARLY_FULL = 0.95  # of the level at which pixels clip
-_BINS = 128
+_BINS = 128  # of the histogram
 _STEP = 2e-3  # of the highest count: scatter of clipped pixels, by read noise
 _LEAST_SHARE, _MOST_SHARE = 2e-4, 0.5  # of the pixels, that a full well clips; of more, nothing is known
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from app.measurement.measurement import Measurement
     from reconstruction.pipeline import Reconstructor
 
-_MOST = 2
+_MOST = 2  # layers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,7 +136,7 @@ def distance_m(ratio: Floats | float, origin: Origin, bench: Bench) -> Floats:
 
 
 def tried_distances_m(ratios: Floats, origin: Origin, bench: Bench) -> tuple[Floats, NDArray[np.intp]]:
-    """Rising distances of the ratios that have one, m, and the indices of these."""
+    """Rising distances of the ratios (candidate,) that have one, m, and the indices of these."""
     distances_m = distance_m(ratios, origin, bench)
     order = np.argsort(distances_m)[: np.count_nonzero(np.isfinite(distances_m))]  # NaN comes last
     return distances_m[order], order
@@ -155,7 +155,10 @@ def distance_range_m(origin: Origin, bench: Bench) -> tuple[float, float]:
 
 
 def shown_range_m(found_m: Floats, tried_m: Floats, origin: Origin) -> tuple[float, float]:
-    """Ends of a distance axis: all of the bench from the mask, else both sides of the lenslets about what was found."""
+    """Ends of a distance axis: all of the bench from the mask, else both sides of the lenslets about what was found.
+
+    `found_m` are the distances of the found layers (layer,), `tried_m` those tried (candidate,).
+    """
     tried_m = tried_m[np.isfinite(tried_m)]
     if origin == "mask":
         return 0.0, float(tried_m.max())
@@ -260,7 +263,7 @@ def from_where(origin: Origin) -> str:
 
 
 def set_distance_axes(axes: Axes, found: xr.Dataset, found_m: Floats) -> None:
-    """Make an axis over the distances tried, about those found, m, and one that begins at 0."""
+    """Make an axis over the distances tried, about those found (layer,), m, and one that begins at 0."""
     origin = found.attrs["distances_from"]
     low_m, high_m = shown_range_m(found_m, found["distance"].values, origin)
     axes.set(xlim=(1e3 * low_m, 1e3 * high_m), ylim=(0, None), xlabel=axis_label(origin))

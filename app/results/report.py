@@ -116,7 +116,10 @@ def _lines(said: list[Fact]) -> list[tuple[str, str]]:
 def draw_views(
     figure: SubFigure, views: Floats, field: Field, title: str, *, limit: float = 0.0, with_places: bool = True
 ) -> None:
-    """Draw the wavefronts of the views with RMS and PV, on a scale of +-`limit` rad, or up to the largest value."""
+    """Draw the wavefronts of the views with RMS and PV, on a scale of +-`limit` rad, or up to the largest value.
+
+    `views` are in rad, (view_row, view_column, lenslet_row, lenslet_column).
+    """
     rows, columns = (_some(count) for count in views.shape[:2])
     scale = limit or float(np.nanmax(np.abs(views), initial=0)) or 1.0
     captions = [
@@ -245,7 +248,7 @@ def _draw_lost(axis: Axes, stats: Statistics) -> None:
 
 
 _POSITIONS = 21  # across the field
-_MODES = 8
+_MODES = 8  # with the largest coefficients
 
 
 def over_field(stats: Statistics) -> FieldCoefficients | None:

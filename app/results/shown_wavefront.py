@@ -47,7 +47,10 @@ class StoredWavefront:
 
     @classmethod
     def of(cls, wavefront: Wavefront, name: str, mean: Floats | None = None) -> Self:
-        """Store the wavefront of one frame, or a mean that ends with it, by field mode."""
+        """Store the wavefront of one frame, or a mean that ends with it, by field mode.
+
+        The mean is in rad, (field_mode, lenslet_row, lenslet_column).
+        """
         by_mode = _by_mode(wavefront) if mean is None else mean
         return cls(name, wavefront.field, wavefront.displacement.modes, by_mode)
 

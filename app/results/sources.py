@@ -69,7 +69,7 @@ def stored_frame(path: Path, frame: int, *names: str) -> tuple[Bench, xr.Dataset
 
 
 def require_plausible(path: Path, coefficients: Floats) -> None:
-    """Raise `InputError` unless a measurement can have given coefficients e_pq, rad."""
+    """Raise `InputError` unless a measurement can have given coefficients e_pq, rad, of any shape."""
     if not (np.abs(coefficients) < _LARGEST_RAD).all():  # nor is NaN
         worst = np.max(np.abs(coefficients))
         raise InputError(f"{path}: is damaged: it has a coefficient of {worst:g} rad, which no wavefront has")

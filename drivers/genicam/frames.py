@@ -118,7 +118,7 @@ class Saturation:
     _used: int = 0  # bitwise or of all counts so far
 
     def observe(self, pixels: NDArray[np.uint16]) -> None:
-        """Take the used bits of a frame into account."""
+        """Take the used bits of a frame, counts (row, column), into account."""
         self._used |= int(np.bitwise_or.reduce(pixels, axis=None))
 
     @property

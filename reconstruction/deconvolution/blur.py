@@ -47,7 +47,7 @@ class _Tile:
     weights: Values  # w_k without that of the mean, which is 1: (term - 1, row, column)
 
     def blur(self, scene: Values) -> Values:
-        """Light of this part of an object."""
+        """Light of this part of an object (row, column), on the pixels `lit`."""
         part = scene[self.rows, self.columns]
         spectrum = self.spectra[0] * fft.rfft2(part, self.fft_shape)
         for transfer, weight in zip(self.spectra[1:], self.weights, strict=True):

@@ -25,12 +25,12 @@ _BINS = 20  # of pixels by brightness, with equally many
 _DIM = 0.05  # of the brightest; dimmer pixels tell nothing
 _FEWEST_PIXELS = 100
 _DRIFTS = 2  # linear and quadratic in time
-FEWEST_LEVELS = 4
+FEWEST_LEVELS = 4  # of the exposure time
 LEAST_SPAN = 4.0  # longest over shortest exposure
 _LEAST_FILL = 0.5  # highest signal over that of full scale
 _MOST_DRIFT = 0.05  # of the light, over all exposures
 _MOST_FLICKER = 0.01  # of the light, from exposure to exposure
-_LEAST_FLICKER = 1e-5
+_LEAST_FLICKER = 1e-5  # of the light; a smaller scatter is rounding
 _MOST_MISFIT = 0.01  # of the signal, RMS over the exposures of the brightest pixels
 _MOST_ERROR = 0.005  # standard error of the light over the signal at the highest signal
 

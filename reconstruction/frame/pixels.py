@@ -118,10 +118,10 @@ _FINEST = 1e-3  # of the highest count, where the scatter is unknown
 def clip_level(counts: Counts, scatter: float = 0.0, read_noise: float = 0.0) -> float | None:
     """Count above which pixels are clipped: they pile up at the highest count; None without a pile.
 
-    A full well may lie below the camera's full scale, and read noise blurs its edge. Light without a limit has ever
-    fewer pixels towards its highest count. `scatter` is the standard deviation of the brightest pixels if they were not
-    clipped, counts, 0 if unknown; `read_noise` that of what is added after clipping, counts. Beyond half the scatter,
-    clipping is missed.
+    The image has any shape. A full well may lie below the camera's full scale, and read noise blurs its edge. Light
+    without a limit has ever fewer pixels towards its highest count. `scatter` is the standard deviation of the
+    brightest pixels if they were not clipped, counts, 0 if unknown; `read_noise` that of what is added after clipping,
+    counts. Beyond half the scatter, clipping is missed.
     """
     top = float(counts.max())
     edge = min(_EDGE * read_noise, _MOST_EDGE * scatter)

@@ -190,7 +190,7 @@ def _mirrored_index(index: int, count: int) -> int:
     return min(index, 2 * count - 2 - index)
 
 
-_WAVES = 256
+_WAVES = 256  # spatial frequencies that are averaged
 
 
 def mean_interpolation(pixels: int) -> tuple[Floats, Floats]:

@@ -106,8 +106,7 @@ def global_error_rad(phase: Floats) -> float:
 
     NaN if no lenslet is known in all of them.
     """
-    error_rad = rms(phase - np.mean(phase, axis=0))
-    return _root_mean_square(error_rad)
+    return _root_mean_square(rms(phase - np.mean(phase, axis=0)))
 
 
 def _root_mean_square(values: Floats) -> float:

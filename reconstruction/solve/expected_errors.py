@@ -79,7 +79,7 @@ _ALIKE = 0.1  # share of the systematic error that all parameters have alike, if
 # "absorption" and "all" of `svwfs study bench`, the error bars of any wavefront cover 64, 64 and 72 % of the errors,
 # those over layers 67, 63 and 63 %; with 4 it was 69, 70 and 77 %, and 60, 55 and 55 %.
 _ALIKE_IF_UNKNOWN = 4.0
-ALIKE_IF_FREE, ALIKE_IN_LAYERS = 3.0, 6.0
+ALIKE_IF_FREE, ALIKE_IN_LAYERS = 3.0, 6.0  # if it is known
 _BY_CHANCE = 1.2  # noise found over that expected, below which it may be by chance
 _LEAST_NOISE = 1e-6  # variance of the noise over that of the systematic error, below which the noise is unknown
 

@@ -91,7 +91,7 @@ class LayeredLight:
         return found
 
     def field(self, sample_x_m: Floats, sample_y_m: Floats) -> PointField:
-        """Field of each object point at pupil samples (m)."""
+        """Field of each object point at pupil samples, m, (column,) and (row,)."""
         return lambda x_m, y_m: FieldSpline(self.at(x_m, y_m), self._spacing_m).column(sample_x_m)(sample_y_m)
 
     def wavefront(self, sensor: Sensor, field: Field) -> Floats:

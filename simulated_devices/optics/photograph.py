@@ -61,8 +61,8 @@ def photographs(scenes: Floats, psf_at: Callable[[float, float], Floats], *, spa
 
 
 _PERIODS_PX = (6, 8, 12, 16)
-_STARS = 150
-_CELLS = 60
+_STARS = 150  # in the field
+_CELLS = 60  # of the tissue
 
 
 def resolution_target(side: int) -> Floats:

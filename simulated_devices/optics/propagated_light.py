@@ -61,7 +61,7 @@ class FieldSpline:
 
 LARGEST_STEP_RAD = 0.5  # of the phase between samples; the spline then errs by about 1e-4
 _LARGEST_SIDE = 8192  # samples; takes 4 GB
-_ROUNDING = 1e-6
+_ROUNDING = 1e-6  # samples
 _TAPER = 2.0  # Fresnel lengths
 
 

@@ -120,7 +120,7 @@ def _our_residuals(frames: TimedFrames) -> dict[str, float]:
     return residuals
 
 
-_TOLERANCE = 0.2
+_TOLERANCE = 0.2  # of the speed before; a larger loss fails
 
 
 def load_baseline() -> dict[str, float]:

@@ -37,7 +37,7 @@ Register = Callable[[NDArray[Any]], Floats]
 """Takes counts (row, column), returns coefficients c_q of 1, x / h, y / h, px, (lenslet, xy, 1 or 3)."""
 
 _THREADS = 2
-_TENTH = 10
+_TENTH = 10  # steps per pixel of the found shift
 _ECC_STEPS, _ECC_TOLERANCE = 50, 1e-3  # defaults of findTransformECC
 _NO_SEARCH_PX = 1.0
 _NARROW_PX = 2  # reach of pyrtcao's correlation that suffices for these frames

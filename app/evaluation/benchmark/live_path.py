@@ -33,7 +33,7 @@ _MEMORY_S = 50.0  # at the end of the run, at most
 _MOST_FIELD_MODES = max(FIELD_MODES.values())
 _BLOCKS_BYTES = 4 * 4096  # overhead of a frame's folder, files and line
 _MORE_FRAMES = 50  # equivalent of dark, reference and files written once
-_MARGIN = 1.1
+_MARGIN = 1.1  # times the expected size of the recording
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

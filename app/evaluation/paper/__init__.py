@@ -39,7 +39,7 @@ from simulated_devices.clock import ManualClock
 TableMask = Literal["square", "stars"]
 
 _CROP, _RESIZED = 469, 465  # px; the paper's frames end with 31 pixels per lenslet
-_DARKS = 8
+_DARKS = 8  # frames that are averaged
 
 
 @dataclass(frozen=True, slots=True, eq=False)

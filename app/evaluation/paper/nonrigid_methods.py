@@ -46,7 +46,7 @@ _DEMONS_ITERATIONS = 20
 _DEMONS_SAME = 0.3 * _CONTRAST  # smaller differences of grey values exert no force: they are flux, not motion
 _MESH = 2  # elements of the B-spline along x and y; with 4 the inside of a square bends arbitrarily
 _FREE_FORM_ITERATIONS = 20
-_FREE_FORM_TOLERANCE = 1e-5
+_FREE_FORM_TOLERANCE = 1e-5  # of the gradient's convergence, as SimpleITK defines it
 
 
 class _NonRigid(ABC):

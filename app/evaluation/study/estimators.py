@@ -27,7 +27,7 @@ from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import Wavefront, rms
 from simulated_devices.sample import Sample
 
-ROUNDS = 3
+ROUNDS = 3  # of refinement
 WARPS: tuple[Warp, ...] = ("affine", "quadratic", "cubic", "quartic")
 REFINED: tuple[Warp, ...] = ("quadratic", "cubic", "quartic")
 AUTOMATIC = ReconstructionSettings()  # modal, the number of modes chosen from the lattice

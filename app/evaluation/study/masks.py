@@ -46,7 +46,7 @@ from simulated_devices.settings import MASKS, Source
 
 PEAKS_E = (300.0, 1e3, 1e4)  # electrons in the brightest pixel of the reference
 _SIMULATED_E = (300.0, 1e3)  # light of the simulated noise
-_DRAWS = 40
+_DRAWS = 40  # of simulated noise
 WARP: Warp = "cubic"
 _DEGREE = 5  # of the wavefronts over a lenslet, and over the field
 _NODES = 8  # of Gauss-Legendre quadrature
@@ -113,7 +113,7 @@ def _measure(
 
 
 class _MaskStudy:
-    """One mask on a bench; `square` is the reference with the square, for the exposure."""
+    """One mask on a bench; `square` is the reference with the square, (row, column), for the exposure."""
 
     def __init__(self, bench: Bench, square: Image) -> None:
         self._bench = bench

@@ -31,7 +31,7 @@ from simulated_devices.optics.source import source_points
 from simulated_devices.settings import SimulatedCameraSettings
 
 _PEAKS_E = (100.0, 300.0, 1e3, 3e3, 1e4, 1e5)  # electrons in the frame's brightest pixel
-_GAINS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+_GAINS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)  # of the EM register
 _DIM_PEAKS_E = (100.0, 300.0, 1000.0)
 _DRAWS = 3  # of noise per screen
 FAST, SLOW = 3, 1  # read-out speeds of the EM amplifier: high and low read noise

@@ -190,7 +190,7 @@ ENSEMBLES = Sweep(
 
 _MASKS: tuple[Mask, ...] = ("square", "checkerboard", "circle", "octagon", "ellipse", "peaks")
 _BRIGHT = 0.1  # of the highest brightness; darker points are outside the source
-_ROUNDING = 1e-9
+_ROUNDING = 1e-9  # half widths of the field
 
 
 def _sources(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
@@ -223,7 +223,7 @@ def lit_views(bench: Bench) -> NDArray[np.bool_]:
 
 SOURCE = Sweep(name="source", title="Source (views inside it)", axis="shape", measure=_sources)
 
-_DEAD = (0.0, 0.05, 0.1, 0.2, 0.3)
+_DEAD = (0.0, 0.05, 0.1, 0.2, 0.3)  # shares of the lenslets
 _Error = Callable[[Bench, float], Bench]  # returns the bench with a wrong setting
 
 
