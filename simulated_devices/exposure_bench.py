@@ -32,8 +32,8 @@ def spots(first_zero_px: float = 2.7, pitch_px: float = 16.25) -> Floats:
 
 
 @dataclass(kw_only=True)
-class Scene:
-    """Light, camera and noise."""
+class LampScene:
+    """Lamp, camera and noise."""
 
     counts_per_a_s: float  # of the brightest pixel
     exposure_range_s: Range
@@ -57,7 +57,7 @@ class Scene:
 class ManyFramesCamera(Camera):
     """A camera that returns a frame at once."""
 
-    def __init__(self, scene: Scene, lamp: Lamp, exposure_s: float) -> None:
+    def __init__(self, scene: LampScene, lamp: Lamp, exposure_s: float) -> None:
         super().__init__()
         self._name, self._scene, self._lamp, self._chosen_s = "Drawn camera", scene, lamp, exposure_s
         self._frames: int | None = None  # since the start; None while stopped
@@ -161,7 +161,7 @@ class Table(Stage):
 
 
 def exposure_bench(
-    scene: Scene, *, exposure_s: float, current_a: float = 0.35, is_on: bool = False
+    scene: LampScene, *, exposure_s: float, current_a: float = 0.35, is_on: bool = False
 ) -> tuple[Devices, ManyFramesCamera, Lamp]:
     """The devices of a scene, then its camera and its lamp under their own types."""
     lamp = Lamp(scene.current_range_a, current_a, is_on=is_on)

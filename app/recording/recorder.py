@@ -28,7 +28,7 @@ _RECENT_BYTES = 1e9
 _QUEUED_FRAMES, _QUEUED_BYTES = 512, 512e6
 _SYNC_S = 1.0
 
-Stage = Literal["recording", "finishing", "finished", "ended early"]
+RecordingStage = Literal["recording", "finishing", "finished", "ended early"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class RecordingState:
     """Progress of a recording."""
 
     folder: Path
-    stage: Stage
+    stage: RecordingStage
     frames: int  # written
     waiting: int  # in the queue
     seconds: float  # duration of the recording so far
@@ -120,7 +120,7 @@ class BackgroundRecording:
     @property
     def state(self) -> RecordingState:
         """Present state."""
-        stage: Stage = "recording" if self._is_open else "finishing"
+        stage: RecordingStage = "recording" if self._is_open else "finishing"
         if self._is_finished:
             stage = "ended early" if self._problem else "finished"
         seconds = (self._ended_s or time.perf_counter()) - self._began_s

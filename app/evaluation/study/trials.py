@@ -32,7 +32,7 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey, survey
-from simulated_devices.exposure_bench import PITCH_PX, Scene, exposure_bench, spots, squares
+from simulated_devices.exposure_bench import PITCH_PX, LampScene, exposure_bench, spots, squares
 from simulated_devices.settings import Mask, exposure_range_s
 
 _LATTICE_LIMITS = {"centre (px)": 0.1, "pitch (px)": 0.02, "rotation (mrad)": 0.2}
@@ -198,7 +198,7 @@ def _exposure_trial(
     tried: _Camera, current_a: float, image: str, right_s: float, first_s: float, seed: int
 ) -> CaseResult:
     full_scale = 2 ** tried.detector["bits"] - 1
-    scene = Scene(
+    scene = LampScene(
         counts_per_a_s=(FILL * full_scale - tried.detector["offset_counts"]) / (_USUAL_A * right_s),
         exposure_range_s=tried.exposures_s,
         image=_IMAGES[image],

@@ -20,7 +20,15 @@ from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Rang
 from simulated_devices.bench import SimulatedLight, SimulatedStage
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
-from simulated_devices.exposure_bench import PITCH_PX, SIDE_PX, ManyFramesCamera, Scene, exposure_bench, spots, squares
+from simulated_devices.exposure_bench import (
+    PITCH_PX,
+    SIDE_PX,
+    LampScene,
+    ManyFramesCamera,
+    exposure_bench,
+    spots,
+    squares,
+)
 
 FULL_SCALE = 65535
 C9100 = {  # the property sheet's exposures: EM amplifier at speed 3 and 2, normal amplifier
@@ -36,7 +44,7 @@ def expose(devices: Devices, fill: float = 0.7) -> AutoExposure:
     return auto_expose(devices, PITCH_PX, UNWATCHED, fill=fill)
 
 
-def true_fill(scene: Scene, found: AutoExposure) -> float:
+def true_fill(scene: LampScene, found: AutoExposure) -> float:
     """Fill of the brightest pixel without noise."""
     light = scene.counts_per_a_s * found.current_a**scene.droop * found.exposure_s * float(scene.image.max())
     return float((light + scene.offset_counts) / (2**scene.bits - 1))
@@ -63,7 +71,7 @@ def test_exposure_is_found_within_six_frames(
     def exposure_s(part: float) -> float:
         return float(allowed.minimum ** (1 - part) * allowed.maximum**part)
 
-    scene = Scene(
+    scene = LampScene(
         counts_per_a_s=45_000 / (0.35 * exposure_s(right)),
         exposure_range_s=allowed,
         image=IMAGES[image],
@@ -82,7 +90,7 @@ def test_exposure_is_found_within_six_frames(
 
 
 def test_correct_exposure_is_kept_after_one_frame() -> None:
-    scene = Scene(counts_per_a_s=44_000 / (0.35 * 0.15), exposure_range_s=C9100["em3"])
+    scene = LampScene(counts_per_a_s=44_000 / (0.35 * 0.15), exposure_range_s=C9100["em3"])
     devices, *_ = exposure_bench(scene, exposure_s=0.15)
     found = expose(devices)
     assert found.exposure_s == pytest.approx(0.15)
@@ -98,7 +106,7 @@ def test_full_scale_may_follow_from_the_frames(monkeypatch: pytest.MonkeyPatch) 
         return allowed if camera.exposed_s else replace(allowed, full_scale=FULL_SCALE)
 
     monkeypatch.setattr(ManyFramesCamera, "capabilities", property(shown))
-    scene = Scene(counts_per_a_s=2800 / (0.35 * 0.15), exposure_range_s=C9100["em3"], bits=12)
+    scene = LampScene(counts_per_a_s=2800 / (0.35 * 0.15), exposure_range_s=C9100["em3"], bits=12)
     found = expose(exposure_bench(scene, exposure_s=0.05)[0])
     assert found.fill == pytest.approx(0.7, abs=0.05)
     assert true_fill(scene, found) == pytest.approx(0.7, abs=0.06)
@@ -106,20 +114,20 @@ def test_full_scale_may_follow_from_the_frames(monkeypatch: pytest.MonkeyPatch) 
 
 def test_current_changes_only_if_exposure_is_not_enough() -> None:
     for right_s, begin_s in [(0.2, 1.0), (0.2, 0.0139)]:
-        scene = Scene(counts_per_a_s=45_000 / (0.35 * right_s), exposure_range_s=C9100["em3"])
+        scene = LampScene(counts_per_a_s=45_000 / (0.35 * right_s), exposure_range_s=C9100["em3"])
         assert expose(exposure_bench(scene, exposure_s=begin_s)[0]).current_a == 0.35
-    scene = Scene(counts_per_a_s=45_000 / (0.35 * 0.0014), exposure_range_s=C9100["em3"])
+    scene = LampScene(counts_per_a_s=45_000 / (0.35 * 0.0014), exposure_range_s=C9100["em3"])
     found = expose(exposure_bench(scene, exposure_s=0.1)[0])
     assert found.exposure_s == pytest.approx(0.0139)
     assert found.current_a == pytest.approx(0.035, rel=0.1)
-    scene = Scene(counts_per_a_s=45_000 / (0.35 * 2.0), exposure_range_s=C9100["em3"])
+    scene = LampScene(counts_per_a_s=45_000 / (0.35 * 2.0), exposure_range_s=C9100["em3"])
     found = expose(exposure_bench(scene, exposure_s=0.1)[0])
     assert found.exposure_s == pytest.approx(1.0)
     assert found.current_a == pytest.approx(0.7, rel=0.1)
 
 
 def test_current_compensates_exposure_step() -> None:
-    scene = Scene(counts_per_a_s=45_000 / 1.4e-5, exposure_range_s=WIDEST)  # at full current, steps of 10 us
+    scene = LampScene(counts_per_a_s=45_000 / 1.4e-5, exposure_range_s=WIDEST)  # at full current, steps of 10 us
     found = expose(exposure_bench(scene, exposure_s=1e-5, current_a=1.0)[0])
     assert found.exposure_s == pytest.approx(2e-5)
     assert found.current_a == pytest.approx(0.7, rel=0.05)
@@ -127,26 +135,26 @@ def test_current_compensates_exposure_step() -> None:
 
 def test_auto_exposure_succeeds_with_drooping_or_flickering_light() -> None:
     for scene in (
-        Scene(counts_per_a_s=45_000 / 0.001, exposure_range_s=C9100["em3"], droop=0.8),
-        Scene(counts_per_a_s=45_000 / 0.05, exposure_range_s=C9100["em3"], flicker=0.01),
+        LampScene(counts_per_a_s=45_000 / 0.001, exposure_range_s=C9100["em3"], droop=0.8),
+        LampScene(counts_per_a_s=45_000 / 0.05, exposure_range_s=C9100["em3"], flicker=0.01),
     ):
         assert expose(exposure_bench(scene, exposure_s=1.0)[0]).frames <= 6
 
 
 def test_hot_pixels_in_ten_percent_of_lenslets_are_ignored() -> None:
     for seed in range(8):
-        scene = Scene(counts_per_a_s=45_000 / 0.05, exposure_range_s=C9100["em3"], hot_pixels=10, seed=seed)
+        scene = LampScene(counts_per_a_s=45_000 / 0.05, exposure_range_s=C9100["em3"], hot_pixels=10, seed=seed)
         assert true_fill(scene, expose(exposure_bench(scene, exposure_s=1.0)[0])) == pytest.approx(0.7, abs=0.06)
 
 
 def test_large_offset_is_no_light() -> None:
     for begin_s in (0.0139, 1.0):
-        scene = Scene(counts_per_a_s=39_000 / 0.2, exposure_range_s=C9100["em3"], offset_counts=6000.0)
+        scene = LampScene(counts_per_a_s=39_000 / 0.2, exposure_range_s=C9100["em3"], offset_counts=6000.0)
         assert true_fill(scene, expose(exposure_bench(scene, exposure_s=begin_s)[0])) == pytest.approx(0.7, abs=0.06)
 
 
 def test_light_without_subimages_raises() -> None:
-    scene = Scene(counts_per_a_s=0.0, exposure_range_s=C9100["em3"], ambient_counts_per_s=4.5e5)
+    scene = LampScene(counts_per_a_s=0.0, exposure_range_s=C9100["em3"], ambient_counts_per_s=4.5e5)
     devices, camera, lamp = exposure_bench(scene, exposure_s=0.1)
     with pytest.raises(RoutineError, match="no subimages"):
         expose(devices)
@@ -154,7 +162,7 @@ def test_light_without_subimages_raises() -> None:
 
 
 def test_auto_exposure_succeeds_with_8_bits() -> None:
-    eight = Scene(
+    eight = LampScene(
         counts_per_a_s=175 / 0.05,
         exposure_range_s=C9100["em3"],
         bits=8,
@@ -171,21 +179,21 @@ def test_auto_exposure_succeeds_with_8_bits() -> None:
 @pytest.mark.parametrize(
     ("scene", "sentence"),
     [
-        (Scene(counts_per_a_s=0.0, exposure_range_s=C9100["em3"]), "no light detected, even at .*: check the lamp"),
+        (LampScene(counts_per_a_s=0.0, exposure_range_s=C9100["em3"]), "no light detected, even at .*: check the lamp"),
         (
-            Scene(counts_per_a_s=9_000, exposure_range_s=C9100["em3"]),
+            LampScene(counts_per_a_s=9_000, exposure_range_s=C9100["em3"]),
             "(too little light: .* (4.9|5) times as much|no light detected)",
         ),
-        (Scene(counts_per_a_s=1e12, exposure_range_s=C9100["em3"]), "too bright even at the shortest.* filter"),
-        (Scene(counts_per_a_s=1e6, exposure_range_s=C9100["em3"], well_counts=30_000), "fill 47% .* do not follow"),
+        (LampScene(counts_per_a_s=1e12, exposure_range_s=C9100["em3"]), "too bright even at the shortest.* filter"),
+        (LampScene(counts_per_a_s=1e6, exposure_range_s=C9100["em3"], well_counts=30_000), "fill 47% .* do not follow"),
         (
-            Scene(counts_per_a_s=1e6, exposure_range_s=C9100["em3"], current_range_a=Range(0.0, 0.0)),
+            LampScene(counts_per_a_s=1e6, exposure_range_s=C9100["em3"], current_range_a=Range(0.0, 0.0)),
             "the allowed current is zero",
         ),
     ],
 )
 def test_impossible_exposure_raises_and_restores_devices(
-    scene: Scene, sentence: str, begin_s: float, is_on: bool
+    scene: LampScene, sentence: str, begin_s: float, is_on: bool
 ) -> None:
     current_a = min(0.35, scene.current_range_a.maximum)
     devices, camera, lamp = exposure_bench(scene, exposure_s=begin_s, current_a=current_a, is_on=is_on)
@@ -199,7 +207,7 @@ def test_impossible_exposure_raises_and_restores_devices(
 
 
 def test_missing_light_is_detected_without_long_exposures() -> None:
-    scene = Scene(counts_per_a_s=0.0, exposure_range_s=WIDEST)
+    scene = LampScene(counts_per_a_s=0.0, exposure_range_s=WIDEST)
     for begin_s in (1e-5, 0.1, 7200.0):
         devices, camera, _ = exposure_bench(scene, exposure_s=begin_s)
         with pytest.raises(RoutineError, match="no light"):
@@ -209,7 +217,7 @@ def test_missing_light_is_detected_without_long_exposures() -> None:
 
 @pytest.mark.parametrize("fill", [math.nan, 0.0, 0.9, 1.0, -1.0])
 def test_fill_must_be_within_tolerances(fill: float) -> None:
-    devices, camera, _ = exposure_bench(Scene(counts_per_a_s=1e5, exposure_range_s=WIDEST), exposure_s=0.1)
+    devices, camera, _ = exposure_bench(LampScene(counts_per_a_s=1e5, exposure_range_s=WIDEST), exposure_s=0.1)
     with pytest.raises(BadValue, match="fill"):
         expose(devices, fill)
     assert not camera.exposed_s
@@ -227,7 +235,7 @@ def test_shorter_exposures_are_tried_before_lower_currents() -> None:
 
 
 def test_fill_is_adjustable() -> None:
-    scene = Scene(counts_per_a_s=1e6, exposure_range_s=C9100["em3"])
+    scene = LampScene(counts_per_a_s=1e6, exposure_range_s=C9100["em3"])
     assert expose(exposure_bench(scene, exposure_s=0.0139)[0], 0.4).fill == pytest.approx(0.4, abs=0.05)
 
 

@@ -29,19 +29,19 @@ from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Lattice
 from reconstruction.quality import frame_quality
 from reconstruction.quality.verdict import Fault
-from simulated_devices.exposure_bench import PITCH_PX, Scene, exposure_bench
+from simulated_devices.exposure_bench import PITCH_PX, LampScene, exposure_bench
 
 LOSS = 0.05  # of full scale
 WIDE = Range(1e-3, 10.0)
 
 
-def measured(scene: Scene, *, exposure_s: float = 0.1) -> MeasuredLinearity:
+def measured(scene: LampScene, *, exposure_s: float = 0.1) -> MeasuredLinearity:
     devices, *_ = exposure_bench(scene, exposure_s=exposure_s)
     return measure_linearity(devices, PITCH_PX, 4, UNWATCHED)
 
 
-def scene_of(loss: float, **changes: Any) -> Scene:
-    return Scene(counts_per_a_s=1e6, exposure_range_s=WIDE, nonlinearity=loss, **changes)
+def scene_of(loss: float, **changes: Any) -> LampScene:
+    return LampScene(counts_per_a_s=1e6, exposure_range_s=WIDE, nonlinearity=loss, **changes)
 
 
 @pytest.mark.parametrize(("loss", "flicker"), [(LOSS, 0.0), (-LOSS, 1e-3), (0.0, 0.0)])
@@ -91,7 +91,7 @@ def test_devices_are_restored_also_after_a_stop() -> None:
         (scene_of(0.0, well_counts=30_000), "do not follow"),
     ],
 )
-def test_what_cannot_be_told_is_refused(scene: Scene, why: str) -> None:
+def test_what_cannot_be_told_is_refused(scene: LampScene, why: str) -> None:
     with pytest.raises(RoutineError, match=why):
         measured(scene)
 
