@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase
 
 _MOST_MODES = 36  # all up to degree 7
-_MAP_ACROSS = 21  # positions across the field
+MAP_ACROSS = 21  # positions across the field
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ def mode_coefficients(wavefront: Wavefront, choice: ModeChoice) -> ModeCoefficie
     field_map = None
     if choice.mapped is not None:
         by_mode = _apply(fit, solution.wavefront(np.eye(displacement.modes.count)))[:, choice.mapped]
-        steps = centered_steps(_MAP_ACROSS) * 2 / (_MAP_ACROSS - 1)
+        steps = centered_steps(MAP_ACROSS) * 2 / (MAP_ACROSS - 1)
         field_map = np.tensordot(by_mode, displacement.modes.values(steps, steps[:, None]), axes=1)
         field_map[~wavefront.field.contains(steps, steps[:, None])] = np.nan
     return ModeCoefficients(choice, names, _apply(fit, phase[None])[0], sigma_rad, field_map)
@@ -133,7 +133,7 @@ class FieldMaps(Analysis):
     field_order: Annotated[
         int | None, typer.Option(min=0, help="Highest order of double Zernikes over the field; all if omitted.")
     ] = None
-    positions: Annotated[int, typer.Option(min=1, max=501, help="Field positions along each side.")] = 21
+    positions: Annotated[int, typer.Option(min=1, max=501, help="Field positions along each side.")] = MAP_ACROSS
     frame: Frame = 0
     mode: Annotated[
         list[int] | None, typer.Option(metavar="N", help="Mode in the picture, repeatable; the strongest if omitted.")

@@ -19,7 +19,7 @@ from app.errors import InputError
 from app.files import atomic_write
 from app.progress import Progress, between, part
 from app.recording.reader import Recording
-from app.results.coefficients import coefficient_maps, draw_field, evenly_spread, strongest
+from app.results.coefficients import MAP_ACROSS, coefficient_maps, draw_field, evenly_spread, strongest
 from app.results.figures import draw_maps, draw_structure, draw_transfer, place_of_view, show_grey
 from app.results.replay import change_of
 from app.results.report_summary import Fact, Residual, Statistics, Summary, facts, residual_of, summarise
@@ -247,7 +247,6 @@ def _draw_lost(axis: Axes, stats: Statistics) -> None:
         axis.legend(handles=handles, fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=below, frameon=False)
 
 
-_POSITIONS = 21  # across the field
 _MODES = 8  # with the largest coefficients
 
 
@@ -264,7 +263,7 @@ def draw_over_field(figure: FigureBase, summary: Summary, stats: Statistics, fou
     frame = int(stats.frames[(len(stats.frames) - 1) // 2])
     sentence = f"strongest Zernike coefficients of frame {frame} over the field (mm), and their errors (rad)"
     _, maps = _page_parts(figure, summary.name, sentence, [1])
-    dataset = coefficient_maps(found, stats.wavefront.field, *[evenly_spread(_POSITIONS)] * 2)
+    dataset = coefficient_maps(found, stats.wavefront.field, *[evenly_spread(MAP_ACROSS)] * 2)
     draw_field(maps, dataset, strongest(dataset, _MODES))
 
 
