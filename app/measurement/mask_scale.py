@@ -82,8 +82,8 @@ class MaskScale:
 def mask_scale(bench: Bench, reference: Image) -> MaskScale | None:
     """Measure the image of the bench's mask in a reference (row, column), counts; None if it does not show it.
 
-    The bench has the lattice of the reference. `ReconstructionError` if that shows nothing. It takes 0.7 s, or some
-    seconds for an asymmetric mask that does not lie as the bench has it.
+    The bench has the lattice of the reference. `ReconstructionError` if that shows nothing. It takes 0.1 s, or more
+    for an asymmetric mask that does not lie as the bench has it.
     """
     if bench.lattice is None:
         raise ValueError("the bench needs a lattice")

@@ -146,8 +146,9 @@ class LensletImage:
 
         F is of the field times P_first, F_m of the field times P_m and P_second.
         """
+        position_m, of_point = np.unique(self._position_m[:, axis], return_inverse=True)  # a grid has few along an axis
         y_m = self._pixel_m[:, None, None] + self._node_m[:, None]  # (pixel, node, 1)
-        wave = self._tilt_per_m * self._position_m[:, axis] - self._wave_per_m * y_m  # rad/m, (pixel, node, point)
+        wave = self._tilt_per_m * position_m - self._wave_per_m * y_m  # rad/m, (pixel, node, position)
         of_parity = [part(wave[..., None] * self._sample_m) for part in (np.cos, np.sin)]
         polynomials = np.polynomial.legendre.legvander(self._along, max(degree, first, second)).T  # (m, sample)
         factors = self._factors[axis].T  # (sample, term)
@@ -158,7 +159,7 @@ class LensletImage:
 
         field = transform(first) * (self._weights[:, None, None] / 2 * self._scale)
         products = [np.einsum("inpr,inps->iprs", field, transform(m, second)) for m in range(degree + 1)]
-        return np.stack(products).reshape(degree + 1, len(y_m), -1)
+        return np.stack(products)[:, :, of_point].reshape(degree + 1, len(y_m), -1)
 
 
 def _factors(aperture: Floats) -> tuple[Floats, Floats]:
