@@ -98,14 +98,17 @@ def test_baseline_holds_the_measured_ratios() -> None:
 
 @pytest.mark.parametrize(("factor", "status"), [(1.0, 0), (0.5, 1)])
 def test_check_sets_the_exit_status(
-    monkeypatch: pytest.MonkeyPatch, result: Json, tmp_path: Path, factor: float, status: int
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, factor: float, status: int
 ) -> None:
     ratios = {name: ratio * factor for name, ratio in load_baseline().items()}
-    monkeypatch.setattr("app.evaluation.benchmark.run_benchmark", lambda *_: {**result, "ratios": ratios})
+    printed = list[Json]()
+    monkeypatch.setattr("app.evaluation.benchmark.run_benchmark", lambda *_: {"ratios": ratios})
+    monkeypatch.setattr("app.commands.benchmark.print_benchmark", printed.append)
     monkeypatch.setattr(sys, "argv", ["svwfs", "benchmark", "--check", "--json", str(tmp_path / "out.json")])
     with pytest.raises(SystemExit) as leaving:
         cli.main()
     assert int(leaving.value.code or 0) == status
+    assert printed == [{"ratios": ratios}]
     assert json.loads((tmp_path / "out.json").read_text())["ratios"] == ratios
 
 
