@@ -20,6 +20,10 @@ from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
 CameraState = Literal["stopped", "running", "lost", "closed"]
 Mode = TypeVar("Mode", int, str)
 
+NOT_STARTED = "the camera must be started before a frame can be read"
+STOPPED = "the camera has stopped taking frames on its own; start it again"
+NO_MEMORY = "the computer lacks memory for the frames: lower camera.ring_frames"
+
 
 @dataclass(frozen=True, slots=True)
 class Region:
@@ -255,7 +259,7 @@ class Camera(Device):
             A frame arrived damaged; its index is missing, too.
         """
         if not self.is_running:
-            raise WrongState("the camera must be started before a frame can be read")
+            raise WrongState(NOT_STARTED)
         if not 0 <= timeout_s < float("inf"):
             raise BadValue(f"timeout_s = {timeout_s:g} must be 0 or positive, and finite")
         with self._access():

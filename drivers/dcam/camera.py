@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from ctypes import byref
 
-from drivers.camera import Camera, CameraCapabilities, Frame, Region
+from drivers.camera import NOT_STARTED, Camera, CameraCapabilities, Frame, Region
 from drivers.dcam import DcamSettings, session
 from drivers.dcam import property_ids as ids
 from drivers.dcam.capabilities import (
@@ -263,7 +263,7 @@ class DcamCamera(Camera):
 
     def _read(self, timeout_s: float) -> Frame:
         if self._capture is None:
-            raise WrongState("the camera must be started before a frame can be read")
+            raise WrongState(NOT_STARTED)
         try:
             frame = self._capture.read(timeout_s)
         except WrongState:

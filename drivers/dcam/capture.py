@@ -7,7 +7,7 @@ from ctypes import Structure, byref, c_int32
 
 import numpy as np
 
-from drivers.camera import Frame, SettingsInForce
+from drivers.camera import STOPPED, Frame, SettingsInForce
 from drivers.dcam.library import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import PRODUCER_NONE, Id
@@ -153,7 +153,7 @@ class Capture:
         status = c_int32()
         self._library.call("dcamcap_status", self._handle, byref(status))
         if status.value != _BUSY:
-            raise WrongState("the camera has stopped taking frames on its own; start it again")
+            raise WrongState(STOPPED)
         self._seen_alive_s = now_s
 
     def _oldest(self) -> Frame | None:

@@ -19,6 +19,7 @@ from ctypes import (
 from functools import cache
 from typing import Any
 
+from drivers.camera import NO_MEMORY
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
 
 
@@ -74,6 +75,8 @@ class Denied(WrongState):
     """A busy camera does not allow access to this property."""
 
 
+GONE = "the camera is gone: check its power and cable, then connect again"
+
 # Messages, and the codes (unsigned) with their names in Hamamatsu's header; the library returns negative numbers.
 _TABLE: dict[type[DeviceError], dict[str, str]] = {
     WrongState: {
@@ -94,9 +97,7 @@ _TABLE: dict[type[DeviceError], dict[str, str]] = {
     },
     DeviceError: {
         "the computer lacks a resource that the camera needs": "80000201 NORESOURCE",
-        "the computer lacks memory for the frames: lower camera.ring_frames": (
-            "80000203 NOMEMORY, 8000083F LESSSYSTEMMEMORY"
-        ),
+        NO_MEMORY: ("80000203 NOMEMORY, 8000083F LESSSYSTEMMEMORY"),
         "the camera's cooling fails: check its fan or water": "80000302 COOLINGTROUBLE",
         "the camera warns of its temperature: check its cooling": "80000304 TEMPERATURE_TROUBLE",
     },
@@ -115,7 +116,7 @@ _TABLE: dict[type[DeviceError], dict[str, str]] = {
         "no Hamamatsu camera was found: check its power and cable, and that no other program holds it": (
             "80000206 NOCAMERA"
         ),
-        "the camera is gone: check its power and cable, then connect again": (
+        GONE: (
             "80000806 INVALIDCAMERA, 80000807 INVALIDHANDLE, 80000F01 UNREACH, 80000F07 NOCONNECTION, "
             "83001002 FAILREADCAMERA, 83001003 FAILWRITECAMERA, 84002001 INVALIDWAITHANDLE"
         ),

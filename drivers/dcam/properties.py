@@ -5,7 +5,16 @@ from contextlib import suppress
 from ctypes import byref, c_double, c_int32, create_string_buffer
 from dataclasses import dataclass
 
-from drivers.dcam.library import TEXT_BYTES, DcamLibrary, Denied, NotThere, PropertyAttribute, PropertyValueText, sized
+from drivers.dcam.library import (
+    GONE,
+    TEXT_BYTES,
+    DcamLibrary,
+    Denied,
+    NotThere,
+    PropertyAttribute,
+    PropertyValueText,
+    sized,
+)
 from drivers.dcam.property_ids import ALIVE_ONLINE, OPTION_NEXT, TYPE_MASK, TYPE_REAL, Attribute, Id
 from drivers.device import Property, Range
 from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected
@@ -87,7 +96,7 @@ class Properties:
     def check_online(self) -> None:
         """Raise `Disconnected` if the library knows that the camera is gone; a running camera may deny the answer."""
         if self.get_or(Id.SYSTEM_ALIVE, ALIVE_ONLINE) != ALIVE_ONLINE:
-            raise Disconnected("the camera is gone: check its power and cable, then connect again")
+            raise Disconnected(GONE)
 
     def set(self, identifier: int, value: float) -> float:
         """Write a value, rounded to its step; return the one in force."""

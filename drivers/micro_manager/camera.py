@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera import Camera, CameraCapabilities, Frame, Region, SettingsInForce
+from drivers.camera import STOPPED, Camera, CameraCapabilities, Frame, Region, SettingsInForce
 from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import (
     DeviceError,
@@ -247,7 +247,7 @@ class MicroManagerCamera(Camera):
         exposure_s = self._read_exposure()
         if not self._line.call("isSequenceRunning", LABEL):
             self._is_started = False
-            raise WrongState("the camera has stopped taking frames on its own; start it again")
+            raise WrongState(STOPPED)
         if now_s - self._heard_s > exposure_s + _SILENCE_S:
             raise Disconnected(
                 f"the camera has sent no frame for {now_s - self._heard_s:.1f} s: check its power and cable,"

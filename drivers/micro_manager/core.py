@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.camera import NO_MEMORY
 from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported
 
 LABEL: Final = "camera"
@@ -70,7 +71,7 @@ class LoadedCamera:
         try:
             return getattr(self._core, name)(*arguments)
         except MemoryError as error:
-            raise DeviceError("the computer lacks memory for the frames: lower camera.ring_frames") from error
+            raise DeviceError(NO_MEMORY) from error
         except RuntimeError as error:
             try:
                 self._core.getExposure(LABEL)

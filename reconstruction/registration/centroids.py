@@ -16,7 +16,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, centered_steps, require
 from reconstruction.modes.field_modes import SampledModes
 from reconstruction.registration.correlation import correlation_spectrum, cross_correlation, normalised
-from reconstruction.registration.subimages import LensletModel, ReferenceSubimages, classify_lenslets
+from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.settings import RegistrationSettings
 
 _THRESHOLD = 0.1  # of the star's height above the background
@@ -25,7 +25,6 @@ _ITERATIONS = 12
 _TOLERANCE_PX = 2e-3
 _CONVERGED_PX = 0.05  # largest last step of a converged window
 _FAINT = 0.2  # of the median star's height; fainter stars are lost
-_MISFIT = 0.5  # residual over contrast above which a star is lost
 _STARLESS_FRACTION = 0.5  # of the lit lenslets; if more lack a star, the reference shows another source
 
 
@@ -96,7 +95,7 @@ class Centroids:
         gain /= np.maximum(np.einsum("lsn,lsn->ls", before.window, before.window), 1e-30)
         difference = after.window - gain[..., None] * before.window
         misfit = difference.std(axis=-1) / np.maximum(gain * self._contrast, 1e-30)  # (L, S)
-        lost = ~(self._are_stars(after, start_px) & self._known & (misfit < _MISFIT))
+        lost = ~(self._are_stars(after, start_px) & self._known & (misfit < MISFIT))
 
         displacement = np.swapaxes(after.position_px - before.position_px, 1, 2)  # (L, xy, S)
         variance = np.repeat(self._variance(after, difference)[..., None], 2, axis=-1)  # (L, S, xy)

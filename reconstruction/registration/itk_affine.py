@@ -23,7 +23,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.registration.gauss_newton.template import SteepestDescent, coefficient_covariance, prepare_template
-from reconstruction.registration.subimages import LensletModel, ReferenceSubimages, classify_lenslets
+from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.settings import RegistrationSettings
 
 _THREADS = min(THREADS, os.cpu_count() or 1)
@@ -37,7 +37,6 @@ _GRADIENT_TOLERANCE = 1e-4
 _SHRINK = (4, 2, 1)  # imregtform's three pyramid levels
 _SMOOTHING_PX = (2.0, 1.0, 0.0)
 _BRIGHTEST = 255.0  # grey value of the reference's brightest pixel, the unit of the gradient tolerance
-_MISFIT = 0.5  # residual over contrast above which the frame does not match
 
 
 def prepare(
@@ -111,7 +110,7 @@ def misfit(reference: ReferenceSubimages, subimages: Floats, flow: Floats) -> tu
     gain = np.sum(moved * still, axis=1) / np.where(power > 0, power, 1.0)
     residual_rms = np.full(lenslets, np.nan)
     residual_rms[known] = np.sqrt(np.mean((still - gain[:, None] * moved) ** 2, axis=1))
-    return residual_rms, residual_rms < _MISFIT * reference.contrast
+    return residual_rms, residual_rms < MISFIT * reference.contrast
 
 
 def align_affine(itk: Any, reference: Any, subimage: Any) -> Any:

@@ -21,6 +21,7 @@ _OFF_CAMERA_FRACTION = 0.5  # of the lenslets; with more, the lattice does not b
 _SPOILT = 0.25  # of a subimage's squared gradients on bad pixels; with more, a lenslet is unlit
 _NEXT_PX = 2.0  # beyond the border of a cell, where interpolation still uses a pixel
 DARK_CONTRAST = 0.1  # of the typical lit lenslet's contrast; with less, a lenslet is unlit
+MISFIT = 0.5  # residual over contrast above which a subimage does not match the reference
 _BRIGHT = 3  # rank of a lit lenslet's contrast; higher ones may be stray
 _SMOOTH = 0.2  # correlation of neighbouring pixels below which a reference is only noise
 

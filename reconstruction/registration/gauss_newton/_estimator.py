@@ -50,7 +50,7 @@ from reconstruction.registration.gauss_newton.template import (
     source_brightness,
     visible_warp,
 )
-from reconstruction.registration.subimages import LensletModel, ReferenceSubimages, classify_lenslets
+from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.runtime.compilation import compiled
 from reconstruction.runtime.threads import worker_pool
 from reconstruction.settings import FIELD_MODES, RegistrationSettings
@@ -181,7 +181,6 @@ _MARGIN_BLURS = 1.3
 # smaller: on warm frames with 2000 electrons their RMS is 0.05 standard errors, which adds a thousandth to the noise.
 _TOLERANCE, _TOLERANCE_PX = 0.4, (3e-4, 3e-3)
 _CONVERGED_PX = 0.05  # largest last step of a converged fit
-_MISFIT = 0.5  # residual over contrast above which the frame does not match
 # Residual over contrast, and over that of most lenslets: above both, a lenslet is an outlier. Screens stay below 0.041
 # and 2.6; a half-covered lenslet has 0.15.
 _ODD, _OUTLYING = 0.08, 2.5
@@ -242,7 +241,7 @@ class GaussNewton:
         self._basis = self.parameters  # in double precision, so that results repeat
         self._search = prepare_search(reference)
         self._errors = ErrorPropagation(self._warp)
-        self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (_MISFIT * self._warp.contrast) ** 2
+        self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (MISFIT * self._warp.contrast) ** 2
         self._power = noise_power_polynomial()
         self._workplaces: list[Workplace] = []  # that no thread uses now
         poor_square = _NOISE_AT_MOST * self._errors.expected_square
@@ -389,6 +388,6 @@ def _stands_out(unexplained: Floats, square: Floats, at_most: Floats, found: Boo
     if not found.any():
         return np.zeros_like(found)
     with np.errstate(divide="ignore", invalid="ignore"):  # of lost lenslets
-        share, noise = unexplained * (_MISFIT**2 / at_most), (square - unexplained) * (_MISFIT**2 / at_most)
+        share, noise = unexplained * (MISFIT**2 / at_most), (square - unexplained) * (MISFIT**2 / at_most)
         usual = max(median(share[found]), 0.0)
         return np.asarray(share > max(_ODD**2, _OUTLYING**2 * usual) + _NOISE_SHARE * noise)
