@@ -23,7 +23,7 @@ from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.deferred import Remembered
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.solve.modal import ModalSolution
-from reconstruction.wavefront import Wavefront, rms
+from reconstruction.wavefront import Wavefront, mean_rms
 
 PointField: TypeAlias = Callable[[float, float], NDArray[np.complex64]]
 
@@ -143,10 +143,3 @@ def _misfit_px(displacement: Displacement, bias: Bias, lenslets: Booleans) -> fl
     """RMS difference of measured and modelled displacements over some lenslets; infinite over none."""
     misfit = (displacement.coefficients - bias.modelled)[lenslets]
     return float(np.sqrt(np.mean(misfit**2))) if misfit.size else np.inf
-
-
-def mean_rms(views: Floats) -> float:
-    """Mean over the known views of the RMS (view_row, view_column, row, column), rad; NaN if none is known."""
-    each = rms(views)
-    known = np.isfinite(each)
-    return float(np.mean(each[known])) if known.any() else np.nan

@@ -109,6 +109,13 @@ def rms(phase: Floats) -> Floats:
     return np.sqrt(_mean(without_piston(phase) ** 2))
 
 
+def mean_rms(views: Floats) -> float:
+    """Mean RMS, rad, of the known views (view_row, view_column, lenslet_row, lenslet_column); NaN without any."""
+    each = rms(views)
+    known = np.isfinite(each)
+    return float(np.mean(each[known])) if known.any() else np.nan
+
+
 def peak_to_valley(phase: Floats) -> Floats:
     """Peak to valley of each wavefront (..., lenslet_row, lenslet_column), ignoring NaN: (...)."""
     highest = np.max(phase, axis=(-2, -1), initial=-np.inf, where=~np.isnan(phase))

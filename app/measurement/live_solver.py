@@ -17,8 +17,7 @@ from app.measurement.measurement import Assumptions, RefinementStage, Refinement
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE
-from reconstruction.refinement import mean_rms
-from reconstruction.wavefront import Wavefront
+from reconstruction.wavefront import Wavefront, mean_rms
 
 _MOVED_FRACTION = 0.5  # of the RMS of the bias's wavefront; after a larger change the bias is useless
 _MOVED_RAD = 0.1  # limit for a nearly flat wavefront

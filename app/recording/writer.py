@@ -37,7 +37,7 @@ from app.recording.frame_array import FrameArray
 from app.recording.frame_lines import FrameLine, checksum, sample_line
 from app.run_facts import now, software_facts, write_record
 from reconstruction.arrays import Floats
-from reconstruction.refinement import mean_rms
+from reconstruction.wavefront import mean_rms
 
 T = TypeVar("T")
 

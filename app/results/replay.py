@@ -22,11 +22,10 @@ from app.results.frame_tallies import FrameTally
 from app.results.result_file import VIEW, Variable, about, write_pieces
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
-from reconstruction.refinement import mean_rms
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import Method
 from reconstruction.solve.modal import ModalSolution
-from reconstruction.wavefront import Wavefront, rms
+from reconstruction.wavefront import Wavefront, mean_rms, rms
 
 
 class Verification:

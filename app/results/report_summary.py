@@ -26,8 +26,7 @@ from app.results.replay import are_alike
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Field
-from reconstruction.refinement import mean_rms
-from reconstruction.wavefront import Wavefront, rms, without_piston
+from reconstruction.wavefront import Wavefront, mean_rms, rms, without_piston
 
 _SAMPLED_FRAMES = 200  # evenly spaced frames that are reconstructed again
 

@@ -13,9 +13,9 @@ from app.bench.config import load_bench
 from app.bench.imaging_model import BenchModel, lenslet_model
 from reconstruction.lattice.search import survey
 from reconstruction.pipeline import Reconstructor
-from reconstruction.refinement import Refinement, mean_rms
+from reconstruction.refinement import Refinement
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
-from reconstruction.wavefront import rms
+from reconstruction.wavefront import mean_rms, rms
 
 FRAMES, REAL = FOREIGN_FRAMES, FOREIGN_FRAMES / "real_light"
 BENCH = load_bench(FRAMES / "bench.toml")

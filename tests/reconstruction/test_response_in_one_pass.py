@@ -22,9 +22,9 @@ from reconstruction.layers.layer_search import LayerSearch
 from reconstruction.layers.layer_solver import Layer, LayerFit
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.pipeline import Reconstructor
-from reconstruction.refinement import mean_rms
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel
 from reconstruction.solve.evidence import FitQuality
+from reconstruction.wavefront import mean_rms
 from simulated_devices.optics import source
 from simulated_devices.optics.source import SourcePoints
 from simulated_devices.settings import Source

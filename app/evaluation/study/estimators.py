@@ -24,7 +24,7 @@ from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.pipeline import Reconstructor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
-from reconstruction.wavefront import Wavefront, rms
+from reconstruction.wavefront import Wavefront, mean_rms
 from simulated_devices.sample import Sample
 
 ROUNDS = 3  # of refinement
@@ -138,7 +138,7 @@ def compared(
     Without `views` (view_row, view_column) all of them count, without `lenslets` the valid ones.
     """
     lenslets = wavefront.displacement.valid if lenslets is None else lenslets
-    return with_rms(curve, at, wavefront, mean_rms(wavefront.views - truth, lenslets, views), **more)
+    return with_rms(curve, at, wavefront, mean_rms_within(wavefront.views - truth, lenslets, views), **more)
 
 
 def with_rms(curve: str, at: Position, wavefront: Wavefront, rms_rad: float, **more: float) -> CaseResult:
@@ -154,14 +154,13 @@ def with_rms(curve: str, at: Position, wavefront: Wavefront, rms_rad: float, **m
     return CaseResult(at={"curve": curve, "at": at}, values=values | unknown | more)
 
 
-def mean_rms(difference: Floats, lenslets: Booleans, views: NDArray[np.bool_] | None = None) -> float:
+def mean_rms_within(difference: Floats, lenslets: Booleans, views: NDArray[np.bool_] | None = None) -> float:
     """Mean over the views of the RMS over the lenslets without piston; NaN if no view is known.
 
     `difference` (view_row, view_column, lenslet_row, lenslet_column), rad; `lenslets` and `views` that count.
     """
-    of_views = rms(np.where(lenslets, difference, np.nan))
-    of_views = of_views[np.isfinite(of_views) & (True if views is None else views)]
-    return float(of_views.mean()) if of_views.size else math.nan
+    counted = np.where(lenslets, difference, np.nan)
+    return mean_rms(counted if views is None else counted[views])
 
 
 def exact_wavefront(sample: Sample, reconstructor: Reconstructor, displacement: Displacement) -> Wavefront:

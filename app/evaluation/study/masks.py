@@ -29,7 +29,7 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, seeded, with_screen, with_source
 from app.evaluation.studies import CaseResult, Output, Printed, Study, StudyResult, Sweep, known_rows
-from app.evaluation.study.estimators import WarpEstimator, compared, mean_rms, with_rms
+from app.evaluation.study.estimators import WarpEstimator, compared, mean_rms_within, with_rms
 from app.evaluation.study.noise import bound_rad, camera, error_bar_rad, scatter_of, true_lenslet, without_prior
 from app.evaluation.study.sweeps import NEAR_SOURCE, lit_views
 from app.progress import Progress
@@ -281,7 +281,7 @@ def _predicted(bench: Bench, square: Image, views: NDArray[np.bool_], seeds: ran
             frames = NoiseFreeFrames(screen)
             wavefront = reconstructor.solve(predict(frames.sample))
             error = wavefront.views - frames.renderer.truth_wavefront(0)
-            errors.append(mean_rms(error, wavefront.displacement.valid, views))
+            errors.append(mean_rms_within(error, wavefront.displacement.valid, views))
         values[_BIASES[sample]] = float(np.mean(errors))
     return values
 

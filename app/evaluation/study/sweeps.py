@@ -21,9 +21,8 @@ from app.progress import Progress
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
 from reconstruction.layers.layered_wavefront import AssumedSample
-from reconstruction.refinement import mean_rms
 from reconstruction.settings import ReconstructionSettings, Warp
-from reconstruction.wavefront import Wavefront
+from reconstruction.wavefront import Wavefront, mean_rms
 from simulated_devices.optics.source import source_points
 from simulated_devices.sample import make_sample
 from simulated_devices.settings import Mask

@@ -31,8 +31,7 @@ from app.results.view_analysis import Quantity, QuantityMaps, quantity_maps
 from drivers.interface import Range
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import aligned
-from reconstruction.refinement import mean_rms
-from reconstruction.wavefront import Wavefront
+from reconstruction.wavefront import Wavefront, mean_rms
 
 _WEAK_RAD = 0.1  # mean RMS from which on noise is not looked at: it takes some milliseconds
 

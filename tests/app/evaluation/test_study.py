@@ -22,7 +22,7 @@ from app.cache import cache_folder, cached
 from app.evaluation import study
 from app.evaluation.frames import NoiseFreeFrames
 from app.evaluation.studies import CaseResult, Sweep, collect, known_rows
-from app.evaluation.study.estimators import mean_rms
+from app.evaluation.study.estimators import mean_rms_within
 from app.evaluation.study.noise import camera
 from app.progress import Progress, named, part
 
@@ -120,9 +120,9 @@ def test_mean_rms_ignores_unknown_lenslets_and_views() -> None:
     difference = np.zeros((1, 2, 2, 2))
     difference[0, 0] = [[1.0, 3.0], [50.0, 1.0]]
     lenslets = np.array([[True, True], [False, False]])
-    assert mean_rms(difference, lenslets) == 0.5  # of 1 and 0
-    assert mean_rms(difference, lenslets, np.array([[True, False]])) == 1.0
-    assert math.isnan(mean_rms(difference, np.zeros((2, 2), np.bool_)))
+    assert mean_rms_within(difference, lenslets) == 0.5  # of 1 and 0
+    assert mean_rms_within(difference, lenslets, np.array([[True, False]])) == 1.0
+    assert math.isnan(mean_rms_within(difference, np.zeros((2, 2), np.bool_)))
 
 
 def test_cache_recomputes_damaged_and_drops_old_results(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from app.measurement.bench_reconstructor import BenchReconstructor
 from app.results.dataset import result_dataset
 from reconstruction.arrays import Floats, Image
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.refinement import mean_rms
+from reconstruction.wavefront import mean_rms
 
 READ_NOISE_E = 8.0
 RAYS = (np.arange(8) - 3.5) / 8  # across a lenslet, in pitches
