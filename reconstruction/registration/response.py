@@ -75,9 +75,12 @@ def point_brightness(point_images: Image, subimage: Floats) -> Floats:
     """Non-negative brightness (point,) whose point images (point, row, column) add up to a subimage."""
     matrix = point_images.reshape(len(point_images), -1).T.astype(np.float64)
     scale = np.max(matrix)  # the solver's tolerance is absolute
+    # The same least squares with as many equations as points: there are fewer than pixels.
+    augmented = np.column_stack([matrix / scale, subimage.ravel()])
+    equations = np.asarray(np.linalg.qr(augmented, mode="r"))[: len(point_images)]
     try:
         found, _ = scipy.optimize.nnls(
-            matrix / scale, subimage.ravel(), maxiter=_ITERATIONS_PER_POINT * len(point_images)
+            equations[:, :-1], equations[:, -1], maxiter=_ITERATIONS_PER_POINT * len(point_images)
         )
     except RuntimeError as error:  # SciPy did not converge
         raise ReconstructionError("the source's shape cannot be found in the reference: is it in focus?") from error

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy import optimize
 from support.optics import FIELD, SmallBench
 from support.own_wavefronts import Lenslets, local_wave, model_of
 
@@ -13,7 +14,7 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import LegendreModes, ZernikeModes
 from reconstruction.registration.gauss_newton import GaussNewton
-from reconstruction.registration.response import fitting_model, linear_response
+from reconstruction.registration.response import fitting_model, linear_response, point_brightness
 from reconstruction.registration.subimages import ReferenceSubimages
 from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import SourcePoints
@@ -171,3 +172,16 @@ def test_response_of_a_displaced_lenslet_is_that_of_the_others(registered: Regis
     response = linear_response(method, model)
     largest = np.abs(registered.response).max()
     np.testing.assert_allclose(response, registered.response, atol=0.02 * largest)
+
+
+@pytest.mark.parametrize("points", [12, 40])  # fewer and more than pixels
+def test_brightness_of_points_is_that_of_least_squares_without_negative_light(points: int) -> None:
+    random = np.random.default_rng(points)
+    images, subimage = random.random((points, 5, 5), np.float32), random.random((5, 5))
+    found = point_brightness(images, subimage)
+    matrix = images.reshape(points, -1).T.astype(np.float64)
+    expected, _ = optimize.nnls(matrix, subimage.ravel())
+    assert (found >= 0).all()
+    np.testing.assert_allclose(matrix @ found, matrix @ expected, rtol=1e-9)
+    if points < subimage.size:
+        np.testing.assert_allclose(found, expected, atol=1e-9)
