@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from app.cache import kept_while_alive
 from reconstruction.annotated_settings import THREADS
 from reconstruction.geometry import Lattice, lenslet_centers
 from reconstruction.registration.own_wavefronts import OWN_WAVEFRONTS, own_wavefronts
@@ -36,7 +37,7 @@ def lenslet_model(bench: Bench, reference: ReferenceSubimages) -> LensletImage:
 
     Raises `ReconstructionError` if the reference does not allow a model.
     """
-    return _lenslet(bench, reference, measured_source(bench, reference))
+    return _lenslet(bench, reference, measured_source(reference, bench))
 
 
 def _lenslet(bench: Bench, reference: ReferenceSubimages, source: SourcePoints) -> LensletImage:
@@ -50,7 +51,8 @@ def _lenslet(bench: Bench, reference: ReferenceSubimages, source: SourcePoints) 
     )
 
 
-def measured_source(bench: Bench, reference: ReferenceSubimages) -> SourcePoints:
+@kept_while_alive(maxsize=4)  # the refinement needs it after the response
+def measured_source(reference: ReferenceSubimages, bench: Bench) -> SourcePoints:
     """Brightness of a grid of object points, found in the mean subimage of a reference."""
     # The same lenslets on as many pixels as one window has.
     arrangement, middle_px = bench.sensor.arrangement, (reference.width - 1) / 2
@@ -89,7 +91,7 @@ class BenchModel:
             pixel_fill_factor=bench.camera_model.pixel_fill_factor,
             threads=threads,
         )
-        self.source = measured_source(bench, reference)
+        self.source = measured_source(reference, bench)
         _, light = mean_subimage(reference)
         self._light = by_pixel(light, lattice, *reconstructor.frame_shape)  # counts, (row, column)
         self.sample_x_m, self.sample_y_m = self._model.sample_x_m, self._model.sample_y_m

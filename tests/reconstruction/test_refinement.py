@@ -13,7 +13,7 @@ from support.optics import FIELD, SmallBench, checkerboard
 from support.own_wavefronts import Lenslets
 
 from app.bench.config import Bench
-from app.bench.imaging_model import BenchModel
+from app.bench.imaging_model import BenchModel, measured_source
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.pipeline import Reconstructor
@@ -215,3 +215,9 @@ def test_refinement_ends_without_improvement(checker_bench: SmallBench, bowl: Bo
     model = Wild()
     displacement = reconstructor.register(bowl.frame(checker_bench))
     assert len(list(Refinement(reconstructor, model).rounds(displacement, 6))) < model.asked < 6
+
+
+def test_source_of_a_reference_is_measured_once(small_bench: SmallBench) -> None:
+    bench = Bench(sensor=small_bench.sensor, field=small_bench.field, lattice=small_bench.lattice)
+    reference = small_bench.subimages()
+    assert measured_source(reference, bench) is measured_source(reference, bench)
