@@ -100,6 +100,7 @@ def names_of(cls: Any) -> Iterator[str]:
         yield from names_of(part) if dataclasses.is_dataclass(part) else (name,)
 
 
+@pytest.mark.slow
 def test_bench_reference_has_every_setting(pages: Path) -> None:
     text = text_of(pages / "bench.html")
     for section, hint in get_type_hints(Bench).items():
@@ -116,6 +117,7 @@ def test_bench_reference_has_every_setting(pages: Path) -> None:
     assert re.search(r"^lenslet_rows\n\nrequired\n.*Must be 2 ... 1000$", text, re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_references_have_every_command_and_name(pages: Path) -> None:
     text = text_of(pages / "commands.html")
     for command in ("live", "deconvolve", "paper table1", "desktop"):
