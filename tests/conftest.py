@@ -180,12 +180,12 @@ def make_window(qapp: QApplication) -> Iterator[MakeWindow]:  # noqa: ARG001 - i
 
 @pytest.fixture
 def live(make_window: MakeWindow, qtbot: QtBot) -> tuple[MainWindow, FakeCamera]:
-    """A window with live wavefronts."""
+    """A window with live wavefronts, its dark and reference of few frames."""
     from support.gui_bench import FakeCamera  # noqa: PLC0415 - only where a window is wanted
     from support.window_tools import wait_for_wavefront  # noqa: PLC0415 - only where a window is wanted
 
     camera = FakeCamera()
-    window = make_window(camera)
+    window = make_window(camera, frames=6)
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
     return window, camera

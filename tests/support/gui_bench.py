@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,9 +70,8 @@ class FakeCamera(Camera):
             readout_speeds=(3,),  # as in the bench
         )
         self._exposure, self._chosen, self._gain, self._running = 0.02, "em", 1.0, False
-        self._index, self._last_s = 0, 0.0
+        self._index, self._frames, self._last_s = 0, 0, 0.0  # frames since the start, and since it was opened
         self._images = [_squares((rows, columns), lattice, strength) for strength in (0.0, 1.0)]
-        self._noise = np.random.default_rng(1)
 
     @property
     def is_closed(self) -> bool:
@@ -120,9 +120,10 @@ class FakeCamera(Camera):
             raise DeviceTimeout("no frame yet")
         self._last_s = time.monotonic()
         counts = 500 + 40000 * self._images[self.stage.is_sample_in] * self.light.is_on
-        counts += self._noise.normal(0, 30, counts.shape)
+        noise = _noise(counts.shape)
+        counts += noise[self._frames % len(noise)]
         frame = make_frame(counts.astype(np.uint16), index=self._index)
-        self._index += 1
+        self._index, self._frames = self._index + 1, self._frames + 1
         return frame
 
     def _close(self) -> None:
@@ -242,8 +243,17 @@ class _NoSolution:
         return np.zeros((*field_modes.shape[:-1], *self._lenslets))
 
 
+@cache
+def _noise(shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Noise of the next frames of a camera, counts, (frame, row, column): of a dark, a reference and some more."""
+    made = np.random.default_rng(1).normal(0, 30, (64, *shape)).astype(np.float32)
+    made.flags.writeable = False
+    return made
+
+
+@cache
 def _squares(shape: tuple[int, int], lattice: Lattice, strength: float) -> Floats:
-    """Soft squares behind every lenslet, 0 ... 1, displaced by a sample of the given strength."""
+    """Soft squares behind every lenslet, 0 ... 1, displaced by a sample of the given strength; read-only."""
     y, x = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij")
     position = lattice.from_camera_px(np.stack([x, y], axis=-1).astype(np.float64)) / lattice.pitch_px
     cell = np.floor(position + 0.5)
@@ -255,4 +265,5 @@ def _squares(shape: tuple[int, int], lattice: Lattice, strength: float) -> Float
     brightness = np.ones(shape)
     for offset in (inside[..., 0] - moved_x, inside[..., 1] - moved_y):
         brightness *= 0.5 * (np.tanh((offset + half) / 1.2) - np.tanh((offset - half) / 1.2))
+    brightness.flags.writeable = False
     return brightness

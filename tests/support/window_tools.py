@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import matplotlib as mpl
@@ -15,6 +16,7 @@ from PyQt6.QtGui import QFont, QFontDatabase, QImage
 from PyQt6.QtWidgets import QApplication, QTabBar, QWidget
 from pytestqt.qtbot import QtBot
 
+from app.acquisition.start_up import FRAMES, start_up
 from app.acquisition.worker import Acquisition
 from app.gui.panels.panel import Panel
 from app.gui.shell.access import Access
@@ -55,10 +57,12 @@ def windows() -> Iterator[MakeWindow]:
     """Yield a function that makes windows, and close them afterwards."""
     made: list[MainWindow] = []
 
-    def make(*cameras: FakeCamera, settings: QSettings | None = None, resized: bool = True) -> MainWindow:
-        spare = iter(cameras)
+    def make(
+        *cameras: FakeCamera, settings: QSettings | None = None, resized: bool = True, frames: int = FRAMES
+    ) -> MainWindow:
+        spare, begin = iter(cameras), partial(start_up, frames=frames)
         window = MainWindow(settings=settings)
-        window.controller.use(Access(lambda: Acquisition(BENCH, opener(next(spare)))), lambda: None)
+        window.controller.use(Access(lambda: Acquisition(BENCH, opener(next(spare))), begin), lambda: None)
         if resized:
             window.resize(1000, 760)
         window.show()
