@@ -50,10 +50,14 @@ test-slow: setup c-compiler $(NUMBA_CACHE_DIR) ## the tests that take one to fou
 test-long: setup c-compiler $(NUMBA_CACHE_DIR) ## those that take four seconds or more, twenty minutes; ROOM, ONLY as above
 	$(PYTEST) -m long $(CHOSEN)
 
-# Else every process of the tests would compile the same code at the same time.
+# Else every process of the tests would compile the same code at the same time; so would each the tests' own bytecode.
+COMPILING := tests/reconstruction/test_round_trips.py tests/simulated_devices/test_detector.py \
+    tests/app/results/test_frame_statistics.py
+
 $(NUMBA_CACHE_DIR): | setup
 	@echo 'compiling, half a minute'
-	@mkdir -p $@ && PYTHONPATH=tests .venv/bin/python -m pytest -q tests/reconstruction/test_round_trips.py >/dev/null
+	@mkdir -p $@; .venv/bin/python -m pytest -q --collect-only >/dev/null & \
+	.venv/bin/python -m pytest -q $(COMPILING) >/dev/null && wait
 
 mutants: setup c-compiler ## put known faults into a copy of the source: a test must find each; ROOMS="drivers window" for some
 	.venv/bin/python tests/support/run_mutants.py $(ROOMS)
