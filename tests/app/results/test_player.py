@@ -44,10 +44,11 @@ def changing(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> 
     kept = recording.calibration(0)
     fewer = replace(kept, bench=replace(kept.bench, reconstruction=ReconstructionSettings(pupil_modes=6)))
     writer = RecordingWriter(folder, {"command": "live", "bench": write_bench(kept.bench)})
+    reconstructors = [(each, each.reconstructor()) for each in (kept, fewer)]
     for index in range(FRAMES):
-        calibration = kept if index < FRAMES // 2 else fewer
+        calibration, reconstructor = reconstructors[index * 2 // FRAMES]
         with one_blas_thread():
-            wavefront = calibration.reconstructor()(recording.pixels(index))
+            wavefront = reconstructor(recording.pixels(index))
         frame = replace(recording.frame(index), host_time_s=0.2 * index)
         writer.write(Record.of(Measurement(frame, wavefront, "", calibration=calibration)))
     writer.finish("", acquired=FRAMES, facts={})
