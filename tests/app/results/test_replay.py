@@ -43,7 +43,11 @@ FRAMES = 6
 LAYERS = ("reconstruction.sample=layers", "reconstruction.pupil_modes=automatic")
 
 
-@pytest.fixture(scope="module", params=["plain", "refined", "layered", "layered-refined"])
+# The others take seconds to record, and one or two to replay.
+SLOWLY = [pytest.param(name, marks=pytest.mark.slow) for name in ("refined", "layered", "layered-refined")]
+
+
+@pytest.fixture(scope="module", params=["plain", *SLOWLY])
 def recording(request: pytest.FixtureRequest, small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     folder = tmp_path_factory.mktemp("recording") / request.param
     refine = f"reconstruction.refine={str('refined' in request.param).lower()}"
