@@ -231,7 +231,7 @@ def test_steps_show_time_and_brightness_in_the_order_of_work(live: tuple[MainWin
     places = [one.mapTo(window, one.rect().topLeft()) for one in steps]
     assert [place.x() for place in places] == sorted(place.x() for place in places)
     assert len({place.y() for place in places}) == 1
-    taken = window.controls.dark.toolTip().partition("20 frames at ")[2][:5]
+    taken = window.controls.dark.toolTip().partition("6 frames at ")[2][:5]
     assert controls.dark.text() == f"3 Dark  {taken}"
     assert window.shown.measurement is not None
     share = window.shown.measurement.frame.pixels.max() / 65535

@@ -483,7 +483,7 @@ def test_stale_calibration_greys_the_wavefronts_and_says_why(live: tuple[MainWin
 
     assert colourfulness() > 50
     good = lamp()
-    assert "Good: 20 frames at" in controls.reference.toolTip()
+    assert "Good: 6 frames at" in controls.reference.toolTip()
     assert "exposure 20 ms" in controls.reference.toolTip()
     controls.exposure.setValue(30)
     qtbot.waitUntil(lambda: camera.exposure_s == 0.03 and bool(panel.stale.text()))
