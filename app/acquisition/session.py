@@ -412,6 +412,15 @@ class ConnectedBench(LiveBench):
         """Take control from whoever has it."""
         self._result(self._connection.take_control())
 
+    def require_ready(self) -> None:
+        """Start the camera, after what the instrument does already; `RunError` if no frame can have a wavefront."""
+        self._start_camera()
+        status = self._status()
+        if not status.is_calibrated:
+            raise RunError(f"nothing was recorded: {status.warning}")
+        if not status.is_light_on:
+            raise RunError("nothing was recorded: the light is off; switch it on, as with L in svwfs live --attach")
+
     def shut_down(self) -> None:
         """End the instrument for everybody: light off, devices closed, recording finished."""
         self._connection.shut_down().result(_SHUT_DOWN_S)

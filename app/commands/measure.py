@@ -81,6 +81,7 @@ def measure(
 
 def measure_attached(name: str, frames: int, out: Path, progress: Progress, *, takes_control: bool = False) -> Measured:
     """Let the instrument of a name record `frames` frames, and write their results; see `measure_bench`."""
+    from app.acquisition.remote.messages import watching
     from app.acquisition.session import ConnectedBench
 
     live = ConnectedBench("measure", name, progress=progress)
@@ -89,7 +90,8 @@ def measure_attached(name: str, frames: int, out: Path, progress: Progress, *, t
         if takes_control:
             live.take_control()
         elif live.controller and not live.has_control:
-            raise RunError(f"{live.controller} has control of the instrument: add --take-control to take it over")
+            raise RunError(f"{watching(live.controller)}, with --take-control")
+        live.require_ready()
 
     return _measured(live, live.bench, frames, out, progress, begin)
 

@@ -36,6 +36,11 @@ _ERRORS: dict[str, type[Exception]] = {
 }
 
 
+def watching(controller: str) -> str:
+    """Say why commands of a client are refused: who has control, empty if nobody."""
+    return f"this program only watches: {controller or 'nobody'} has control; take control first"
+
+
 @dataclass(frozen=True, slots=True)
 class Hello:
     """A client enters; with `controls`, it takes control if nobody has it. It reads a record every `pause_s`."""

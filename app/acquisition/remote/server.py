@@ -35,6 +35,7 @@ from app.acquisition.remote.messages import (
     Traveller,
     Travellers,
     Wanted,
+    watching,
 )
 from app.acquisition.remote.ring import RingWriter
 from app.acquisition.remote.wire import Packed, unpacked
@@ -271,8 +272,7 @@ class Server:
         name = command.request
         if identity != self._controller and name not in _FOR_ALL:
             holder = self._clients.get(self._controller)
-            whose = "nobody has control" if holder is None else f"{holder.name} has control"
-            raise WrongState(f"this program only watches: {whose}; take control first")
+            raise WrongState(watching("" if holder is None else holder.name))
         if name == "take_control":
             self._controller = identity
             return done()

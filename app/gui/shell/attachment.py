@@ -5,6 +5,7 @@ from collections.abc import Callable
 from PyQt6.QtWidgets import QMessageBox, QWidget
 
 from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.messages import watching
 from app.acquisition.remote.own_instrument import OwnConnection
 from app.gui.shell.controller import Controller
 
@@ -37,8 +38,7 @@ class Attachment:
             return f"the instrument's process {connection.place.process} does not answer: if that lasts, end it"
         if connection is None or connection.has_control:
             return ""
-        who = f"{connection.controller} has control" if connection.controller else "nobody has control"
-        return f"this window only watches: {who}"
+        return watching(connection.controller)
 
     @property
     def place(self) -> str:
@@ -61,10 +61,10 @@ class Attachment:
             self._controller.messages.warn(self.notice)
         else:
             self._controller.messages.ask(
-                "the instrument ends for everybody: the light goes off, recordings are finished",
+                "the instrument stops for everybody: the light goes off, recordings are finished",
                 lambda: self._controller.send(lambda _: connection.end()),
-                "End it",
-                "Keep it",
+                "Stop instrument",
+                "Keep running",
                 loses=True,
             )
 
@@ -81,13 +81,13 @@ class Attachment:
         box = QMessageBox(self._parent)
         box.setIcon(QMessageBox.Icon.Question)
         box.setWindowTitle("svwfs")
-        box.setText("Does the instrument go on without this window?")
+        box.setText("Keep the instrument running without this window?")
         state = connection.recording
         recording = state.folder.name if state is not None and state.stage == "recording" else ""
-        going_on = f"recording {recording} goes on, too; else it ends" if recording else "nothing is recorded"
-        box.setInformativeText(f"If it goes on, the light stays as it is, and {going_on}.")
-        goes_on = box.addButton("It goes on", QMessageBox.ButtonRole.AcceptRole)
-        ends = box.addButton("End it", QMessageBox.ButtonRole.DestructiveRole)
+        recorded = f"recording {recording} goes on, too; else it ends" if recording else "nothing is recorded"
+        box.setInformativeText(f"While it runs, the light stays as it is, and {recorded}.")
+        goes_on = box.addButton("Keep running", QMessageBox.ButtonRole.AcceptRole)
+        ends = box.addButton("Stop instrument", QMessageBox.ButtonRole.DestructiveRole)
         is_own = isinstance(connection, OwnConnection)
         cancel = box.addButton(QMessageBox.StandardButton.Cancel)
         box.setDefaultButton(cancel if recording else ends if is_own else goes_on)

@@ -91,7 +91,7 @@ def test_window_that_watches_says_who_has_control_and_takes_it(
     with connected("notebook"):
         window = make_window()
         window.open(Access(lambda: Connection("window"), lambda _: ()))
-        qtbot.waitUntil(lambda: "this window only watches: notebook" in told(window))
+        qtbot.waitUntil(lambda: "this program only watches: notebook" in told(window))
         window.messages.control.click()
         qtbot.waitUntil(lambda: "watches" not in told(window))
         assert window.messages.control.isHidden()
@@ -101,14 +101,14 @@ def test_window_that_watches_says_who_has_control_and_takes_it(
     assert server.acquisition.is_alive
 
 
-@pytest.mark.parametrize(("label", "goes_on"), [("It goes on", True), ("End it", False)])
+@pytest.mark.parametrize(("label", "goes_on"), [("Keep running", True), ("Stop instrument", False)])
 def test_closing_asks_whether_the_instrument_goes_on(
     window: MainWindow, server: Server, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch, *, label: str, goes_on: bool
 ) -> None:
     asked = answer(monkeypatch, "Cancel")
     window.quit()
     (question,) = asked
-    assert question.startswith("Does the instrument go on without this window?")
+    assert question.startswith("Keep the instrument running without this window?")
     assert window.isVisible()
     answer(monkeypatch, label)
     window.quit()
@@ -162,7 +162,7 @@ def test_commands_of_a_window_that_watches_are_refused_with_a_sentence(
         is_refused(panel.record.click)
         is_refused(lambda: bar.stop_after.entered.emit(5.0))
         window.attachment.end_instrument()
-        qtbot.waitUntil(lambda: "this window only watches: notebook" in told(window))
+        qtbot.waitUntil(lambda: "this program only watches: notebook" in told(window))
         window.quit()  # asks nothing: the instrument goes on for the notebook
         qtbot.waitUntil(lambda: not window.isVisible())
     assert server.acquisition.is_alive
@@ -275,10 +275,10 @@ def test_window_runs_its_instrument_in_a_process_that_ends_with_it(
         assert "--trust-library" not in str(started[-1].args)  # the window has asked
         assert "attached" not in window.windowTitle()
         assert window.controller.left == ""
-        asked = answer(monkeypatch, "End it", defaults)
+        asked = answer(monkeypatch, "Stop instrument", defaults)
         window.quit()
         qtbot.waitUntil(lambda: not window.isVisible())
-        assert defaults == ["End it"]
+        assert defaults == ["Stop instrument"]
         assert "nothing is recorded" in asked[0]
         assert started[-1].poll() == 0  # the window has waited for the end
 
@@ -303,7 +303,7 @@ def test_instrument_of_a_window_goes_on_if_its_user_says_so(
         qtbot.waitUntil(lambda: is_measured(window))
         connection_of(window).start_recording(tmp_path / "run 1").result(HANG_S)
         qtbot.waitUntil(lambda: "run 1" in window.recording_bar.text.text())
-        asked = answer(monkeypatch, "It goes on", defaults)
+        asked = answer(monkeypatch, "Keep running", defaults)
         window.quit()
         assert defaults == ["Cancel"]  # no key ends a recording by mistake
         assert "recording run 1 goes on" in asked[0]
@@ -391,7 +391,7 @@ def test_instrument_of_a_window_goes_on_for_the_client_that_has_control(
         qtbot.waitUntil(lambda: is_measured(window))
         notebook.append(Connection("notebook", controls=False))
         notebook[0].take_control().result(HANG_S)
-        qtbot.waitUntil(lambda: "this window only watches: notebook" in told(window))
+        qtbot.waitUntil(lambda: "this program only watches: notebook" in told(window))
         window.benches.open(str(other_toml))
         qtbot.waitUntil(lambda: f"process {started[0].pid} goes on: its devices are in use" in told(window))
         window.benches.open(str(other_toml))  # again

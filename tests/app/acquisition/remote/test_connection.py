@@ -29,10 +29,12 @@ from app.acquisition.remote.server import Server
 from app.acquisition.remote.wire import Packed, unpacked
 from app.acquisition.session import ConnectedBench, connect
 from app.acquisition.start_up import start_up
+from app.commands.measure import measure_attached
 from app.errors import InputError, Interrupted, RunError
 from app.measurement.measurement import Assumptions, Measurement, RefinementState
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingLimit
+from app.results.frame_tallies import Measured
 from drivers.interface import BadValue, Disconnected, WrongState
 from reconstruction.layers.layered_wavefront import FREE
 
@@ -524,6 +526,27 @@ def test_live_bench_in_another_process_works_as_in_this(server: Server, tmp_path
     with ConnectedBench("other") as again:
         again.shut_down()
         wait_until(lambda: again.failure)
+
+
+def measured_attached(out: Path) -> Measured:
+    return measure_attached("instrument", 4, out, lambda *_: None)
+
+
+@pytest.mark.usefixtures("server")
+def test_measure_tells_of_a_light_that_is_off_before_it_records(camera: FakeCamera, tmp_path: Path) -> None:
+    with connected() as connection:
+        newest(connection)
+        connection.switch_light_off().result(HANG_S)
+    with pytest.raises(RunError, match="nothing was recorded: the light is off; switch it on"):
+        measured_attached(tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+    assert not camera.light.shines
+
+
+def test_measure_tells_of_a_missing_reference_before_it_records(camera: FakeCamera, tmp_path: Path) -> None:
+    with served(camera, begin=lambda _: None), pytest.raises(RunError, match="nothing was recorded: no reference yet"):
+        measured_attached(tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.usefixtures("server")

@@ -199,7 +199,7 @@ def test_measure_attaches(
         fails(1, "an instrument runs as instrument already", "serve", "--bench", small_toml)
         with connected() as other:
             wait_until(lambda: other.has_control)
-            fails(1, "add --take-control", *attached, tmp_path / "other")
+            fails(1, "has control; take control first, with --take-control", *attached, tmp_path / "other")
             assert not (tmp_path / "other").exists()
             fails(2, "holds a recording", *attached, tmp_path / "run", "--take-control")
             assert other.has_control
