@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -102,15 +101,18 @@ def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: b
     """Run the window on a bench file or a preset until it is closed, and return the exit status.
 
     The instrument is a process of its own, which other clients find by its name. The window shows what is wrong with
-    the file, and opens others; it may offer the one that was open last.
+    the file, and opens others; it may offer the one that was open last. `InputError` if only `overrides` are wrong.
     """
     from app.acquisition.remote.own_instrument import OwnInstrument
 
     with OwnInstrument(name) as own:
-        with suppress(InputError):  # the window explains it
+        try:
             bench = load_bench(source, overrides)
             if not unconfirmed(bench):
                 own.start(bench)  # while the window is loaded
+        except InputError:
+            if overrides and _is_sound(source):
+                raise  # what --set says is wrong; of a file, the window tells more
         from app.gui.splash import Splash
 
         splash = Splash()  # before the rest is loaded
@@ -122,6 +124,15 @@ def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: b
                 window.benches.offer_last()
 
         return _run(open_first, own)
+
+
+def _is_sound(source: str) -> bool:
+    """True if a bench file or a preset can be read without changes."""
+    try:
+        load_bench(source)
+    except InputError:
+        return False
+    return True
 
 
 def _window_of(access: Access, splash: Splash, name: str = NAME) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -48,3 +49,31 @@ def test_last_bench_is_offered_only_if_none_is_named(
     assert run(monkeypatch, "live", *arguments) == 0
     assert opened == [source, *["last"] * offers_last]
     assert begun == [load_bench(source, arguments[1:] if "--set" in arguments else ())]  # while the window is loaded
+
+
+@pytest.mark.usefixtures("qapp", "runtime_folder")
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        ("foo", "setting 'foo': write section.key=value"),
+        ("sensor.wavelength=1", "live_demo: sensor.wavelength is an unknown key"),
+        ("sensor.wavelength_m=1", "live_demo: sensor.wavelength_m must be 1e-7 ... 2e-5"),
+    ],
+)
+def test_wrong_setting_opens_no_window(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], setting: str, sentence: str
+) -> None:
+    monkeypatch.setattr("app.commands.live.use_display", lambda: True)
+    monkeypatch.setattr("app.gui.application.run_window", lambda *_, **__: pytest.fail("a window"))
+    assert run(monkeypatch, "live", "--set", setting) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"svwfs: {sentence}")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.usefixtures("qapp", "runtime_folder")
+def test_window_explains_a_wrong_file_with_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "bench.toml").write_text("[sensor]\n")
+    monkeypatch.setattr("app.commands.live.use_display", lambda: True)
+    monkeypatch.setattr("app.gui.application.run_window", lambda *_, **__: 0)
+    assert run(monkeypatch, "live", "--bench", tmp_path / "bench.toml", "--set", "registration.warp=affine") == 0
