@@ -188,7 +188,8 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
         path = error.path.replace("sensor.arrangement", "lattice.arrangement")
         line = None if overrides else line_of_setting(text, path)  # an override may be at fault
         fault = SettingError(path, error.why, error.limit)
-        raise BenchError(f"{name}: {fault}", line, fault) from error
+        chosen = f', or "{AUTOMATIC}"' if tuple(path.split(".")) in _CHOSEN_IF_OMITTED else ""
+        raise BenchError(f"{name}: {fault}{chosen}", line, fault) from error
     if non_rigid:  # the reconstruction refuses it
         bench = dataclasses.replace(bench, registration=dataclasses.replace(bench.registration, method=non_rigid))
     return bench

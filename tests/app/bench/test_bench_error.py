@@ -53,6 +53,22 @@ def test_fault_of_an_override_names_no_line() -> None:
     assert fault.value.line is None
 
 
+@pytest.mark.parametrize(
+    ("setting", "allowed"),
+    [
+        ("registration.warp=bent", 'one of "translation", "affine", "quadratic", "cubic", "quartic", or "automatic"'),
+        ("reconstruction.pupil_modes=0", '3 ... 1000, or "automatic"'),
+        ("reconstruction.pupil_modes=many", 'a whole number, or "automatic"'),
+    ],
+)
+def test_sentence_names_automatic_where_it_is_allowed(setting: str, allowed: str) -> None:
+    key, _, _ = setting.partition("=")
+    with pytest.raises(BenchError) as fault:
+        load_bench("small_demo", (setting,))
+    assert str(fault.value) == f"small_demo: {key} must be {allowed}"
+    load_bench("small_demo", (f"{key}=automatic",))
+
+
 def test_integer_of_too_many_digits_is_one_sentence() -> None:
     """Python refuses to read more than 4300 digits, with another error than TOML's."""
     number = "9" * 5000
