@@ -17,9 +17,7 @@ def main() -> None:
             if hasattr(stream, "reconfigure"):  # names of files need not be text
                 stream.reconfigure(errors="backslashreplace")
         try:
-            from app.cli.application import cli  # takes a while, in which Ctrl-C may come
-
-            cli()
+            _run()
         except InputError as error:
             _exit(error, 2)
         except Interrupted as error:
@@ -31,6 +29,9 @@ def main() -> None:
         except OSError as error:
             if isinstance(error.filename, str):  # its name cannot be used
                 _exit(InputError(f"{error.filename}: cannot be used: {error.strerror or error}"), 2)
+            if isinstance(error, BrokenPipeError):  # its reader has seen enough
+                _drop_output()
+                raise SystemExit(1) from error
             _exit(RunError(f"the output cannot be printed: {error.strerror or error}"), 1)
 
 
@@ -38,6 +39,27 @@ def _interrupt(_number: int, _frame: object) -> None:
     raise Interrupted("interrupted")
 
 
+def _run() -> None:
+    from app.cli.application import cli  # takes a while, in which Ctrl-C may come
+
+    try:
+        cli()
+    except SystemExit:
+        if sys.stdout is not None:
+            sys.stdout.flush()  # a full disk or a closed pipe may only show now
+        raise
+
+
+def _drop_output() -> None:
+    """Drop printed text that cannot be written: Python would try again at its end, and tell in its own words."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _exit(error: BaseException, status: int) -> NoReturn:
     sys.stderr.write(f"svwfs: {shortened(printable(str(error)))}\n")
+    if sys.stdout is not None:
+        _drop_output()
     raise SystemExit(status) from error

@@ -516,12 +516,26 @@ def test_lack_of_memory_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pyt
     assert capsys.readouterr().err == "svwfs: there is not enough memory: Unable to allocate 9 TiB\n"
 
 
-def test_output_that_cannot_be_printed_is_one_line() -> None:
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_output_that_cannot_be_printed_is_one_line(unbuffered: str) -> None:
     program = "import sys; from app.cli import main; main()"
     command = [sys.executable, "-c", program, "devices", "--help"]
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)  # noqa: S603 - our own command
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, env=environment, check=False)  # noqa: S603 - our own command
     assert (done.returncode, done.stderr) == (1, "svwfs: the output cannot be printed: No space left on device\n")
+
+
+def test_closed_pipe_ends_silently() -> None:
+    program = "import sys, app.cli.application as all; from app.cli import main\n"
+    program += "all.cli = lambda: sys.stdout.write('result') and sys.exit(); main()"  # as commands that do not flush
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        done = subprocess.run([sys.executable, "-c", program], stdout=writing, stderr=subprocess.PIPE, check=False)  # noqa: S603 - our own program
+    finally:
+        os.close(writing)
+    assert (done.returncode, done.stderr) == (1, b"")
 
 
 @pytest.mark.parametrize("command", ["replay {}", "layers {} --out o.nc", "study calibration --frames {} --out o"])
