@@ -16,6 +16,7 @@ from app.errors import InputError, RunError
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL  # the last refuses a symbolic link
 _PARTIAL = ".partial"  # in the name of a file that is being written
 _NAME = re.compile(r"\.[0-9a-f]{16}" + re.escape(_PARTIAL) + r"(\.\w+)?")
+_REFUSED = 1 << 16  # bytes that no full disk takes
 _STALE_S = 86400.0  # nobody is still writing a file that has not changed for so long
 MEASURED = ("results.nc", "dark.tif", "reference.tif")  # what `svwfs measure` writes beside the parts of its recording
 RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "start.npy", "biases", "calibrations")
@@ -56,7 +57,12 @@ def check_writable(folder: Path) -> None:
     if not existing.is_dir():
         raise InputError(f"{existing}: not a folder")
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise InputError(f"{existing}: no permission to write there")
+        why = "the disk is read-only" if _is_read_only(existing) else "no permission to write there"
+        raise InputError(f"{existing}: {why}")
+
+
+def _is_read_only(folder: Path) -> bool:
+    return sys.platform != "win32" and bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
 
 
 def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | None] = (), overwrite: bool) -> None:
@@ -136,11 +142,21 @@ def atomic_write(path: Path) -> Iterator[Path]:
             yield temporary
             sync(temporary)
             temporary.replace(path)
+        except OSError as error:
+            if error.errno is None:  # NumPy's "9 requested and 5 written"
+                _extend(temporary)
+            raise
         finally:
             temporary.unlink(missing_ok=True)
         sync(path.parent)
     except OSError as error:
         raise RunError(f"{path}: cannot be written: {in_words(error)}") from error
+
+
+def _extend(path: Path) -> None:
+    """Write more into a file that could not be written whole, for the system's word of why."""
+    with path.open("ab") as file:
+        file.write(bytes(_REFUSED))
 
 
 def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

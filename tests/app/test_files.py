@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import errno
 import os
+import resource
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from app.errors import InputError, RunError
-from app.files import RECORDING_PARTS, atomic_write, check_outputs, check_suffix
+from app.files import RECORDING_PARTS, atomic_write, check_outputs, check_suffix, check_writable, write_whole
 from app.images import write_image
 
 IMAGE = np.arange(12, dtype=np.uint16).reshape(3, 4)
@@ -36,6 +38,30 @@ def test_unwritable_folder_raises_run_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(RunError, match="folder cannot be made"):
         write_image(tmp_path / "file" / "image.tif", IMAGE)
+
+
+def test_full_disk_is_told_alike_by_images_and_texts(tmp_path: Path) -> None:
+    """A limit on the size of files stands for the size of the disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        with pytest.raises(RunError) as of_image:
+            write_image(tmp_path / "file", np.zeros((99, 99)))
+        with pytest.raises(RunError) as of_text:
+            write_whole(tmp_path / "file", bytes(9999))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert str(of_image.value) == str(of_text.value) == f"{tmp_path / 'file'}: cannot be written: File too large"
+    assert not list(tmp_path.iterdir())
+
+
+def test_read_only_disk_is_called_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.access", lambda *_: False)
+    with pytest.raises(InputError, match=f"^{tmp_path}: no permission to write there$"):
+        check_writable(tmp_path / "new")
+    monkeypatch.setattr("os.statvfs", lambda _: SimpleNamespace(f_flag=os.ST_RDONLY | os.ST_NOSUID))
+    with pytest.raises(InputError, match=f"^{tmp_path}: the disk is read-only$"):
+        check_writable(tmp_path / "new")
 
 
 def test_outputs_never_replace_inputs(tmp_path: Path) -> None:
