@@ -13,7 +13,7 @@ import tifffile
 import typer
 import xarray as xr
 
-from app.bench.bench_files import read_bench_text
+from app.bench.bench_files import BenchError, read_bench_text
 from app.bench.config import Bench
 from app.errors import InputError
 from app.files import atomic_write, check_readable, in_words
@@ -71,7 +71,14 @@ class Deconvolution(Analysis):
     def bench(self, source: Path) -> Bench:
         """Return the bench with the section [imaging] of the file, the scale, and changed settings."""
         scale = () if self.scale is None else (f"imaging.pixel_m={self.scale!r}",)
-        return read_bench_of(source, (*_section(self.imaging), *scale, *(self.setting or ())))
+        try:
+            return read_bench_of(source, (*_section(self.imaging), *scale, *(self.setting or ())))
+        except BenchError as error:
+            if error.fault is not None and error.fault.path == "imaging.pixel_m" and scale:
+                raise InputError(f"--scale (imaging.pixel_m) {error.fault.why}") from error
+            if error.fault is not None and error.fault.path.startswith("imaging.") and self.imaging is not None:
+                raise InputError(f"{self.imaging}: {error.fault}") from error
+            raise
 
     def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:
         """Return image and settings as inputs."""

@@ -37,7 +37,8 @@ class Corrector:
             raise ValueError(f"the shapes of a corrector are {', '.join(get_args(Influence))}, not {self.influence}")
         least, most = (4, 1024) if self.influence == "actuators" else (2, 500)
         if not least <= self.count <= most:
-            raise ValueError(f"the number of {self.influence} modes must be {least} ... {most}")
+            kind = "actuators" if self.influence == "actuators" else f"{self.influence} modes"
+            raise ValueError(f"the number of {kind} must be {least} ... {most}")
         if self.influence == "actuators" and math.isqrt(self.count) ** 2 != self.count:
             raise ValueError("the number of actuators must be a square, such as 144")
 

@@ -138,11 +138,14 @@ def refusals(tmp_path: Path, result: Path) -> dict[str, tuple[list[str | Path], 
     tifffile.imwrite(rgb, np.full((20, 30, 3), (0, 9, 0), np.uint8), photometric="rgb")
     tifffile.imwrite(broken, np.where(np.eye(150, 160), np.nan, 1).astype(np.float32))
     tifffile.imwrite(taken, np.zeros((5, 5), np.uint8))
+    (no_size := tmp_path / "no_size.toml").write_text("[imaging]\npixel_m = 0.0\n")
     good: str | Path = tmp_path / "image.tif"
     with_result: list[str | Path] = ["--with", result]
     out: list[str | Path] = ["--out", tmp_path / "new.tif"]
     return {
         "scale": ([good, *with_result, *out], "its scale is unknown: give --scale"),
+        "no size": ([good, *with_result, "--scale", "0", *out], "svwfs: --scale (imaging.pixel_m) must be 1e-10 ..."),
+        "no size in file": ([good, *with_result, "--imaging", no_size, *out], "no_size.toml: imaging.pixel_m must be"),
         "rgb": ([rgb, *with_result, *SCALE, *out], "is a colour image"),
         "nan": ([broken, *with_result, *SCALE, *out], "holds NaN"),
         "apart": ([good, *with_result, *SCALE, "--set", "imaging.center_x_px=9000.0", *out], "field covers 0 x"),
@@ -165,6 +168,8 @@ def refusals(tmp_path: Path, result: Path) -> dict[str, tuple[list[str | Path], 
     "case",
     [
         "scale",
+        "no size",
+        "no size in file",
         "rgb",
         "nan",
         "apart",

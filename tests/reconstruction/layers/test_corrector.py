@@ -112,5 +112,5 @@ def test_no_lenslets_are_refused() -> None:
 def test_unknown_shapes_are_refused() -> None:
     with pytest.raises(ValueError, match="legendre, zernike, actuators, not splines"):
         Corrector("splines", 45)  # type: ignore[arg-type] # as from Python
-    with pytest.raises(ValueError, match=r"actuators modes must be 4 \.\.\. 1024"):
+    with pytest.raises(ValueError, match=r"number of actuators must be 4 \.\.\. 1024"):
         Corrector("actuators", 10_000)
