@@ -4,6 +4,7 @@ import json
 import math
 import os
 import platform
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -17,6 +18,7 @@ from app.timing import STAGES, Stage, StageTimes
 
 _LIBRARIES = ("svwfs", "numpy", "scipy", "numba", "opencv-python-headless", "PyQt6", "pyqtgraph")
 _CPU = Path("/proc/cpuinfo")
+_VERSION_PART = re.compile(r"\b\d{1,9}\b")
 _RUN = "import sys; from app.cli import main; sys.exit(main())"
 
 
@@ -49,6 +51,12 @@ def versions(*more: str) -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return installed
+
+
+def newer_version(writer: object) -> str:
+    """Return the version of a writer, as "svwfs 0.3.0" or "0.3.0", if it is newer than this svwfs; else empty."""
+    theirs, ours = ([int(part) for part in _VERSION_PART.findall(str(each))] for each in (writer, version("svwfs")))
+    return str(writer).removeprefix("svwfs ") if theirs > ours else ""
 
 
 def timing_facts(times: Mapping[Stage, StageTimes]) -> dict[str, dict[str, float | None]]:

@@ -3,13 +3,16 @@
 import os
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from app.bench.presets import PRESETS
 from app.errors import InputError
 from app.files import check_readable, in_words
+from app.run_facts import newer_version
 from reconstruction.annotated_settings import SettingError
 
+WRITTEN_BY_NEWER = "a newer svwfs, {}, wrote it: update svwfs to read it"
 _HEADER = re.compile(r"\s*\[+\s*([\w.\-\s]+?)\s*\]+")
 _KEY = re.compile(r"\s*([\w.\-]+)\s*=")
 _AROUND = 2  # lines of an excerpt on both sides
@@ -23,6 +26,17 @@ class BenchError(InputError):
         """`line` counts from 1, None if the fault lies at no line of the file; `fault` names the wrong setting."""
         super().__init__(sentence)
         self.line, self.fault = line, fault
+
+
+@contextmanager
+def written_by(source: object, software: object) -> Iterator[None]:
+    """Say of a bench in a file that cannot be read if a newer svwfs has written it; `software` is its version."""
+    try:
+        yield
+    except BenchError as error:
+        if newer := newer_version(software):
+            raise InputError(f"{source}: {WRITTEN_BY_NEWER.format(newer)}") from error
+        raise
 
 
 def bench_file(source: str | Path) -> Path:

@@ -10,6 +10,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import IO, Any
 
+from app.bench.bench_files import WRITTEN_BY_NEWER
 from app.bench.config import parse_bench
 from app.errors import InputError
 from app.files import RECORDING_PARTS, check_readable, check_writable, in_words
@@ -17,6 +18,7 @@ from app.run_facts import write_record
 
 FORMAT = "svwfs recording 1"
 
+_LATER_FORMAT = re.compile(r"svwfs recording (?!1\b)\d+")
 RUN, FRAME_LINES, STORE, START, _BIASES, _CALIBRATIONS = RECORDING_PARTS  # START: frame before the first, px
 BIAS = f"{_BIASES}/{{}}.npy"  # by number (lenslet_row, lenslet_column, field_mode, xy), px
 CALIBRATION = f"{_CALIBRATIONS}/{{}}"  # folder of a calibration, by number
@@ -30,7 +32,8 @@ def read_run(folder: Path) -> dict[str, Any]:
     path = folder / RUN
     try:
         if not folder.is_dir():
-            raise InputError(f"{folder}: not a folder" if folder.exists() else f"{folder}: no such folder")
+            is_file = f"{folder}: not a folder, as a recording is"
+            raise InputError(is_file if folder.exists() else f"{folder}: no such folder")
         if not path.exists():
             raise InputError(f"{folder}: holds no recording: there is no {RUN} in it")
     except OSError as error:
@@ -41,8 +44,16 @@ def read_run(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: cannot be read: {in_words(error)}") from error
     if not isinstance(run, dict) or run.get("format") != FORMAT or "complete" not in run or "bench" not in run:
-        raise InputError(f"{path}: not the file of a recording ({FORMAT})")
+        newer = isinstance(run, dict) and _LATER_FORMAT.fullmatch(str(run.get("format")))
+        why = WRITTEN_BY_NEWER.format(version_of(run) or "of unknown version") if newer else ""
+        raise InputError(f"{path}: {why or f'not the file of a recording ({FORMAT})'}")
     return run
+
+
+def version_of(run: dict[str, Any]) -> str:
+    """Return the version of svwfs that wrote `run.json`; empty if it does not tell."""
+    versions = run.get("versions")
+    return str(versions.get("svwfs", "")) if isinstance(versions, dict) else ""
 
 
 def recorded_frames(run: dict[str, Any]) -> int | None:

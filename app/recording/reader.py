@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from app.bench.bench_files import written_by
 from app.bench.config import Bench, parse_bench
 from app.errors import InputError
 from app.files import check_readable
@@ -28,6 +29,7 @@ from app.recording.folder import (
     STORE,
     read_run,
     recorded_frames,
+    version_of,
 )
 from app.recording.frame_array import DamagedFrame, FrameArray, is_array
 from app.recording.frame_lines import FrameLine, checksum
@@ -99,7 +101,8 @@ class Recording:
     @property
     def bench(self) -> Bench:
         """The bench at the beginning; each calibration has its own, with the lattice in force."""
-        return parse_bench(str(self.run["bench"]), f"{self.folder / RUN}: bench", is_recorded=True)
+        with written_by(self.folder, version_of(self.run)):
+            return parse_bench(str(self.run["bench"]), f"{self.folder / RUN}: bench", is_recorded=True)
 
     def first_calibration(self, frames: Iterable[int]) -> int | None:
         """Return the number of the first calibration of these frames; None if they have none."""
@@ -188,7 +191,8 @@ class Recording:
 
     def calibration(self, number: int) -> Calibration:
         """Calibration by its number in the lines; cached."""
-        return self._followed(lambda: self._calibrations(number))
+        with written_by(self.folder, version_of(self.run)):
+            return self._followed(lambda: self._calibrations(number))
 
     def bias(self, number: int) -> Floats:
         """Bias by its number in the lines, px, (lenslet_row, lenslet_column, field_mode, xy); cached."""

@@ -302,12 +302,12 @@ def layers_sentences(found: xr.Dataset) -> list[str]:
     lines = ["layer " + distance_in_words(*each, origin).replace("\N{PLUS-MINUS SIGN}", "+-") for each in at]
     if found.attrs["verdict"].startswith("nothing"):
         lines = []
-    for name, misfit, chi_square in zip(
-        found["model"].values, found["model_misfit"].values, found["model_chi_square"].values, strict=True
-    ):
-        share = float(f"{100 * misfit:.2g}")
+    shares = [float(f"{100 * misfit:.2g}") for misfit in found["model_misfit"].values]
+    for name, share, chi_square in zip(found["model"].values, shares, found["model_chi_square"].values, strict=True):
         reduced = "below 0.01" if chi_square < 0.005 else f"{chi_square:.2f}"
-        lines.append(f"{name}: {share:g} % of the displacements unexplained, reduced chi-square {reduced}")
+        is_smoothed = name == "any wavefront" and share > min(shares)
+        smoothed = "; layers leave less, because this fit is smoothed" * is_smoothed
+        lines.append(f"{name}: {share:g} % of the displacements unexplained, reduced chi-square {reduced}{smoothed}")
     lines.append("; but ".join(filter(None, (f"verdict: {found.attrs['verdict']}", found.attrs["doubt"]))))
     return lines
 

@@ -14,6 +14,7 @@ from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import SKIPPED, Measurement
 from app.progress import Progress, counted
+from app.recording.folder import version_of
 from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, reprocess
@@ -60,8 +61,7 @@ class Verification:
             return "none of these frames was reconstructed when it was recorded: there is nothing to compare"
         if not self.different:
             return f"{counted(self.frames)}, each bit-identical to what was recorded"
-        versions, now = self._recording.run.get("versions"), version("svwfs")
-        then = versions.get("svwfs") if isinstance(versions, dict) else "an unknown version"
+        then, now = version_of(self._recording.run) or "an unknown version", version("svwfs")
         software = f"recorded by svwfs {then}, replayed by {now}" if then != now else f"both by svwfs {now}"
         return f"{self.different} of {self.frames} frames differ from what was recorded; {self._first} ({software})"
 

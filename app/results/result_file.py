@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from app.bench.bench_files import written_by
 from app.bench.config import Bench, write_bench
 from app.errors import NOTHING_TO_WRITE, SETTINGS_CHANGED, InputError, RunError
 from app.files import atomic_write, in_words
@@ -59,7 +60,8 @@ def reading_results(path: Path) -> Iterator[xr.Dataset]:
     with open_results(path) as results:
         try:
             _require_sound(path, results)
-            yield results
+            with written_by(path, results.attrs.get("software", "")):
+                yield results
         except (InputError, RunError):
             raise
         except Exception as error:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy  # which loads its parts when they are used
 
+from app.bench.bench_files import written_by
 from app.bench.config import Bench, parse_bench
 from app.bench.earlier_versions import neglected_propagation
 from app.errors import SETTINGS_CHANGED, InputError
@@ -33,6 +34,10 @@ if TYPE_CHECKING:
     from reconstruction.field_coefficients import ModalFit
     from reconstruction.wavefront import Wavefront
 
+_NOT_MEASURED = (
+    "holds wavefronts that were not measured, such as the truth of a simulation: give a recording, or a file that svwfs"
+    " reconstruct, measure or replay wrote"
+)
 _LARGEST_RAD = 1e6  # of a coefficient: displacements of thousands of pixels
 
 
@@ -55,6 +60,8 @@ def stored_frame(path: Path, frame: int, *names: str) -> tuple[Bench, xr.Dataset
     Raises `InputError` if there is no such frame or variable, or no measurement can have given the coefficients.
     """
     with reading_results(path) as opened:
+        if "displacement" not in opened:
+            raise InputError(f"{path}: {_NOT_MEASURED}")
         if "coefficients" not in opened:
             raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method=modal")
         if missing := [name for name in names if name not in opened]:
@@ -82,22 +89,26 @@ def _require_frame(source: Path, frame: int, count: int) -> None:
 
 def read_bench_of(source: Path, settings: tuple[str, ...] = ()) -> Bench:
     """Return the bench of results or of a recording, changed by "section.key=value"."""
-    return parse_bench(_text_of(source), f"{source}: bench", settings, is_recorded=True)
+    text, software = _origin_of(source)
+    with written_by(source, software):
+        return parse_bench(text, f"{source}: bench", settings, is_recorded=True)
 
 
 def version_notice(source: Path, settings: tuple[str, ...] = ()) -> str:
     """Say that the version of results or of a recording neglected propagation; empty if not, or if settings do not."""
-    notice = neglected_propagation(_text_of(source))
+    notice = neglected_propagation(_origin_of(source)[0])
     return notice if notice and read_bench_of(source, settings).field.neglect_propagation else ""
 
 
-def _text_of(source: Path) -> str:
+def _origin_of(source: Path) -> tuple[str, str]:
+    """Return the bench and the version of svwfs of results or of a recording."""
     if source.is_dir():
-        from app.recording.folder import read_run
+        from app.recording.folder import read_run, version_of
 
-        return str(read_run(source)["bench"])
+        run = read_run(source)
+        return str(run["bench"]), version_of(run)
     with reading_results(source) as results:
-        return str(results.attrs.get("bench", ""))
+        return str(results.attrs.get("bench", "")), str(results.attrs.get("software", ""))
 
 
 def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:

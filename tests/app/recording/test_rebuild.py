@@ -289,13 +289,35 @@ def test_no_recording_begins_inside_another(recording: Recording, tmp_path: Path
     check_free(tmp_path / "sub")
 
 
-def test_run_of_another_version_stays(recording: Recording) -> None:
+@pytest.mark.parametrize(
+    ("versions", "who"),
+    [({"svwfs": "99.1"}, "a newer svwfs, 99.1, wrote it"), (None, "svwfs, of unknown version, wrote")],
+)
+def test_run_of_a_later_format_names_its_version_and_stays(recording: Recording, versions: object, who: str) -> None:
     path = recording.folder / "run.json"
-    path.write_text(json.dumps({**recording.run, "format": "svwfs recording 2"}))
+    path.write_text(json.dumps({**recording.run, "format": "svwfs recording 2", "versions": versions}))
     before = path.read_bytes()
-    with pytest.raises(InputError, match=r"run\.json: not the file of a recording"):
+    with pytest.raises(InputError, match=rf"run\.json: .*{who}.*: update svwfs to read it$"):
         recover(recording.folder)
     assert path.read_bytes() == before
+    path.write_text(json.dumps({**recording.run, "format": "another program's 2"}))
+    with pytest.raises(InputError, match=r"run\.json: not the file of a recording"):
+        recover(recording.folder)
+
+
+@pytest.mark.parametrize("version", ["99.1", "0.2.0"])
+def test_bench_with_settings_of_a_newer_version_names_it(recording: Recording, version: str) -> None:
+    path, bench = recording.folder / "run.json", f"{recording.run['bench']}\n[future]\nx = 1\n"
+    path.write_text(json.dumps({**recording.run, "bench": bench, "versions": {"svwfs": version}}))
+    (recording.folder / "calibrations/0/bench.toml").write_text(bench)
+    said = (
+        "a newer svwfs, 99.1, wrote it: update svwfs to read it$" if version == "99.1" else "future is an unknown key"
+    )
+    newer = Recording(recording.folder)
+    with pytest.raises(InputError, match=said):
+        _ = newer.bench
+    with pytest.raises(InputError, match=said):
+        newer.calibration(0)
 
 
 def test_renamed_folder_leaves_no_ghost(tmp_path: Path) -> None:

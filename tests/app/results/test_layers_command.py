@@ -71,7 +71,11 @@ def test_layer_is_found(recording: Path, tmp_path: Path, monkeypatch: pytest.Mon
         assert (found.attrs["verdict"], found.attrs["doubt"]) == ("one layer", "")
         assert layers_sentences(found)[-1] == "verdict: one layer"
         tiny = layers_sentences(found.assign(model_chi_square=0 * found["model_chi_square"] + 0.001))
-        assert tiny[-2].endswith("reduced chi-square below 0.01")
+        assert "reduced chi-square below 0.01" in tiny[-2]
+        for factor in (0.5, 2.0):
+            misfits = found["model_misfit"].where(found["model"] == "any wavefront", factor * found["model_misfit"][-1])
+            line = layers_sentences(found.assign(model_misfit=misfits))[-2]
+            assert line.endswith("; layers leave less, because this fit is smoothed") == (factor < 1)
         assert layers_sentences(found.assign_attrs(doubt="nothing fits"))[-1] == "verdict: one layer; but nothing fits"
         best_m = found["distance"][int(found["misfit"].argmin("distance"))]
         assert abs(best_m - DISTANCE_M) < 0.02
@@ -266,6 +270,10 @@ def test_bad_input_is_one_line(
     assert [path.name for path in tmp_path.iterdir()] == ["exists.nc"]
 
 
+def of_the_future(found: xr.Dataset) -> xr.Dataset:
+    return found.assign_attrs(software="svwfs 99.1", bench=found.attrs["bench"] + "\n[future]\nx = 1\n")
+
+
 def scaled(name: str, factor: float) -> Callable[[xr.Dataset], xr.Dataset]:
     return lambda found: found.assign({name: found[name] * factor})
 
@@ -276,6 +284,12 @@ def scaled(name: str, factor: float) -> Callable[[xr.Dataset], xr.Dataset]:
     [
         ("layers", lambda found: found.drop_vars("displacement_sigma"), "is damaged: it lacks displacement_sigma"),
         ("layers", lambda found: found.drop_vars("valid"), "is damaged: it lacks valid"),
+        ("layers", lambda found: found.drop_vars("displacement"), "holds wavefronts that were not measured, such as"),
+        ("field", lambda found: found.drop_vars("displacement"), "give a recording, or a file that svwfs reconstruct"),
+        *(
+            (command, of_the_future, "damaged.nc: a newer svwfs, 99.1, wrote it: update svwfs to read it")
+            for command in ("layers", "corrector", "field")
+        ),
         ("layers", lambda found: found.drop_vars("coefficients"), "reconstruct with reconstruction.method=modal"),
         ("layers", scaled("displacement_sigma", 0), "the error of a displacement must be above 0 px"),
         ("layers", scaled("displacement_sigma", np.nan), "must be above 0 px and finite"),
