@@ -13,9 +13,12 @@ if TYPE_CHECKING:
 
 
 def recover(recording: options.Recording) -> None:
-    """Complete a recording cut short by a crash or power failure.
+    """Complete a recording cut short by a crash or power failure, and list its damage.
 
-    Any damage is reported. Readable frames are never changed or lost; damaged lines are moved to frames.damaged.jsonl.
+    Pixels are never changed. Everything happens in the recording's folder: each line of frames.jsonl is put in its
+    place, run.json and zarr.json are completed, or made again if they cannot be read, and half-written files are
+    removed. What is taken out or replaced is kept as frames.damaged.jsonl, run.damaged.json or damaged.zarr.json. See
+    docs/recording.md.
 
     Example: svwfs recover run1
     """
