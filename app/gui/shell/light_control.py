@@ -60,7 +60,7 @@ class LightControl:
         is_lit, is_replay = (False, False) if status is None else (status.is_light_on, status.is_replay)
         if acquisition is not None and not is_replay and (is_lit or self._is_busy(acquisition)):
             self.switch(on=False)
-            self._messages.warn("L switches the light off, also where it is typed: outside of fields, L switches it on")
+            self._messages.warn("L switches the light off, also where it is typed; Shift+L only types it")
 
     def switch(self, on: bool) -> None:
         """Switch the light, and end a sequence. While a command waits or runs, it may be lighting up: always off.

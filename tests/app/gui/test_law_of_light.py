@@ -139,6 +139,18 @@ def test_number_field_leaves_the_light_key_alone(live: tuple[MainWindow, FakeCam
     qtbot.waitUntil(lambda: not camera.light.shines)
 
 
+def test_strip_says_that_an_l_in_the_name_switches_the_light_off(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot
+) -> None:
+    window, camera = live
+    activate(window, qtbot)
+    window.recording_bar.prepare()
+    press(qtbot, focused(window), Qt.Key.Key_L)
+    assert window.recording_bar.name.text() == "l"
+    assert "L switches the light off, also where it is typed; Shift+L only types it" in window.messages.text.text()
+    qtbot.waitUntil(lambda: not camera.light.shines)
+
+
 @pytest.mark.parametrize("elsewhere", ["camera image", "button"])
 def test_click_elsewhere_gives_the_light_its_key_back(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, elsewhere: str
