@@ -66,7 +66,7 @@ class Status:
     reference: AverageState
     lattice: Lattice | None
     warning: str  # why wavefronts are missing or doubtful; empty if they are good
-    mask_note: str = ""  # which displacements the mask hides; empty if it shows all
+    mask_note: str = ""  # which deformations the mask hides; empty if it shows all
     is_calibrated: bool = False  # frames can be reconstructed
     prepares: bool = False  # the first frames show what is assumed of later ones: layers, or a correction
     temperature_c: float | None = field(default=None, compare=False)  # of the camera's sensor; None if unknown

@@ -170,4 +170,4 @@ def _left_out(reconstructor: Reconstructor, sample: AssumedSample | None) -> str
         source = "follow from the layer" if len(sample.ratios) == 1 else "follow from the layers"
     else:
         source = "are known only by the prior"
-    return f"the mask shows {count - hidden} of {count} displacements of a {warp} warp; the others {source}"
+    return f"the mask shows {count - hidden} of {count} deformations of a {warp} warp; the others {source}"

@@ -263,7 +263,7 @@ def test_escape_closes_only_the_help(make_window: MakeWindow, qtbot: QtBot) -> N
 def test_sample_and_mask_are_told_in_the_window(
     live: tuple[MainWindow, FakeCamera], sample: AssumedSample | None, told: str
 ) -> None:
-    window, line, note = live[0], live[0].status_line, "the mask shows 7 of 9 displacements"
+    window, line, note = live[0], live[0].status_line, "the mask shows 7 of 9 deformations"
     assert window._status is not None
     line.count(replace(make_measurement(dim_frame(), views()), assumed=Assumptions(sample)))
     window._status = status = replace(window._status, mask_note=note)

@@ -56,7 +56,7 @@ def test_hidden_displacements_are_counted(
     registration = RegistrationSettings(warp=warp, rotation=rotation)  # type: ignore[arg-type] # a warp
     blind = small_bench.reconstructor(registration=registration)
     assert blind.hidden > 0
-    shown = f"the mask shows {count - blind.hidden} of {count} displacements of a {warp} warp; the others"
+    shown = f"the mask shows {count - blind.hidden} of {count} deformations of a {warp} warp; the others"
     for sample, others in (
         (FREE, "are known only by the prior"),
         (AssumedSample((-0.5,)), "follow from the layer"),
