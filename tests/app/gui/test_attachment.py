@@ -454,7 +454,7 @@ def test_window_acts_while_its_instrument_starts(
         assert window.attachment.notice == ""
         qtbot.wait(2500)  # until an instrument that was reached would count as silent
         assert "starting the instrument" in told(window)
-        asked = answer(monkeypatch, "It goes on")
+        asked = answer(monkeypatch, "Keep running")
         started[0].send_signal(signal.SIGCONT)
         window.quit()
         qtbot.waitUntil(lambda: not window.isVisible())
