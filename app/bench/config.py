@@ -84,7 +84,7 @@ class Bench(Checked):
             yield "light.driver", f'= "{self.light.driver}" cannot be used: a {kind} sees no real light'
         if self.has_manual_stage and not has_real_light:
             known = ", ".join(f'"{driver}"' for driver in DRIVERS["light"] if driver != "simulated")
-            yield "light.driver", f'is missing: camera.driver = "{self.camera.driver}" needs one of {known}'
+            yield "light.driver", f'must be one of {known} with camera.driver = "{self.camera.driver}"'
         designed_px = self.sensor.lenslet_pitch_px
         if self.lattice is not None and not 0.9 < self.lattice.pitch_px / designed_px < 1.1:
             ratio = f"sensor.lenslet_pitch_m / pixel_pitch_m = {designed_px:.4g}"

@@ -197,6 +197,8 @@ def corrected_image(
             " the pupil"
         )
     light = image.astype(np.float32) - np.float32(imaging.dark_counts)
+    if not light.max() > 0:
+        raise ValueError(f"the image shows no light: no pixel is above dark_counts = {imaging.dark_counts:g}")
     reach, change_rad_per_m = _extent(phase_at, imaging, sensor, field)
     reach = min(reach, max(image.shape))
     part = tuple(slice(max(least - reach, 0), most + reach) for least, most in (rows, columns))

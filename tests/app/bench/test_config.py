@@ -171,7 +171,7 @@ BAD_DEVICES = {
     "a value it cannot have": (GENICAM + "binning = 0\n" + DC4100, "camera.binning must be 1"),
     "a number for a region": (GENICAM + "region = 3\n" + DC4100, "camera.region must be a section"),
     "a missing port": (GENICAM + DC4100.replace('port = "/dev/ttyUSB0"\n', ""), "light.port must be given"),
-    "no light": (GENICAM, 'light.driver is missing: camera.driver = "genicam" needs one of "thorlabs_dc4100"'),
+    "no light": (GENICAM, 'light.driver must be one of "thorlabs_dc4100", .* with camera.driver = "genicam"'),
     "a light that a simulated camera cannot see": (
         DC4100,
         'light.driver = "thorlabs_dc4100" cannot be used: a simulated camera sees no',

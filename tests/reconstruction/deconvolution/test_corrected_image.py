@@ -130,6 +130,11 @@ def test_nan_is_refused() -> None:
         corrected(image, lambda *_: 0 * U)
 
 
+def test_image_without_light_is_refused() -> None:
+    with pytest.raises(ValueError, match="image shows no light: no pixel is above dark_counts = 100"):
+        corrected(np.full_like(stars(), 100.0), lambda *_: 0 * U, dark_counts=100.0)
+
+
 def test_field_beside_the_image_is_refused() -> None:
     with pytest.raises(ValueError, match=r"field covers 0 x 0 pixels .* check pixel_m, center_x_px"):
         corrected(stars(), lambda *_: 0 * U, center_x_px=1000.0)
