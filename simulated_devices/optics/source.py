@@ -139,7 +139,8 @@ def read_grey_image(path: Path) -> Floats:
     try:
         pixels = _decoded(path)
     except (OSError, ValueError, EOFError, TypeError, cv2.error, tifffile.TiffFileError) as error:
-        raise ValueError(f"file = {str(path)!r} is not a readable image: {error}") from error
+        why = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise ValueError(f"file = {str(path)!r} is not a readable image: {why}") from error
     if not isinstance(pixels, np.ndarray) or pixels.ndim != 2 or pixels.size == 0 or pixels.dtype.kind not in "buif":
         raise ValueError(f"file = {str(path)!r} must hold one grey image (rows x columns)")
     brightness = np.asarray(pixels, np.float64)
