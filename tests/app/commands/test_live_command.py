@@ -12,20 +12,9 @@ from support.command_line import run
 from app.bench.config import Bench, load_bench
 
 
-@pytest.mark.usefixtures("qapp", "runtime_folder")
-@pytest.mark.parametrize(
-    ("arguments", "source", "offers_last"),
-    [
-        ((), "live_demo", True),
-        (("--bench", "small_demo"), "small_demo", False),  # a named bench wins
-        (("--set", "registration.warp=affine"), "live_demo", False),
-    ],
-)
-def test_last_bench_is_offered_only_if_none_is_named(
-    monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], source: str, *, offers_last: bool
-) -> None:
+def opened_benches(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Put an empty window in the place of the real one; the list gets the benches that it is told to open."""
     opened: list[str] = []
-    begun: list[Bench] = []
 
     class Benches:
         def open(self, name: str, _: tuple[str, ...], **__: Any) -> None:
@@ -43,6 +32,22 @@ def test_last_bench_is_offered_only_if_none_is_named(
 
     monkeypatch.setattr("app.commands.live.use_display", lambda: True)
     monkeypatch.setattr("app.gui.application.run_window", run_window)
+    return opened
+
+
+@pytest.mark.usefixtures("qapp", "runtime_folder")
+@pytest.mark.parametrize(
+    ("arguments", "source", "offers_last"),
+    [
+        ((), "live_demo", True),
+        (("--bench", "small_demo"), "small_demo", False),  # a named bench wins
+        (("--set", "registration.warp=affine"), "live_demo", False),
+    ],
+)
+def test_last_bench_is_offered_only_if_none_is_named(
+    monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], source: str, *, offers_last: bool
+) -> None:
+    opened, begun = opened_benches(monkeypatch), list[Bench]()
     monkeypatch.setattr(
         "app.acquisition.remote.own_instrument.OwnInstrument.start", lambda _, bench: begun.append(bench)
     )
@@ -63,9 +68,9 @@ def test_last_bench_is_offered_only_if_none_is_named(
 def test_wrong_setting_opens_no_window(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], setting: str, sentence: str
 ) -> None:
-    monkeypatch.setattr("app.commands.live.use_display", lambda: True)
-    monkeypatch.setattr("app.gui.application.run_window", lambda *_, **__: pytest.fail("a window"))
+    opened = opened_benches(monkeypatch)
     assert run(monkeypatch, "live", "--set", setting) == 2
+    assert not opened
     said = capsys.readouterr().err
     assert said.startswith(f"svwfs: {sentence}")
     assert said.count("\n") == 1
@@ -74,6 +79,6 @@ def test_wrong_setting_opens_no_window(
 @pytest.mark.usefixtures("qapp", "runtime_folder")
 def test_window_explains_a_wrong_file_with_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "bench.toml").write_text("[sensor]\n")
-    monkeypatch.setattr("app.commands.live.use_display", lambda: True)
-    monkeypatch.setattr("app.gui.application.run_window", lambda *_, **__: 0)
-    assert run(monkeypatch, "live", "--bench", tmp_path / "bench.toml", "--set", "registration.warp=affine") == 0
+    opened, bench = opened_benches(monkeypatch), tmp_path / "bench.toml"
+    assert run(monkeypatch, "live", "--bench", bench, "--set", "registration.warp=affine") == 0
+    assert opened == [str(bench)]

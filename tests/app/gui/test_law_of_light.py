@@ -147,7 +147,8 @@ def test_strip_says_that_an_l_in_the_name_switches_the_light_off(
     window.recording_bar.prepare()
     press(qtbot, focused(window), Qt.Key.Key_L)
     assert window.recording_bar.name.text() == "l"
-    assert "L switches the light off, also where it is typed; Shift+L only types it" in window.messages.text.text()
+    said = "L switches the light off, also where it is typed; Shift+L only types it"
+    qtbot.waitUntil(lambda: said in window.messages.text.text())
     qtbot.waitUntil(lambda: not camera.light.shines)
 
 
