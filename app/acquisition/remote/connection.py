@@ -35,6 +35,7 @@ from app.acquisition.remote.messages import (
     Wanted,
 )
 from app.acquisition.remote.wire import Packed
+from app.acquisition.wake import Wake
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import FrameTotals, Measurement
@@ -53,6 +54,7 @@ _ANSWER_S = 5.0  # for the first state, and for a command to be accepted
 _ALIVE_S = 1.0  # between two signs of life
 _SILENT_S = 2.0  # after which the instrument counts as frozen
 _TICK_MS = 50
+_LINGER_MS = 200  # for the last messages
 _SHOWN_S = 0.04  # between two measurements for a mailbox: as often as a window shows one
 
 
@@ -128,12 +130,8 @@ class Connection:
         self._heard_s = self._said_s = math.inf  # until the instrument is reached
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
-        self._socket.setsockopt(zmq.LINGER, 200)
         self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
-        self._wake = self._context.socket(zmq.PAIR)
-        self._wake.bind("inproc://wake")
-        self._woken = self._context.socket(zmq.PAIR)
-        self._woken.connect("inproc://wake")
+        self._wake = Wake()
         self._thread = threading.Thread(target=self._work, name="connection", daemon=True)
         self._thread.start()
 
@@ -258,7 +256,7 @@ class Connection:
     def begin_close(self) -> None:
         """Leave; the instrument goes on."""
         self._closing.set()
-        self._notify()
+        self._wake.notify()
 
     def close(self, timeout_s: float | None = None) -> None:
         """Leave, and wait for that."""
@@ -286,20 +284,16 @@ class Connection:
                     self._outgoing.append((number, message))
         if refusal is not None:
             future.set_exception(refusal)
-        self._notify()
+        self._wake.notify()
         return future
 
     def _ask(self, number: int) -> None:
         with self._sending:
             self._outgoing.append((0, Packed(Wanted(number)).message()))
-        self._notify()
+        self._wake.notify()
 
     def _note(self, measurement: Measurement) -> None:
         self.timings.note("to_result", measurement.latency_s)
-
-    def _notify(self) -> None:
-        with self._sending, suppress(zmq.ZMQError):  # notified often enough, or closed
-            self._wake.send(b"", zmq.NOBLOCK)
 
     def _say(self, message: object) -> None:
         self._say_packed(Packed(message).message())
@@ -311,7 +305,7 @@ class Connection:
 
     def _work(self) -> None:
         poller = zmq.Poller()
-        for each in (self._socket, self._woken, self._monitor):
+        for each in (self._socket, self._wake, self._monitor):
             poller.register(each, zmq.POLLIN)
         try:
             self._reach()
@@ -333,8 +327,8 @@ class Connection:
                 future.set_exception(lost)
             self._has_state.set()
             self._socket.disable_monitor()
-            with self._sending:
-                self._context.destroy(linger=200)
+            self._context.destroy(linger=_LINGER_MS)
+            self._wake.close()
             self._frames.close()
 
     def _reach(self) -> None:
@@ -352,8 +346,7 @@ class Connection:
                 self._pending[number] = self._pending[number][0], time.monotonic()
 
     def _turn(self, ready: dict[Any, int]) -> None:
-        while self._woken.poll(0):
-            self._woken.recv()
+        self._wake.clear()
         self._say_outgoing()
         is_gone = self._monitor in ready and recv_monitor_message(self._monitor)["event"] == zmq.EVENT_DISCONNECTED
         while self._socket.poll(0):
