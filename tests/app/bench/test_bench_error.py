@@ -36,7 +36,7 @@ def test_fault_names_its_line(name: str) -> None:
 
 def test_fault_of_two_sections_names_the_one_that_exists() -> None:
     lines = [*LINES, "[camera]", 'driver = "genicam"']
-    with pytest.raises(BenchError, match=r"light\.driver is missing") as fault:
+    with pytest.raises(BenchError, match=r"light\.driver must be one of") as fault:
         parse_bench("\n".join(lines), "bench.toml")
     assert fault.value.line is None  # there is no section [light]
 

@@ -465,6 +465,29 @@ def test_window_acts_while_its_instrument_starts(
     assert not is_taken(NAME)
 
 
+@pytest.mark.slow
+def test_light_that_is_switched_off_while_the_instrument_starts_never_shines(
+    started: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def act(window: MainWindow) -> None:
+        started[0].send_signal(signal.SIGSTOP)
+        window.light.switch(on=True)  # the command that lights waits already
+        assert window.light.is_switching_off
+        started[0].send_signal(signal.SIGCONT)
+        seen: list[bool] = []
+
+        def is_settled() -> bool:
+            status = window.controller.status
+            seen.append(status is not None and status.is_light_on)
+            return status is not None and window.controller.is_settled
+
+        qtbot.waitUntil(is_settled)
+        assert is_dark(window)
+        assert not any(seen)
+
+    assert live_window(monkeypatch, small_toml, act) == 0
+
+
 def test_process_without_a_window_ends(started: list[subprocess.Popen[bytes]], small_toml: Path) -> None:
     with OwnInstrument() as own:
         process = own.start(load_bench(small_toml))
