@@ -36,12 +36,14 @@ class Verification:
         self._recording = recording
         self._first = ""
         self.frames = 0  # frames that were reconstructed, or refused, live
+        self._skipped = 0
         self.different = 0
 
     def take(self, frame: Measurement) -> None:
         """Compare one frame, unless it was skipped live."""
         line = self._recording.line(frame.index)
         if line.calibration is None or line.problem == SKIPPED:
+            self._skipped += 1
             return
         self.frames += 1
         differences = _differences(self._recording, line, frame)
@@ -60,7 +62,8 @@ class Verification:
         if not self.frames:
             return "none of these frames was reconstructed when it was recorded: there is nothing to compare"
         if not self.different:
-            return f"{counted(self.frames)}, each bit-identical to what was recorded"
+            skipped = f"; {self._skipped} more were not reconstructed then" if self._skipped else ""
+            return f"{counted(self.frames)}, each bit-identical to what was recorded{skipped}"
         then, now = version_of(self._recording.run) or "an unknown version", version("svwfs")
         software = f"recorded by svwfs {then}, replayed by {now}" if then != now else f"both by svwfs {now}"
         return f"{self.different} of {self.frames} frames differ from what was recorded; {self._first} ({software})"

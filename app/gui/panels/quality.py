@@ -19,6 +19,7 @@ from reconstruction.quality.image_quality import Mtf, mtf
 from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
 
 _NO_VALUES = np.zeros(0)
+_ERROR_DECIMALS = 6  # of the error in rad: less than a millionth is rounding
 
 
 class QualityPanel(Panel):
@@ -138,7 +139,8 @@ def verdict(found: Isoplanatism) -> str:
     if math.isnan(found.error_rad):
         return "No lenslet is valid over the whole field"
     patch = _patch(found.curve.patch_m)
-    return f"A single correction would leave {number(found.error_rad, 2)} rad RMS. Isoplanatic patch: {patch}"
+    error = number(round(found.error_rad, _ERROR_DECIMALS), 2)
+    return f"A single correction would leave {error} rad RMS. Isoplanatic patch: {patch}"
 
 
 def _patch(patch_m: float) -> str:

@@ -272,6 +272,8 @@ def test_verdict_states_error_and_patch() -> None:
     assert verdict(found) == "A single correction would leave 0.42 rad RMS. Isoplanatic patch: 0.15 mm"
     wide = Isoplanatism(curve(0.1, 0.2), curve(0.1, 0.2), 0.04, 0.01, np.zeros((3, 3)))
     assert verdict(wide).endswith("would leave 0.040 rad RMS. Isoplanatic patch: wider than the field")
+    constant = Isoplanatism(curve(0.0, 0.0), curve(0.0, 0.0), 7.6e-16, 0.0, np.zeros((3, 3)))
+    assert verdict(constant).startswith("A single correction would leave 0 rad RMS.")
 
 
 def test_colours_run_from_low_to_high_and_nan_is_transparent() -> None:

@@ -325,6 +325,8 @@ def test_calibration_changes_are_replayed(eventful: Recording) -> None:
     made = replayed(eventful.folder, verify=True)
     assert made.verification is not None
     assert (made.verification.frames, made.verification.different) == (6, 0)  # the others have no recorded results
+    told = "6 frames, each bit-identical to what was recorded; 2 more were not reconstructed then"
+    assert made.verification.sentence == told
     assert (made.frames, made.reconstructed, made.problem) == (8, 6, "no reference yet")
 
 
