@@ -241,6 +241,24 @@ def live_window(monkeypatch: pytest.MonkeyPatch, bench: Path, act: Callable[[Mai
 
 
 @pytest.fixture
+def stopped(
+    monkeypatch: pytest.MonkeyPatch, started: list[subprocess.Popen[bytes]]
+) -> Iterator[list[subprocess.Popen[bytes]]]:
+    """The processes that windows start, each stopped before it can be reached."""
+    start = OwnInstrument.start
+
+    def start_stopped(own: OwnInstrument, bench: Bench) -> subprocess.Popen[bytes]:
+        process = start(own, bench)
+        process.send_signal(signal.SIGSTOP)
+        return process
+
+    monkeypatch.setattr(OwnInstrument, "start", start_stopped)
+    yield started
+    for process in started:  # also of a test that failed
+        process.kill()
+
+
+@pytest.fixture
 def other_toml(small_toml: Path, tmp_path: Path) -> Path:
     other = tmp_path / "other.toml"
     save_bench(other, load_bench(small_toml, ("registration.warp=affine",)))
@@ -443,37 +461,35 @@ def test_process_that_ends_at_once_is_told_with_its_last_words(
 
 @pytest.mark.slow
 def test_window_acts_while_its_instrument_starts(
-    started: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+    stopped: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing waits for the process, and the window can be closed before it is reached."""
 
     def act(window: MainWindow) -> None:
-        started[0].send_signal(signal.SIGSTOP)
         qtbot.waitUntil(lambda: "starting the instrument" in told(window))
         assert not window.controller.is_silent
         assert window.attachment.notice == ""
         qtbot.wait(2500)  # until an instrument that was reached would count as silent
         assert "starting the instrument" in told(window)
         asked = answer(monkeypatch, "Keep running")
-        started[0].send_signal(signal.SIGCONT)
+        stopped[0].send_signal(signal.SIGCONT)
         window.quit()
         qtbot.waitUntil(lambda: not window.isVisible())
         assert not asked  # what does not run yet cannot go on
 
     assert live_window(monkeypatch, small_toml, act) == 0
-    assert started[0].poll() is not None
+    assert stopped[0].poll() is not None
     assert not is_taken(NAME)
 
 
 @pytest.mark.slow
 def test_light_that_is_switched_off_while_the_instrument_starts_never_shines(
-    started: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+    stopped: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def act(window: MainWindow) -> None:
-        started[0].send_signal(signal.SIGSTOP)
         window.light.switch(on=True)  # the command that lights waits already
         assert window.light.is_switching_off
-        started[0].send_signal(signal.SIGCONT)
+        stopped[0].send_signal(signal.SIGCONT)
         seen: list[bool] = []
 
         def is_settled() -> bool:
