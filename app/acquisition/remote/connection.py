@@ -145,7 +145,7 @@ class Connection:
     @property
     def is_reached(self) -> bool:
         """True if the instrument runs, and its state is known."""
-        return self.is_alive and self._has_state.is_set()
+        return self.is_alive and self._has_state.is_set() and self._ended is None
 
     @property
     def is_silent(self) -> bool:
