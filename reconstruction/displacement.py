@@ -103,7 +103,7 @@ class Displacement:
 
     @property
     def transmission(self) -> Transmission | None:
-        """How much of the light the sample lets through; None if the method does not measure it."""
+        """Share of the light that the sample lets through; None if the method does not measure it."""
         source = self.transmission_source
         return source() if isinstance(source, Deferred) else source
 

@@ -1,4 +1,4 @@
-"""What a window opens: an instrument or a recording. Commands make it before Qt is loaded."""
+"""The instrument or the recording that a window opens; a command chooses it before Qt is loaded."""
 
 from __future__ import annotations
 

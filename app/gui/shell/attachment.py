@@ -10,6 +10,7 @@ from app.acquisition.remote.own_instrument import OwnConnection
 from app.gui.shell.controller import Controller
 
 _NOT_ATTACHED = "this window runs the instrument itself: svwfs live --attach opens one on another process"
+_STARTS = "the instrument is starting: wait until it is reached"
 
 
 class Attachment:
@@ -23,6 +24,12 @@ class Attachment:
         """The connection to the instrument's process, while there is one."""
         acquisition = self._controller.acquisition
         return acquisition if isinstance(acquisition, Connection) and acquisition.is_reached else None
+
+    @property
+    def _why_none(self) -> str:
+        """Why there is no connection."""
+        is_starting = isinstance(self._controller.acquisition, Connection)
+        return self._controller.failure or (_STARTS if is_starting else _NOT_ATTACHED)
 
     @property
     def only_watches(self) -> bool:
@@ -50,13 +57,13 @@ class Attachment:
 
     def take_control(self) -> None:
         if (connection := self.connection) is None:
-            self._controller.messages.warn(self._controller.failure or _NOT_ATTACHED)
+            self._controller.messages.warn(self._why_none)
         else:
             self._controller.send(lambda _: connection.take_control())
 
     def end_instrument(self) -> None:
         if (connection := self.connection) is None:
-            self._controller.messages.warn(self._controller.failure or _NOT_ATTACHED)
+            self._controller.messages.warn(self._why_none)
         elif connection.is_of_another:
             self._controller.messages.warn(self.notice)
         else:

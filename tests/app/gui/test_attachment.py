@@ -471,6 +471,8 @@ def test_window_acts_while_its_instrument_starts(
         assert window.attachment.notice == ""
         qtbot.wait(2500)  # until an instrument that was reached would count as silent
         assert "starting the instrument" in told(window)
+        window.attachment.take_control()
+        assert "instrument is starting: wait until it is reached" in window.messages.log
         asked = answer(monkeypatch, "Keep running")
         stopped[0].send_signal(signal.SIGCONT)
         window.quit()
