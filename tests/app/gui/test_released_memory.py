@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 import weakref
@@ -73,13 +74,15 @@ def reconstructed(window: MainWindow) -> int:
 
 @pytest.mark.slow
 @pytest.mark.long
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc, and trims the memory of its C library")
 def test_memory_does_not_grow_over_twenty_openings(make_window: MakeWindow, qtbot: QtBot, small_toml: Path) -> None:
+    """What was freed but is kept for later, half a gigabyte after twenty openings, does not count."""
     window, sizes = make_window(), list[float]()
     for index in range(22):
         bench = load_bench("live_demo", COARSE) if index % 2 else load_bench(small_toml)
         window.open(Access(partial(Acquisition, bench)))
         qtbot.waitUntil(lambda: reconstructed(window) > 5)
         qtbot.waitUntil(lambda: window.controller.is_settled)
+        ctypes.CDLL(None).malloc_trim(0)
         sizes.append(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
     assert max(sizes[-2:]) < 1.1 * max(sizes[2:4])
