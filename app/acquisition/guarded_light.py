@@ -22,7 +22,6 @@ from drivers.errors import DeviceError
 from drivers.light_source import MAY_BE_ON, LightSource
 
 _SILENT_PULSES = 5  # after so many missing signs of life the guardian counts as frozen
-_STARTING_PULSES = 240  # before its first one: a cold disk takes long to import
 _END_S = 3.0  # for the guardian to end
 _SIGN_S = 0.2  # least time between two signs of life that promise the same
 
@@ -30,7 +29,7 @@ _SIGN_S = 0.2  # least time between two signs of life that promise the same
 class GuardedLight(LightSource):
     """The light with these settings, opened by a guardian of its own.
 
-    Until the first `keep_alive`, only the end of this process switches it off.
+    Until the first `keep_alive`, only the end or a freeze of this process switches it off.
     """
 
     def __init__(self, settings: DeviceSettings) -> None:
@@ -155,14 +154,16 @@ class _Guardian:
                 self._has_pulse = True
                 answer = json.loads(line)
                 is_over |= "is_last" in answer
-                if "alive" not in answer:
+                if "alive" in answer:
+                    self.send("alive")
+                else:
                     self._answers.put(answer)
         error, text = ("WrongState", "the light is closed") if is_over else ("Disconnected", self._take_over())
         self._answers.put({"error": error, "text": text, "is_for_all": True})
 
     def _watch(self) -> None:
         """Kill a guardian that is frozen; the pulses that are missing are counted, as this process may be late."""
-        missing = -_STARTING_PULSES
+        missing = -guardian.STARTING_PULSES
         while missing < _SILENT_PULSES and not self._ending.wait(guardian.PULSE_S):
             missing, self._has_pulse = 0 if self._has_pulse else missing + 1, False
         if not self._ending.is_set():

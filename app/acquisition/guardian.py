@@ -1,10 +1,11 @@
 """The guardian: a process that holds the light, and switches it off when the process of the instrument fails.
 
-The light goes off when the instrument's process has ended in any way, closes the pipe, or breaks its promise to send a
-sign of life. `GuardedLight` starts it and calls the light through it, over JSON lines: first the settings of the light;
-then [method, argument...] for each call, answered by {"value": ...} or {"error": class, "text": ...}, and
-["keep_alive", seconds] for a sign of life, which has no answer; a call renews its promise. {"alive": true} comes four
-times a second. The last answer says so; without one, the guardian has died.
+The light goes off when the instrument's process has ended in any way, closes the pipe, is frozen, or breaks its
+promise to send a sign of life. `GuardedLight` starts it and calls the light through it, over JSON lines: first the
+settings of the light; then [method, argument...] for each call, answered by {"value": ...} or {"error": class, "text":
+...}, and ["keep_alive", seconds] for a sign of life of the worker, which has no answer; a call renews its promise.
+{"alive": true} comes four times a second, and a thread of the instrument answers ["alive"], whatever its worker does.
+The last answer says so; without one, the guardian has died.
 """
 
 import json
@@ -25,6 +26,8 @@ from drivers.errors import DeviceError
 from drivers.light_source import MAY_BE_ON, LightSource
 
 PULSE_S = 0.25  # between two signs of life of the guardian
+STARTING_PULSES = 240  # before the first one is heard: a cold disk takes long to import
+_SILENT_PULSES = 6  # without an answer, and the instrument counts as frozen: compiling delays one by 0.7 s
 _POLL_S = 0.05  # how late the end of a process whose pipe stays open is noticed
 _ATTEMPTS = 3  # to reach a light that could not be switched off
 
@@ -51,6 +54,7 @@ class _Pipe:
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._parent = os.getppid()
         self.has_ended = False
+        self._unanswered = -STARTING_PULSES
         for work in (self._read, self._pulse):
             threading.Thread(target=work, daemon=True).start()
 
@@ -69,6 +73,7 @@ class _Pipe:
 
     def _read(self) -> None:
         for line in sys.stdin:
+            self._unanswered = 0
             self._lines.put(line)
         self.has_ended = True
         self._lines.put("")
@@ -76,7 +81,10 @@ class _Pipe:
     def _pulse(self) -> None:
         while True:
             self.send({"alive": True})
+            self._unanswered += 1
             time.sleep(PULSE_S)
+            if self._unanswered == _SILENT_PULSES:
+                self._lines.put('["frozen"]')
 
 
 def _serve(light: LightSource, pipe: _Pipe) -> None:
@@ -86,6 +94,11 @@ def _serve(light: LightSource, pipe: _Pipe) -> None:
         line = pipe.next(_POLL_S)
         if line:
             method, *arguments = json.loads(line)
+            if method == "alive":
+                continue
+            if method == "frozen":
+                _end_silence(light, _SILENT_PULSES * PULSE_S)
+                continue
             if method == "keep_alive":
                 promised_s = float(arguments[0])
             else:
@@ -95,12 +108,20 @@ def _serve(light: LightSource, pipe: _Pipe) -> None:
             due_s = time.monotonic() + promised_s  # the light may have answered late
         elif time.monotonic() > due_s and not pipe.has_ended:
             due_s = math.inf
-            if light.is_on:
-                light.set_on(False)
-                light.off_reason = (
-                    f"the light went off because the acquisition gave no sign of life for {promised_s:g} s"
-                )
-                sys.stderr.write(f"svwfs: {light.off_reason}\n")
+            _end_silence(light, promised_s)
+
+
+def _end_silence(light: LightSource, silent_s: float) -> None:
+    """Switch the light off and say why; if it fails, end, which tries again."""
+    silence = f"the acquisition gave no sign of life for {silent_s:g} s"
+    try:
+        if not light.is_on:
+            return
+        light.set_on(False)
+    except DeviceError as error:
+        sys.exit(f"svwfs: {silence}, and the light failed: {error}")
+    light.off_reason = f"the light went off because {silence}"
+    sys.stderr.write(f"svwfs: {light.off_reason}\n")
 
 
 def _answer(light: LightSource, method: str, arguments: list[Any]) -> dict[str, Any]:

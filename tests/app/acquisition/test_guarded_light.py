@@ -64,6 +64,8 @@ from drivers.serial_lights import DC4100Settings
 with taken_place() as place:
     place.announce()
     light = GuardedLight(DC4100Settings(port=sys.argv[1]))
+    light.keep_alive(1000)  # as before long work
+    light.set_on(True)
     print("holds", flush=True)
     time.sleep(600)
 """
@@ -142,7 +144,8 @@ def lit_instrument(bench: Path, lamp: DC4100Wire) -> Iterator[subprocess.Popen[s
     ) as program:
         try:
             assert program.stdout is not None
-            assert program.stdout.readline() == "lit\n"
+            assert program.stderr is not None
+            assert program.stdout.readline() == "lit\n", program.stderr.read()
             assert lamp.is_lit
             yield program
         finally:
@@ -196,6 +199,22 @@ def test_light_without_sign_of_life_goes_off_and_says_why(light: LightSource, la
     light.set_on(True)
     assert lamp.is_lit
     assert light.off_reason == ""
+
+
+def test_light_that_fails_amid_silence_is_closed_with_a_sentence(
+    reopen: Callable[[], LightSource], lamp: DC4100Wire, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with reopen() as light:
+        light.set_on(True)
+        (guardian,) = children(os.getpid())
+        lamp.heads[0].is_on = False  # at its panel
+        light.keep_alive(0.2)
+        wait_until(lambda: is_gone(guardian))
+        with pytest.raises(Disconnected, match="the guardian of the light has ended; the light was switched off"):
+            _ = light.current_a
+    said = capfd.readouterr().err
+    assert "no sign of life for 0.2 s, and the light failed: the DC4100 at" in said
+    assert "Traceback" not in said
 
 
 def test_light_with_signs_of_life_stays_on(light: LightSource, lamp: DC4100Wire) -> None:
@@ -309,13 +328,41 @@ def test_light_off_without_a_light(
     assert words in "".join(capsys.readouterr())
 
 
-@pytest.mark.slow
-def test_guardian_removes_the_address_of_an_instrument_that_was_killed(port: PtyServer, runtime_folder: Path) -> None:
+@contextmanager
+def holder(port: PtyServer) -> Iterator[subprocess.Popen[str]]:
     with subprocess.Popen(  # noqa: S603 - this interpreter
-        [sys.executable, "-c", HOLDER, port.port], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", HOLDER, port.port], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as program:
         assert program.stdout is not None
         assert program.stdout.readline() == "holds\n"
+        try:
+            yield program
+        finally:
+            program.kill()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wakes", [False, True])
+def test_light_goes_off_if_the_process_freezes_amid_long_work(
+    port: PtyServer, lamp: DC4100Wire, *, wakes: bool
+) -> None:
+    """The worker need not give a sign of life for long, but its process answers the guardian."""
+    with holder(port) as program:
+        time.sleep(2.0)
+        assert lamp.is_lit
+        program.send_signal(signal.SIGSTOP)
+        wait_until(lambda: not lamp.is_lit)
+        if wakes:
+            program.send_signal(signal.SIGCONT)
+            time.sleep(0.5)
+        program.kill()
+        _, errors = program.communicate()
+    assert errors == "svwfs: the light went off because the acquisition gave no sign of life for 1.5 s\n"
+
+
+@pytest.mark.slow
+def test_guardian_removes_the_address_of_an_instrument_that_was_killed(port: PtyServer, runtime_folder: Path) -> None:
+    with holder(port) as program:
         files = next(runtime_folder.iterdir())
         assert (files / "instrument.json").exists()
         program.kill()
