@@ -46,7 +46,8 @@ class DeviceKind:
 
     settings: Any  # their class
     device: str = ""  # module and class; empty: not opened on its own
-    name: str = ""  # in the list of connected devices; empty: not searched for
+    name: str = ""  # for people; empty: that of the driver
+    heading: str = ""  # in the list of connected devices; empty: not searched for
     package: str = ""  # of Python, through which the device is called; others report their library as a property
 
     @property
@@ -73,13 +74,19 @@ def _by_driver(kinds: Iterable[DeviceKind]) -> Mapping[str, DeviceKind]:
 
 _CAMERAS = (
     DeviceKind(SimulatedCameraSettings),
-    DeviceKind(DcamSettings, "drivers.dcam.camera.DcamCamera", "Hamamatsu cameras, over the DCAM-API"),
     DeviceKind(
-        GenicamSettings, "drivers.genicam.camera.GenicamCamera", "GigE Vision and USB3 Vision cameras, over Aravis"
+        DcamSettings, "drivers.dcam.camera.DcamCamera", "Hamamatsu (DCAM)", "Hamamatsu cameras, over the DCAM-API"
+    ),
+    DeviceKind(
+        GenicamSettings,
+        "drivers.genicam.camera.GenicamCamera",
+        "GigE and USB3 Vision (GenICam)",
+        "GigE Vision and USB3 Vision cameras, over Aravis",
     ),
     DeviceKind(
         MicroManagerSettings,
         "drivers.micro_manager.camera.MicroManagerCamera",
+        "Micro-Manager",
         "Cameras of other makers, over Micro-Manager",
         "pymmcore",
     ),
@@ -90,22 +97,25 @@ _LIGHTS = (
     DeviceKind(
         DC4100Settings,
         "drivers.serial_lights.thorlabs_dc4100.ThorlabsDC4100",
+        "Thorlabs DC4100",
         "Thorlabs DC4100 and DC4104 LED drivers, on serial ports",
         "pyserial",
     ),
     DeviceKind(
         DC2200Settings,
         "drivers.usb_lights.thorlabs_dc2200.ThorlabsDC2200",
+        "Thorlabs DC2200",
         "Thorlabs DC2200 LED drivers, on USB",
         "pyusb",
     ),
     DeviceKind(
         CoolLEDSettings,
         "drivers.serial_lights.coolled.CoolLED",
+        "CoolLED",
         "CoolLED pE-300, pE-340fura and pE-4000, on serial ports",
         "pyserial",
     ),
     DeviceKind(ManualLightSettings, "drivers.light_source.ManualLight"),
 )
 DRIVERS = {"camera": _by_driver(_CAMERAS), "light": _by_driver(_LIGHTS)}  # by section of a bench and name
-KINDS = tuple(kind for kinds in DRIVERS.values() for kind in kinds.values() if kind.name)
+KINDS = tuple(kind for kinds in DRIVERS.values() for kind in kinds.values() if kind.heading)

@@ -36,6 +36,14 @@ _UNITS = {  # by the end of a name; the first that fits
 _PREFIXES = {"n": 1e-9, "\N{MICRO SIGN}": 1e-6, "m": 1e-3, "": 1.0}
 _TYPED_PREFIXES = {**_PREFIXES, "u": 1e-6, "\N{GREEK SMALL LETTER MU}": 1e-6}
 _WORDS = {"rms": "RMS", "pv": "PV", "em": "EM", "center": "centre"}
+NAMES = {  # of the values of settings, for people; the others are their word
+    "gauss_newton": "Gauss-Newton",
+    "correlation_fft": "correlation (FFT)",
+    "itk_affine": "affine (ITK)",
+    "legendre": "Legendre",
+    "zernike": "Zernike",
+    **{kind.driver: kind.name for kinds in DRIVERS.values() for kind in kinds.values() if kind.name},
+}
 _USUAL = {"wavelength_m": "n", "current_a": "m", "pixel_m": "\N{MICRO SIGN}"}  # prefixes, whatever the value
 _PREFIXED = {"m", "s", "A", "m/s"}
 _NUMBER = re.compile(r"([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(\D*)")

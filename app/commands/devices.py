@@ -61,7 +61,7 @@ def print_devices() -> None:
     console = Console(soft_wrap=True, highlight=False)
     for kind in KINDS:
         devices, missing = kind.discover()
-        console.print(f"[bold]{kind.name}[/bold]")
+        console.print(f"[bold]{kind.heading}[/bold]")
         if missing:
             console.print(f"  not searched: {missing}", markup=False)
         elif not devices:

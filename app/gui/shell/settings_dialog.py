@@ -11,11 +11,10 @@ from PyQt6.QtWidgets import QCheckBox, QDialog, QFormLayout, QLineEdit, QListWid
 
 from app.bench.config import Bench, save_bench
 from app.bench.device_kinds import KINDS
-from app.bench.settings_form import FormField, SettingsForm, fault_in_words, fault_path
+from app.bench.settings_form import NAMES, FormField, SettingsForm, fault_in_words, fault_path
 from app.errors import InputError, RunError
 from app.gui.widgets import theme
 from app.gui.widgets.basics import (
-    NAMES,
     Button,
     Choice,
     ElidedLabel,
@@ -246,7 +245,7 @@ def _discover() -> tuple[list[DiscoveredDevice], list[str]]:
         except Exception as error:  # noqa: BLE001 - every error is shown, and the other kinds are searched
             devices, missing = (), f"{type(error).__name__}: {error}"
         found += devices
-        failed += [f"{kind.name}, not searched: {missing}"] if missing else []
+        failed += [f"{kind.heading}, not searched: {missing}"] if missing else []
         failed += [f"{one.name} cannot be used yet: {one.missing}" for one in devices if one.missing]
     return found, failed
 

@@ -23,6 +23,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from app.bench.settings_form import NAMES
 from app.gui.widgets import theme
 
 Slot = Callable[..., object] | pyqtBoundSignal
@@ -33,19 +34,6 @@ _CURSOR_PX = 2  # that Qt leaves beside a chosen text
 REFRESH_MS = 40  # 25 times a second
 FRAME_PX = QSize(10, 40)  # window managers add it only when a window is shown
 ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
-NAMES = {  # human names of settings' values; the others are their word
-    "gauss_newton": "Gauss-Newton",
-    "correlation_fft": "correlation (FFT)",
-    "itk_affine": "affine (ITK)",
-    "legendre": "Legendre",
-    "zernike": "Zernike",
-    "dcam": "Hamamatsu (DCAM)",
-    "genicam": "GigE and USB3 Vision (GenICam)",
-    "micro_manager": "Micro-Manager",
-    "thorlabs_dc4100": "Thorlabs DC4100",
-    "thorlabs_dc2200": "Thorlabs DC2200",
-    "coolled": "CoolLED",
-}
 
 
 def label(text: str, role: str = "", parent: QWidget | None = None, *, wraps: bool = False) -> QLabel:

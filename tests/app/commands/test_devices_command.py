@@ -85,8 +85,9 @@ def test_failed_search_reports_reason(monkeypatch: pytest.MonkeyPatch, capsys: p
     assert capsys.readouterr().out.count("  not searched: the library is missing: install it\n") == len(KINDS)
 
 
-def test_every_searched_driver_exists_in_bench() -> None:
+def test_every_searched_driver_exists_in_bench_and_has_a_name() -> None:
     for kind in KINDS:
+        assert kind.name
         assert all(device.driver == kind.driver for device in kind.discover()[0])
     real = {*DRIVERS["camera"], *DRIVERS["light"]} - {"simulated", "recording", "manual"}
     assert real == {kind.driver for kind in KINDS}

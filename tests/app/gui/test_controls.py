@@ -17,9 +17,9 @@ from support.window_tools import MakeWindow, press, wait_for_wavefront
 from app.acquisition.kept_averages import AverageState
 from app.bench.config import AUTOMATIC
 from app.bench.device_kinds import DRIVERS
+from app.bench.settings_form import NAMES
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
-from app.gui.widgets.basics import NAMES
 from app.measurement.averages import AVERAGED_FRAMES
 from reconstruction.settings import Method, PupilBasis
 

@@ -171,9 +171,11 @@ def test_settings_have_the_names_of_people(benches: Benches) -> None:
         assert "gauss_newton" not in editor.toolTip()
         if isinstance(editor, QCheckBox):
             assert editor.text() == ("yes" if editor.isChecked() else "no")
-    method = dialog_of(benches).editors["registration.method"][1]
+    method, light = (dialog_of(benches).editors[path][1] for path in ("registration.method", "light.driver"))
     assert isinstance(method, QComboBox)
+    assert isinstance(light, QComboBox)
     assert method.currentText() == "Gauss-Newton"
+    assert light.itemText(light.findData("thorlabs_dc4100")) == "Thorlabs DC4100"
 
 
 def test_empty_list_is_none(benches: Benches) -> None:
