@@ -247,7 +247,7 @@ def _field(path: str, setting: Setting, present: Mapping[str, Any], *, is_option
     limit, (end, unit), factor = setting.limit(SimpleNamespace(**present)), unit_of(name), 1.0
     choices: tuple[str, ...] = ()
     if name == "driver":
-        kind, choices = "choice", tuple(DRIVERS[path])
+        kind, choices, limit = "choice", tuple(DRIVERS[path]), None
     elif get_origin(setting.kind) is Literal:
         kind, choices, limit = "choice", ("",) * setting.is_optional + get_args(setting.kind), None
     elif kind == "number" and unit in _PREFIXED:

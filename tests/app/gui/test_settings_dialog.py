@@ -176,6 +176,7 @@ def test_settings_have_the_names_of_people(benches: Benches) -> None:
     assert isinstance(light, QComboBox)
     assert method.currentText() == "Gauss-Newton"
     assert light.itemText(light.findData("thorlabs_dc4100")) == "Thorlabs DC4100"
+    assert light.toolTip() == "<p>Driver</p>"
 
 
 def test_empty_list_is_none(benches: Benches) -> None:
