@@ -11,18 +11,7 @@ from PyQt6.QtWidgets import QApplication, QMenu
 from app.acquisition.instrument import Status
 from app.gui.panels.panel import Entries, Panel, Shown
 from app.gui.widgets import theme
-from app.gui.widgets.basics import (
-    Choice,
-    ElidedLabel,
-    Toggle,
-    colour_text,
-    column,
-    label,
-    row,
-    row_of,
-    timer,
-    unfocused,
-)
+from app.gui.widgets.buttons import Choice, Toggle
 from app.gui.widgets.camera_image import (
     CameraImage,
     ClippedPixels,
@@ -38,9 +27,12 @@ from app.gui.widgets.camera_image import (
     rectangle,
 )
 from app.gui.widgets.copies import add_copy_menu, as_table
+from app.gui.widgets.layouts import column, row, row_of, unfocused
 from app.gui.widgets.measuring import Measuring
 from app.gui.widgets.presentation import percent
 from app.gui.widgets.scales import MAGNIFICATIONS, AdaptiveScale
+from app.gui.widgets.texts import ElidedLabel, colour_text, label
+from app.gui.widgets.timers import timer
 from app.measurement.measurement import Measurement
 from app.progress import counted
 from drivers.interface import Frame

@@ -11,10 +11,12 @@ from app.errors import RunError
 from app.gui.panels.limits_form import LimitsForm
 from app.gui.panels.panel import Entries, Panel, Shown, Verdict
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, colour_text, column, row, unfocused
+from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file
+from app.gui.widgets.layouts import column, row, unfocused
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import NOTHING, number
+from app.gui.widgets.texts import ElidedLabel, colour_text
 from app.measurement.measurement import Measurement
 from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, Drift, History, LimitWatch, SeriesLimits, sample
 from reconstruction.arrays import Floats

@@ -7,8 +7,10 @@ from PyQt6.QtWidgets import QDialog, QGridLayout, QLabel, QWidget
 
 from app.bench.settings_form import typed_number
 from app.gui.panels.panel import Shown
-from app.gui.widgets.basics import Button, Toggle, column, label, mark_refused, row
+from app.gui.widgets.buttons import Button, Toggle
 from app.gui.widgets.fields import NumberLine
+from app.gui.widgets.layouts import column, row
+from app.gui.widgets.texts import label, mark_refused
 from app.results.history import UNITS, SeriesLimits
 from app.results.shown_wavefront import Unit
 

@@ -3,9 +3,10 @@
 import numpy as np
 
 from app.gui.panels.panel import Panel, Request, Shown
-from app.gui.widgets.basics import ElidedLabel, column
+from app.gui.widgets.layouts import column
 from app.gui.widgets.presentation import number
 from app.gui.widgets.scales import ColourScale
+from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import Maps, ViewGrid
 from reconstruction.arrays import Floats
 

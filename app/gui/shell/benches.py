@@ -22,7 +22,9 @@ from app.gui.shell.settings_control import SettingsControl
 from app.gui.shell.settings_dialog import BENCH_FILES, SettingsDialog, ask_bench_file
 from app.gui.shell.wording import as_sentence
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, column, label
+from app.gui.widgets.buttons import Button
+from app.gui.widgets.layouts import column
+from app.gui.widgets.texts import label
 
 _LAST = "last/bench"  # key of the settings
 

@@ -8,8 +8,10 @@ from PyQt6.QtWidgets import QDialog, QListWidget, QWidget
 
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
-from app.gui.widgets.basics import Button, column, label, row
+from app.gui.widgets.buttons import Button
 from app.gui.widgets.fields import TextField
+from app.gui.widgets.layouts import column, row
+from app.gui.widgets.texts import label
 
 _KEY = "presets/devices"  # of the settings
 _ABOUT = "A preset keeps exposure, gain, current and mask: type a name, and save those in force."

@@ -18,9 +18,11 @@ from app.gui.shell.controller import Controller
 from app.gui.shell.menus import RecentFiles
 from app.gui.shell.wording import gaps_in_words, recording_ended
 from app.gui.widgets import theme
-from app.gui.widgets.basics import Button, Choice, ElidedLabel, Toggle, label, mark_refused, row
+from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberField, TextField
+from app.gui.widgets.layouts import row
+from app.gui.widgets.texts import ElidedLabel, label, mark_refused
 from app.progress import counted
 from app.recording.folder import describe, name_problem
 from app.recording.recorder import RECENT_S, RecordingLimit, RecordingState

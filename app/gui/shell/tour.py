@@ -4,7 +4,9 @@ from PyQt6.QtCore import QEvent, QObject, QPoint, QRect, Qt
 from PyQt6.QtGui import QCloseEvent, QKeyEvent
 from PyQt6.QtWidgets import QFrame, QWidget
 
-from app.gui.widgets.basics import Button, column, keeps_key, label, row
+from app.gui.widgets.buttons import Button, keeps_key
+from app.gui.widgets.layouts import column, row
+from app.gui.widgets.texts import label
 
 _WIDTH_PX = 340
 

@@ -9,8 +9,9 @@ from PyQt6.QtGui import QColor, QFontMetrics
 from PyQt6.QtWidgets import QApplication, QWidget
 
 from app.gui.widgets import theme
-from app.gui.widgets.basics import ElidedLabel, colour_text, column, label, row, unfocused
 from app.gui.widgets.copies import add_copy_menu, as_table
+from app.gui.widgets.layouts import column, row, unfocused
+from app.gui.widgets.texts import ElidedLabel, colour_text, label
 
 
 class Canvas(pg.GraphicsView):  # type: ignore[misc] # pyqtgraph declares no types
