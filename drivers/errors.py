@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 T = TypeVar("T")
 
@@ -13,6 +13,11 @@ class DeviceError(Exception):
 
 class Disconnected(DeviceError):
     """The device is unplugged or switched off; it stays lost until it is opened again."""
+
+    @classmethod
+    def of(cls, what: str) -> Self:
+        """Make the error of a device that a port no longer reaches."""
+        return cls(f"{what} is gone; is it plugged in and switched on?")
 
 
 class Busy(DeviceError):

@@ -246,10 +246,7 @@ def first_result(job: Job, source: BatchInput) -> xr.Dataset | None:
 def _prepared(source: BatchInput, job: Job) -> Reprocessing:
     recording = Recording(source.folder)
     if len(recording) < source.chosen.stop:
-        raise InputError(
-            f"{source.folder}: {source.frames - len(recording)} of {source.frames} frames have no line; svwfs recover"
-            " lists them"
-        )
+        raise InputError(recording.lost_lines)
     return Reprocessing(recording, job.change, rounds=job.rounds)
 
 

@@ -138,12 +138,8 @@ def print_notes(folder: Path, settings: list[str] | None = None, *, is_own: bool
 
     if is_own:
         print_version_notice(folder, settings=tuple(settings or ()))
-    recording = Recording(folder)
-    missing = (recording.recorded_frames or 0) - len(recording)
-    if recording.is_complete and missing > 0:
-        print_warning(
-            f"{folder}: {missing} of {recording.recorded_frames} frames have no line; svwfs recover lists them"
-        )
+    if lost := Recording(folder).lost_lines:
+        print_warning(lost)
 
 
 def remind(sentence: str) -> None:

@@ -94,6 +94,14 @@ class Recording:
         return recorded_frames(self.run)
 
     @property
+    def lost_lines(self) -> str:
+        """How many frames of a complete recording have no line, as a sentence; empty if all have one."""
+        lost = (self.recorded_frames or 0) - len(self)
+        if not self.is_complete or lost <= 0:
+            return ""
+        return f"{self.folder}: {lost} of {self.recorded_frames} frames have no line; svwfs recover lists them"
+
+    @property
     def ended_early(self) -> str:
         """Why the recording ended early; empty if it did not."""
         return str(self.run.get("ended_early", ""))

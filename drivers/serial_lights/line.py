@@ -185,7 +185,7 @@ class SerialLine:
             self._is_in_step = False
             raise DeviceTimeout(f"{self.where} takes no commands; is it switched on?") from error
         except _FAULTS as error:
-            raise Disconnected(f"{self.where} is gone; is it plugged in and switched on?") from error
+            raise Disconnected.of(self.where) from error
 
 
 def _open(port: str, dialect: Dialect, wire: Wire) -> serial.Serial:

@@ -273,7 +273,7 @@ def _faults(what: str) -> Iterator[None]:
 def _translate(what: str, error: Exception) -> DeviceError:
     number = error.errno if isinstance(error, OSError) else None
     if number in _GONE:
-        return Disconnected(f"{what} is gone; is it plugged in and switched on?")
+        return Disconnected.of(what)
     if number == errno.EBUSY:
         return Busy(f"another program holds {what}; close it")
     if number in {errno.EACCES, errno.EPERM}:
