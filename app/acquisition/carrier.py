@@ -16,6 +16,7 @@ from app.timing import Timings
 T = TypeVar("T")
 P = ParamSpec("P")
 
+CLOSING_S = 45.0  # until a closed instrument ends: a frame of the slowest method takes up to half of it
 WINDOW = "live"  # command of the recordings of a window, and of those that name none
 
 

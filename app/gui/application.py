@@ -7,12 +7,11 @@ from pathlib import Path
 
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 
-from app.acquisition.carrier import Carrier
+from app.acquisition.carrier import CLOSING_S, Carrier
 from app.acquisition.start_up import FirstWavefront
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError, ended_by
-from app.gui.shell.controller import CLOSING_S
 from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
 from app.gui.shell.state import apply_preferences, settings_file
 from app.gui.shell.wording import left_behind

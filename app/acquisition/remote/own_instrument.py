@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from app.acquisition.carrier import CLOSING_S
 from app.acquisition.place import NAME, Place, is_taken
 from app.acquisition.remote.connection import Connection
 from app.bench.config import Bench, save_bench
@@ -20,7 +21,6 @@ _LOOK_S = 0.05  # between two looks for an instrument that starts
 _LEAVES_S = 5.0  # the window has waited for its end already
 _STARTS_S = 60.0  # on a busy computer
 _ENDED_S = 0.5  # from the end of its connections to that of a process that crashes
-_ENDS_S = 45.0  # a frame of the slowest method takes up to half of it
 
 
 class OwnConnection(Connection):
@@ -152,7 +152,7 @@ class OwnInstrument:
         `RunError` if the one before does not end, or goes on, or as `start`.
         """
         if self._connection is not None:
-            self._connection.close(_ENDS_S)
+            self._connection.close(CLOSING_S)
             if self._connection.process.poll() is None:
                 why = "goes on" if self._connection.goes_on else "does not end"
                 raise RunError(f"the instrument's process {self._connection.process.pid} {why}: its devices are in use")
@@ -170,4 +170,4 @@ class OwnInstrument:
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
             with suppress(subprocess.TimeoutExpired):
-                self._process.wait(_ENDS_S)
+                self._process.wait(CLOSING_S)

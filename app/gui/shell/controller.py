@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
-from app.acquisition.carrier import Carrier
+from app.acquisition.carrier import CLOSING_S, Carrier
 from app.acquisition.instrument import Status
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.own_instrument import OwnConnection
@@ -23,8 +23,6 @@ from app.measurement.routines import Cancelled
 T = TypeVar("T")
 Then = Callable[[Any], object] | None  # receives a result
 Otherwise = Callable[[Exception], object] | None
-
-CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it
 
 
 class Controller(QObject):
