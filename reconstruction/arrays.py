@@ -1,7 +1,7 @@
 """Array types, medians, and the reading of NumPy's files, shared by the packages."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from tokenize import TokenError
 from typing import Any
@@ -14,6 +14,11 @@ Image = NDArray[np.float32]
 Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
 """Camera frame as read from a camera or a file, (row, column)."""
 Booleans = NDArray[np.bool_]
+PointField = Callable[[float, float], NDArray[np.complex64]]
+"""Field at the pupil samples, (sample_row, sample_column), that the object point (x_m, y_m) has behind the sample.
+
+It has no tilt of its own, and is 1 without a sample.
+"""
 
 SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal noise over the median of its magnitude
 

@@ -6,14 +6,14 @@ from the measured displacements, and the wavefront is estimated again. Only a di
 be coarse. A round is kept if it brings the modelled displacements closer to the measured ones.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Booleans, Floats, Image
+from reconstruction.arrays import Booleans, Floats, Image, PointField
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
@@ -25,8 +25,6 @@ from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, mean_rms
 
-PointField: TypeAlias = Callable[[float, float], NDArray[np.complex64]]
-
 _SETTLED_RAD = 1e-3  # stop below this change
 
 
@@ -37,11 +35,7 @@ class ImagingModel(Protocol):
     sample_y_m: Floats  # ... and these
 
     def image(self, field: PointField | None) -> Image:
-        """Image (row, column) of the source behind a sample; the reference if `field` is None.
-
-        field(x_m, y_m) is the field of the object point (x, y) at the pupil samples, (sample_y, sample_x), without its
-        tilt: 1 without a sample.
-        """
+        """Image (row, column) of the source behind a sample; the reference if `field` is None."""
         ...
 
 

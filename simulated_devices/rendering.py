@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.annotated_settings import THREADS
-from reconstruction.arrays import Floats, reading_npy
+from reconstruction.arrays import Floats, PointField, reading_npy
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.runtime.background import BackgroundProcess
-from simulated_devices.optics.forward_model import ForwardModel, OnFraction, PointField
+from simulated_devices.optics.forward_model import ForwardModel, OnFraction
 from simulated_devices.optics.source import SourcePoints, source_points
 from simulated_devices.sample import Sample, make_sample, shift_m
 from simulated_devices.settings import Simulation

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, PointField
 from reconstruction.geometry import Field, Sensor, require
-from simulated_devices.optics.forward_model import PointField
-from simulated_devices.optics.layered_light import Layer
+from simulated_devices.optics.layered_light import PlacedScreen
 from simulated_devices.optics.phase_screen import (
     PhaseScreen,
     edge_is_final,
@@ -156,10 +155,10 @@ class Sample:
     ray_map: RayMap
     light: SampleLight
 
-    def layer(self, collimator_focal_length_m: float) -> Layer:
+    def layer(self, collimator_focal_length_m: float) -> PlacedScreen:
         """Return the screen as a layer in pupil coordinates."""
         rays = self.ray_map
-        return Layer(
+        return PlacedScreen(
             phase=self.screen.magnified(1 / rays.pupil_scale),
             amplitude=None if self.amplitude is None else self.amplitude.magnified(1 / rays.pupil_scale),
             distance_m=rays.propagation_m(collimator_focal_length_m),

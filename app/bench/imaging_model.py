@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from app.bench.config import Bench
-    from reconstruction.arrays import Floats, Image
+    from reconstruction.arrays import Floats, Image, PointField
     from reconstruction.pipeline import Reconstructor
-    from reconstruction.refinement import PointField
     from reconstruction.registration.subimages import ReferenceSubimages
 
 _POINTS_PER_BLUR = 2.8  # source points per lambda f / D; fewer would be resolved

@@ -24,8 +24,6 @@ DIFFRACTION = 4.0  # margin of the reach, in wavelengths over the pupil's width
 _STEPS = 4  # per wavelength over the pupil's width, so that speckle looks smooth
 _MOST_STEPS = 100  # from the middle to the edge
 
-Transmission = NDArray[np.complex64]  # single precision suffices: 1e-6 of the peak
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mtf:
@@ -113,8 +111,11 @@ def diffraction_rad(sensor: Sensor) -> float:
     return sensor.wavelength_m / (2 * max(sensor.pupil_half_width_m))
 
 
-def _transmission(phase: Floats) -> Transmission:
-    """exp(i phase) at the samples, (..., sample_row, sample_column); zero where the phase is unknown."""
+def _transmission(phase: Floats) -> NDArray[np.complex64]:
+    """exp(i phase) at the samples, (..., sample_row, sample_column); zero where the phase is unknown.
+
+    Single precision suffices: 1e-6 of the peak.
+    """
     rows, columns = phase.shape[-2:]
     fine = _to_samples(rows) @ extrapolate(phase) @ _to_samples(columns).T
     transmits = np.repeat(np.repeat(np.isfinite(phase), SAMPLES, axis=-2), SAMPLES, axis=-1)

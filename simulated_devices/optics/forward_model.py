@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.annotated_settings import THREADS
-from reconstruction.arrays import Floats, Image
+from reconstruction.arrays import Floats, Image, PointField
 from reconstruction.geometry import Arrangement, Field, Lattice, Sensor, centered_steps, require
 from reconstruction.runtime.threads import one_blas_thread
 from simulated_devices.optics._pixel_grid import PixelGrid
@@ -121,11 +121,6 @@ def lenslet_aperture(arrangement: Arrangement, pupil_samples: int) -> Floats:
     return np.asarray(inside.reshape(samples, _PARTS, samples, _PARTS).mean(axis=(1, 3)))
 
 
-PointField: TypeAlias = Callable[[float, float], NDArray[np.complex64]]
-"""Field at the pupil samples, (sample_row, sample_column), that the object point (x_m, y_m) has behind the sample.
-
-It has no tilt of its own, and is 1 without a sample.
-"""
 OnFraction: TypeAlias = Callable[[float], None]
 """Progress callback; receives the share that is done, 0 ... 1."""
 

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, PointField
 from reconstruction.geometry import Field, Sensor, centered_steps, require
-from simulated_devices.optics.forward_model import PointField
 from simulated_devices.optics.phase_screen import PhaseScreen, middle_of
 from simulated_devices.optics.propagated_light import (
     EDGE,
@@ -30,7 +29,7 @@ from simulated_devices.optics.screen_light import RayMap, ScreenLight
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Layer:
+class PlacedScreen:
     """A thin screen in pupil coordinates, `distance_m` in front of the lenslets (negative: behind them)."""
 
     phase: PhaseScreen
@@ -42,7 +41,7 @@ class LayeredLight:
     """Field of each object point behind a stack of layers, at the lenslets, without the point's own tilt."""
 
     def __init__(
-        self, layers: Sequence[Layer], sensor: Sensor, field: Field, *, pupil_half_width_m: tuple[float, float]
+        self, layers: Sequence[PlacedScreen], sensor: Sensor, field: Field, *, pupil_half_width_m: tuple[float, float]
     ) -> None:
         """Propagate the light of the farthest layer to the next one.
 
@@ -123,7 +122,7 @@ def _grid(half_width_m: float, spacing_m: float) -> Floats:
     return centered_steps(2 * math.ceil(half_width_m / spacing_m) + 1) * spacing_m
 
 
-def _screen_light(layer: Layer, ratio: float, half_width_m: float) -> ScreenLight:
+def _screen_light(layer: PlacedScreen, ratio: float, half_width_m: float) -> ScreenLight:
     """Light of a layer that reaches `half_width_m`, mirrored at its edges where it does not."""
     missing_m = half_width_m - min(layer.phase.half_width_m)
     ring = max(0, math.ceil(missing_m / layer.phase.sample_spacing_m))

@@ -16,9 +16,9 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import Crc32cCodec
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, PointField
 from reconstruction.geometry import require
-from simulated_devices.optics.forward_model import ForwardModel, OnFraction, PointField
+from simulated_devices.optics.forward_model import ForwardModel, OnFraction
 
 _BLOCK_POINTS = 16  # 14 MB of a 465 x 465 camera, and enough rows for an efficient matrix product
 

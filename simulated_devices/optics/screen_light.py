@@ -15,9 +15,8 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, PointField
 from reconstruction.geometry import Field, Sensor
-from simulated_devices.optics.forward_model import PointField
 from simulated_devices.optics.phase_screen import PhaseScreen
 
 

@@ -14,10 +14,10 @@ from support.own_wavefronts import Lenslets
 
 from app.bench.config import Bench
 from app.bench.imaging_model import BenchModel, measured_source
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, PointField
 from reconstruction.errors import ReconstructionError
 from reconstruction.pipeline import Reconstructor
-from reconstruction.refinement import PointField, Refinement, Round
+from reconstruction.refinement import Refinement, Round
 from reconstruction.wavefront import rms, without_piston
 from simulated_devices.optics.source import SourcePoints
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from app.acquisition.remote.messages import Notice, Record
+from app.acquisition.remote.messages import Notice, RingRecord
 from app.acquisition.remote.ring import RingReader
 from app.acquisition.remote.wire import Absent, unpacked
 from app.measurement.calibration import Calibration
@@ -101,7 +101,7 @@ class NewestFrames:
             self._has_news.set()
             return
         try:
-            record: Record = unpacked(body, self._find)
+            record: RingRecord = unpacked(body, self._find)
         except Absent:
             return
         self._read, self._due_s = count, time.monotonic() + self._pause_s
@@ -112,7 +112,7 @@ class NewestFrames:
                     sink(measurement)
         self.newest = measurement
 
-    def _solved(self, record: Record) -> Measurement:
+    def _solved(self, record: RingRecord) -> Measurement:
         made = record.measurement
         if not record.has_wavefront or made.calibration is None or made.registered is None:
             return made

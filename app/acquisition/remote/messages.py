@@ -119,8 +119,8 @@ class Notice:
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
-    """One slot of the ring: a measurement without what the client computes itself."""
+class RingRecord:
+    """One record of the ring: a measurement without what the client computes itself."""
 
     measurement: Measurement  # without wavefront and start
     has_wavefront: bool

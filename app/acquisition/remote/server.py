@@ -29,7 +29,7 @@ from app.acquisition.remote.messages import (
     Failure,
     Hello,
     Notice,
-    Record,
+    RingRecord,
     Sign,
     State,
     Traveller,
@@ -187,7 +187,7 @@ class Server:
                 return
             measurement, is_shown_only = newest
             lean = replace(measurement, wavefront=None, start=None)
-            record = Record(lean, measurement.wavefront is not None, is_shown_only)
+            record = RingRecord(lean, measurement.wavefront is not None, is_shown_only)
             packed = Packed(record, self._travellers.number)
             if self._ring is None or not self._ring.fits(packed):
                 count = 0

@@ -19,11 +19,11 @@ from app.evaluation.studies import CaseResult, Sweep
 from app.evaluation.study.estimators import WarpEstimator, compared, with_rms
 from app.evaluation.study.noise import EmCamera, camera, error_bar_rad
 from app.progress import Progress
-from reconstruction.arrays import Floats, Image
+from reconstruction.arrays import Floats, Image, PointField
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.wavefront import without_piston
-from simulated_devices.optics.forward_model import ForwardModel, PointField
+from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.rendering import Renderer
 
 _PEAK_E = 1e5  # electrons in the reference's brightest pixel: noise counts little

@@ -19,7 +19,7 @@ from reconstruction.geometry import centered_steps
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
 from reconstruction.layers.layer_search import find_layers
 from reconstruction.wavefront import Wavefront, rms
-from simulated_devices.optics.layered_light import Layer, LayeredLight
+from simulated_devices.optics.layered_light import LayeredLight, PlacedScreen
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.rendering import Renderer
 from simulated_devices.settings import Mask
@@ -124,7 +124,7 @@ def _through(renderer: Renderer, mask: str, made: Correction) -> Image:
         for half_m in made.half_width_m
     )
     phase = PhaseScreen(made.phase(x_m, y_m[:, None]), _SPACING_M)
-    corrector = Layer(phase=phase, distance_m=-made.ratio * focal_length_m)
+    corrector = PlacedScreen(phase=phase, distance_m=-made.ratio * focal_length_m)
     light = LayeredLight(
         [renderer.sample.layer(focal_length_m), corrector],
         scene.sensor,

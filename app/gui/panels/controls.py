@@ -14,7 +14,7 @@ from app.bench.config import AUTOMATIC, Bench
 from app.gui.panels.panel import Entries, Panel, Shown
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Slot, Toggle
-from app.gui.widgets.fields import Field, NumberField
+from app.gui.widgets.fields import InputField, NumberField
 from app.gui.widgets.layouts import Item, column, row
 from app.gui.widgets.presentation import percent
 from app.gui.widgets.texts import label, mark_wanted
@@ -292,7 +292,7 @@ class _LightButton(Toggle):
     def click(self) -> None:
         """Press the button, as menu and key do."""
         field = QApplication.focusWidget()
-        if isinstance(field, Field) and field.take_light_key():
+        if isinstance(field, InputField) and field.take_light_key():
             self.typed.emit()
         elif self.isEnabled():
             super().click()

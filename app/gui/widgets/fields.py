@@ -16,7 +16,7 @@ _LETTERS = 4  # of a word that may be shortened
 _COMMANDS = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.AltModifier | Qt.KeyboardModifier.MetaModifier
 
 
-class Field:
+class InputField:
     """Base of all fields: an L that is typed is also the key of the light, which it may switch off."""
 
     _light_key = ""  # text of an L that was left to the shortcuts
@@ -42,7 +42,7 @@ class Field:
         """Type it; it is in no number."""
 
 
-class NumberField(Field, QDoubleSpinBox):
+class NumberField(InputField, QDoubleSpinBox):
     """Shows a value in a convenient unit and emits it in SI units when the user enters it.
 
     A comma or a point separates decimals, whatever the language of the desktop; other prefixes of the unit are
@@ -203,7 +203,7 @@ class NumberField(Field, QDoubleSpinBox):
         self.entered.emit(min(max(value * self._factor, self._allowed.minimum), self._allowed.maximum))
 
 
-class NumberLine(Field, QLineEdit):
+class NumberLine(InputField, QLineEdit):
     """A line for a number."""
 
     def event(self, event: QEvent | None) -> bool:

@@ -15,7 +15,7 @@ from reconstruction.arrays import Floats
 from reconstruction.geometry import centered_steps
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
 from reconstruction.wavefront import rms
-from simulated_devices.optics.layered_light import Layer, LayeredLight
+from simulated_devices.optics.layered_light import LayeredLight, PlacedScreen
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.sample import make_sample
 
@@ -52,7 +52,7 @@ def left_rad(made: Correction, change: Callable[[Floats], Floats], distance_m: f
     along_m = centered_steps(count) * spacing_m
     command = PhaseScreen(change(made.phase(along_m, along_m[:, None])), spacing_m)
     sample = make_sample(BENCH.simulation, BENCH.sensor, BENCH.field).layer(F1_M)
-    layers = [sample, Layer(phase=command, distance_m=distance_m)]
+    layers = [sample, PlacedScreen(phase=command, distance_m=distance_m)]
     light = LayeredLight(layers, BENCH.sensor, BENCH.field, pupil_half_width_m=BENCH.sensor.pupil_half_width_m)
     return float(np.mean(rms(light.wavefront(BENCH.sensor, BENCH.field))))
 

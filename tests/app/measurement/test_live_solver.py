@@ -20,10 +20,11 @@ from app.measurement.finder import Finder, FinderProcess, Found, Solved
 from app.measurement.finder import _are_alike as are_alike
 from app.measurement.live_solver import LiveSolver
 from app.measurement.measurement import Assumptions, RefinementState
+from reconstruction.arrays import PointField
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.pipeline import Reconstructor
-from reconstruction.refinement import Bias, PointField, Refinement
+from reconstruction.refinement import Bias, Refinement
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import Wavefront, rms
 

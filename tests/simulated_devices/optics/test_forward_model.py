@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from support.optics import FIELD, sensor_of
 from support.patience import HANG_S
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, PointField
 from reconstruction.geometry import Arrangement, Lattice
 from simulated_devices.optics import source
-from simulated_devices.optics.forward_model import ForwardModel, PointField
+from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
 from simulated_devices.optics.screen_light import RayMap, ScreenLight, point_field
 from simulated_devices.optics.source import SourcePoints

@@ -10,7 +10,7 @@ import pytest
 from support.optics import FIELD, sensor_of
 
 from reconstruction.arrays import Floats
-from simulated_devices.optics.layered_light import Layer, LayeredLight
+from simulated_devices.optics.layered_light import LayeredLight, PlacedScreen
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
 from simulated_devices.optics.propagated_light import PropagatedLight
 from simulated_devices.optics.screen_light import RayMap, point_field, truth_wavefront
@@ -33,12 +33,12 @@ def lens(curvature: float) -> PhaseScreen:
     return PhaseScreen(curvature / 2 * (along_m**2 + along_m[:, None] ** 2), SPACING_M)
 
 
-def light_of(*layers: Layer, neglect_propagation: bool = False) -> LayeredLight:
+def light_of(*layers: PlacedScreen, neglect_propagation: bool = False) -> LayeredLight:
     field = replace(FIELD, neglect_propagation=neglect_propagation)
     return LayeredLight(layers, SENSOR, field, pupil_half_width_m=(1.75e-3, 1.25e-3))
 
 
-def field_of(*layers: Layer) -> np.ndarray[tuple[int, ...], np.dtype[np.complex64]]:
+def field_of(*layers: PlacedScreen) -> np.ndarray[tuple[int, ...], np.dtype[np.complex64]]:
     return light_of(*layers).field(SAMPLE_X_M, SAMPLE_Y_M)(*OBJECT_M)
 
 
@@ -55,7 +55,7 @@ def test_flat_layer_changes_nothing(distance_m: float, flat_at_m: float) -> None
         collimator_focal_length_m=0.2,
         wavenumber_rad_per_m=WAVENUMBER,
     )
-    layers = (Layer(phase=screen, distance_m=distance_m), Layer(phase=flat, distance_m=flat_at_m))
+    layers = (PlacedScreen(phase=screen, distance_m=distance_m), PlacedScreen(phase=flat, distance_m=flat_at_m))
     expected = point_field(alone, SAMPLE_X_M, SAMPLE_Y_M)(*OBJECT_M)
     ratio = field_of(*layers) / expected
     # The beam's tilt changes the path of the light by a constant.
@@ -67,7 +67,8 @@ def test_flat_layer_changes_nothing(distance_m: float, flat_at_m: float) -> None
 def test_two_lenses_are_a_telescope() -> None:
     """Behind a lens with the curvature c, light over z has c / (1 + c z / k) and is stretched by 1 + c z / k."""
     (first, first_m), (second, second_m) = (-3e6, 0.22), (5e6, 0.06)
-    light = light_of(Layer(phase=lens(second), distance_m=second_m), Layer(phase=lens(first), distance_m=first_m))
+    screens = ((second, second_m), (first, first_m))
+    light = light_of(*(PlacedScreen(phase=lens(bend), distance_m=place_m) for bend, place_m in screens))
     stretch_1 = 1 + first * (first_m - second_m) / WAVENUMBER
     bend = first / stretch_1 + second
     stretch_2 = 1 + bend * second_m / WAVENUMBER
@@ -85,7 +86,7 @@ def test_two_lenses_are_a_telescope() -> None:
 
 def test_far_layer_is_met_before_near_one() -> None:
     """The order of layers in the list does not matter, that in the beam does."""
-    far, near = Layer(phase=rough(1), distance_m=0.25), Layer(phase=rough(2), distance_m=0.05)
+    far, near = PlacedScreen(phase=rough(1), distance_m=0.25), PlacedScreen(phase=rough(2), distance_m=0.05)
     field = field_of(far, near)
     np.testing.assert_array_equal(field_of(near, far), field)
     swapped = field_of(replace(far, phase=near.phase), replace(near, phase=far.phase))
@@ -93,10 +94,10 @@ def test_far_layer_is_met_before_near_one() -> None:
 
 
 def test_phases_add_up_without_propagation() -> None:
-    layers = Layer(phase=rough(1), distance_m=0.25), Layer(phase=rough(2), distance_m=-0.05)
+    layers = PlacedScreen(phase=rough(1), distance_m=0.25), PlacedScreen(phase=rough(2), distance_m=-0.05)
     field = light_of(*layers, neglect_propagation=True).field(SAMPLE_X_M, SAMPLE_Y_M)(*OBJECT_M)
 
-    def phase(layer: Layer) -> Floats:
+    def phase(layer: PlacedScreen) -> Floats:
         x_m, y_m = (at - layer.distance_m / 0.2 * o for at, o in zip((SAMPLE_X_M, SAMPLE_Y_M), OBJECT_M, strict=True))
         return layer.phase.at(x_m, y_m[:, None])
 

@@ -10,9 +10,10 @@ import pytest
 import zarr
 from support.optics import FIELD, sensor_of
 
+from reconstruction.arrays import PointField
 from reconstruction.geometry import Lattice
 from simulated_devices.optics import source
-from simulated_devices.optics.forward_model import ForwardModel, PointField
+from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.measurement_matrix import MeasurementMatrix
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
 from simulated_devices.optics.screen_light import RayMap, ScreenLight, point_field

@@ -23,7 +23,7 @@ from app.acquisition.instrument import Instrument
 from app.acquisition.place import Place, runtime_folder, taken_place
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.frames import NewestFrames
-from app.acquisition.remote.messages import MOST_BYTES, Accepted, Answer, Command, Hello, Notice, Record, Sign
+from app.acquisition.remote.messages import MOST_BYTES, Accepted, Answer, Command, Hello, Notice, RingRecord, Sign
 from app.acquisition.remote.ring import RingReader, RingWriter
 from app.acquisition.remote.server import Server
 from app.acquisition.remote.wire import Packed, unpacked
@@ -237,7 +237,7 @@ def test_a_bias_that_the_instrument_subtracted_is_subtracted_here() -> None:
         bias = np.full(made.registered.coefficients.shape, 0.1)
         bias[0] = 0.3
         applied = replace(made, assumed=Assumptions(FREE, RefinementState("applied", bias=bias)), wavefront=None)
-        found = connection._frames._solved(Record(applied, has_wavefront=True, is_shown_only=False))
+        found = connection._frames._solved(RingRecord(applied, has_wavefront=True, is_shown_only=False))
         reconstructor = made.calibration.reconstructor()
         assert found.wavefront is not None
         assert made.wavefront is not None
@@ -252,8 +252,8 @@ def test_frames_measured_before_a_command_are_shown_but_no_longer_passed_on(tmp_
         for index in range(3):
             if index == 1:
                 frames.outdate(2)
-            frame = make_frame(np.zeros((3, 4), np.uint16), index=index)
-            frames.announce(Notice(ring.place, ring.write(Packed(Record(Measurement(frame, None, "x"), False, False)))))
+            measurement = Measurement(make_frame(np.zeros((3, 4), np.uint16), index=index), None, "x")
+            frames.announce(Notice(ring.place, ring.write(Packed(RingRecord(measurement, False, False)))))
             wait_until(lambda: frames.newest is not None and frames.newest.frame.index == index)  # noqa: B023 - at once
         frames.close()
         frames.join()
