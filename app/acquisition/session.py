@@ -14,7 +14,7 @@ from typing import Any, Self, TypeVar
 from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument, Setting, Status
 from app.acquisition.place import NAME
-from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.connection import reach
 from app.acquisition.start_up import FRAMES, calibrate, knows_sample, start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
@@ -367,7 +367,7 @@ class ConnectedBench(LiveBench):
         self, what: str, name: str = NAME, *, watch: bool = False, progress: Progress = lambda *_: None
     ) -> None:
         """The other clients know it as `what`."""
-        self._connection = connection = Connection(what, name, sinks=(self._take,), controls=not watch)
+        self._connection = connection = reach(what, name, sinks=(self._take,), controls=not watch)
         super().__init__(connection.bench, average=0, progress=progress)
 
     def _open(self) -> Carrier:

@@ -173,13 +173,13 @@ def attached_window(name: str, *, is_attended: bool, seconds: float | None, out:
         from app.gui.splash import Splash
 
         splash = Splash()  # before the rest is loaded
-    from app.acquisition.remote.connection import Connection
+    from app.acquisition.remote.connection import Connection, reach
     from app.gui.shell.access import Access
 
-    first = Connection("window", name)  # before there is a window: if none runs, the terminal tells
+    first = reach("window", name)  # before there is a window: if none runs, the terminal tells
 
     def connect() -> Connection:
-        return first if first.is_alive else Connection("window", name)
+        return first if first.is_alive else reach("window", name)
 
     access = Access(connect, begin=lambda _: ())  # it runs already
     if splash is None:

@@ -19,14 +19,14 @@ from pathlib import Path
 import numpy as np
 
 from app.acquisition.instrument import Instrument
-from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.connection import Connection, reach
 from app.errors import RunError
 
 _PROGRAM = "import sys; from app.cli import main; sys.argv = ['svwfs', *sys.argv[1:]]; main()"
 _WATCH = """
 import time
-from app.acquisition.remote.connection import Connection
-connection = Connection("viewer", controls=False)
+from app.acquisition.remote.connection import Connection, reach
+connection = reach("viewer", controls=False)
 while connection.newest is None or connection.newest.wavefront is None:
     time.sleep(0.1)
 print("watches", flush=True)
@@ -111,7 +111,7 @@ def _processor_s(process: int) -> float:
 def _connect(stack: ExitStack) -> Connection:
     while True:
         try:
-            client = Connection("measuring", _NAME)
+            client = reach("measuring", _NAME)
         except RunError:
             time.sleep(0.1)
         else:

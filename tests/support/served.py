@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from app.acquisition.place import NAME, is_taken, taken_place
-from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.server import Server
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
@@ -51,7 +51,7 @@ def served(
 @contextmanager
 def connected(what: str = "test", *, controls: bool = True) -> Iterator[Connection]:
     """Connect to the served instrument."""
-    connection = Connection(what, controls=controls)
+    connection = reach(what, controls=controls)
     try:
         yield connection
     finally:

@@ -21,19 +21,8 @@ from app.acquisition.carrier import WINDOW, Activity
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.place import DYING_S, NAME, Place, clear_abandoned
 from app.acquisition.remote.frames import NewestFrames
-from app.acquisition.remote.messages import (
-    MOST_BYTES,
-    Accepted,
-    Answer,
-    Arrivals,
-    Command,
-    Hello,
-    Notice,
-    Sign,
-    State,
-    Traveller,
-    Wanted,
-)
+from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Hello, Notice, Sign, State, Traveller, Wanted
+from app.acquisition.remote.outbox import ANSWER_S, Outbox
 from app.acquisition.remote.wire import Packed
 from app.acquisition.wake import Wake
 from app.bench.config import Bench
@@ -42,7 +31,6 @@ from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.sensor_region import SensorArea
 from app.recording.recorder import RecordingLimit, RecordingState
 from app.timing import Stage, StageTimes, Timings
-from drivers.errors import BadValue
 
 _COUNT = itertools.count(1)  # of connections of this process
 _CLOSED = "the connection to the instrument is closed"
@@ -50,7 +38,6 @@ _CLOSED = "the connection to the instrument is closed"
 T = TypeVar("T")
 P = ParamSpec("P")
 
-_ANSWER_S = 5.0  # for the first state, and for a command to be accepted
 _ALIVE_S = 1.0  # between two signs of life
 _SILENT_S = 2.0  # after which the instrument counts as frozen
 _TICK_MS = 50
@@ -71,62 +58,42 @@ class _Timings(Timings):
         return here | self.there | {stage: times for stage, times in here.items() if times.count}
 
 
+def reach(
+    what: str, name: str = NAME, *, sinks: tuple[Callable[[Measurement], None], ...] = (), controls: bool = True
+) -> "Connection":
+    """Connect to the instrument of a name, and wait for its state; `RunError` if none runs or answers there."""
+    connection = Connection(what, Place.of(name), sinks, controls=controls)
+    connection.wait()
+    return connection
+
+
 class Connection:
     """The acquisition of another process; the newest measurements go to the sinks, from a thread of this one."""
 
+    bench: Bench  # as the instrument was started with; this and what follows are those of its newest state
+    status: Status | None = None  # until the devices are open
+    counts = FrameTotals()
+    recording: RecordingState | None = None
+    kept: RecordingState | None = None
+    clients: tuple[str, ...] = ()  # names of all
+    controller = ""  # name of the client that has control; empty: nobody
+    goes_on = True  # whether the instrument does when this connection is closed
+
     def __init__(
-        self,
-        what: str,
-        name: str = NAME,
-        *,
-        sinks: tuple[Callable[[Measurement], None], ...] = (),
-        controls: bool = True,
-    ) -> None:
-        """Connect to the instrument of a name, as `what`; with `controls`, take control if nobody has it.
-
-        `RunError` if no instrument runs or answers there.
-        """
-        self._prepare(what, Place.of(name), sinks, controls=controls)
-        self._has_state.wait()
-        if self._ended is not None:
-            self.close()
-            raise self._ended
-
-    def _prepare(
         self, what: str, place: Place, sinks: tuple[Callable[[Measurement], None], ...] = (), *, controls: bool = True
     ) -> None:
-        """Begin to connect."""
-        self.place, self._controls = place, controls
+        """Begin to connect, as `what`; with `controls`, take control if nobody has it."""
         number = next(_COUNT)
         self.name = f"{what} {os.getpid()}{f'.{number}' * (number > 1)}"
-        self.goes_on = True  # whether the instrument does when this connection is closed
+        self.place, self._controls = place, controls
         self.timings = _Timings()
-        self.bench: Bench  # as the instrument was started with; the attributes are those of its newest state
-        self.status: Status | None = None  # until the devices are open
-        self.counts = FrameTotals()
-        self.recording: RecordingState | None = None
-        self.kept: RecordingState | None = None
-        self.clients: tuple[str, ...] = ()  # names of all
-        self.controller = ""  # name of the client that has control; empty: nobody
         self._activity = Activity("starting the instrument", may_cancel=False)
         self._has_state, self._closing = threading.Event(), threading.Event()
         self._ended: Exception | None = None
-        self._pending: dict[int, tuple[Future[Any], float]] = {}  # with the time when it was sent
-        self._accepted: set[int] = set()
-        self._numbers, self._sending = itertools.count(1), threading.Lock()
-        self._outgoing: list[tuple[int, bytearray]] = []  # messages, with the number of a command
-        self._has_left = False
+        self._outbox = Outbox(lambda: self.error or RunError(_CLOSED))
         self._arrivals = Arrivals(self._ask)
         self._pause_s = 0.0 if sinks else _SHOWN_S
         self._frames = NewestFrames(self._arrivals.find, (self._note, *sinks), self._pause_s)
-        self._takers: dict[type, Callable[[Any], None]] = {
-            State: self._take_state,
-            Notice: self._frames.announce,
-            Traveller: lambda _: self._frames.try_again(),
-            Accepted: lambda accepted: self._accepted.add(accepted.number),
-            Answer: self._take_answer,
-            Sign: lambda _: self._say(Hello(self.name, False, self._pause_s)),  # it has forgotten this client
-        }
         self._heard_s = self._said_s = math.inf  # until the instrument is reached
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
@@ -134,6 +101,13 @@ class Connection:
         self._wake = Wake()
         self._thread = threading.Thread(target=self._work, name="connection", daemon=True)
         self._thread.start()
+
+    def wait(self) -> None:
+        """Wait until the instrument is reached; close, and raise `RunError`, if it cannot be."""
+        self._has_state.wait()
+        if self._ended is not None:
+            self.close()
+            raise self._ended
 
     @property
     def activity(self) -> Activity:
@@ -265,31 +239,12 @@ class Connection:
         self._frames.join(timeout_s)
 
     def _send(self, request: str, *arguments: Any, **named: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_running_or_notify_cancel()  # what is sent cannot be called back
-        refusal: Exception | None = None
-        number = next(self._numbers)
-        try:
-            message = Packed(Command(number, request, arguments, named)).message()
-        except TypeError as error:
-            refusal = error
-        else:
-            if len(message) > MOST_BYTES:
-                refusal = BadValue(f"{request}: this is too large to be sent to the instrument")
-            with self._sending:
-                if self._has_left:
-                    refusal = self.error or RunError(_CLOSED)
-                elif refusal is None:
-                    self._pending[number] = future, math.inf
-                    self._outgoing.append((number, message))
-        if refusal is not None:
-            future.set_exception(refusal)
+        future = self._outbox.add_command(request, arguments, named)
         self._wake.notify()
         return future
 
     def _ask(self, number: int) -> None:
-        with self._sending:
-            self._outgoing.append((0, Packed(Wanted(number)).message()))
+        self._outbox.add(Wanted(number))
         self._wake.notify()
 
     def _note(self, measurement: Measurement) -> None:
@@ -320,11 +275,7 @@ class Connection:
             self._ended = error
             raise
         finally:
-            with self._sending:
-                left, self._pending, self._has_left = list(self._pending.values()), {}, True
-                lost = self._ended or RunError(_CLOSED)
-            for future, _ in left:
-                future.set_exception(lost)
+            self._outbox.close(self._ended or RunError(_CLOSED))
             self._has_state.set()
             self._socket.disable_monitor()
             self._context.destroy(linger=_LINGER_MS)
@@ -338,12 +289,8 @@ class Connection:
         self._say(Hello(self.name, self._controls, self._pause_s))
 
     def _say_outgoing(self) -> None:
-        with self._sending:
-            outgoing, self._outgoing = self._outgoing, []
-        for number, message in outgoing:
+        for message in self._outbox.take():
             self._say_packed(message)
-            if number in self._pending:
-                self._pending[number] = self._pending[number][0], time.monotonic()
 
     def _turn(self, ready: dict[Any, int]) -> None:
         self._wake.clear()
@@ -352,7 +299,7 @@ class Connection:
         while self._socket.poll(0):
             self._heard_s = time.monotonic()
             for message in self._arrivals.receive(self._socket.recv()):
-                self._takers.get(type(message), lambda _: None)(message)
+                self._take(message)
         if is_gone and self._ended is None:
             clear_abandoned(self.place.name, DYING_S)
             process = f"the instrument's process {self.place.process}"
@@ -360,29 +307,32 @@ class Connection:
         if self._frames.error is not None and self._ended is None:
             self._ended = RunError(f"frames of the instrument cannot be shown: {self._frames.error}")
         now_s = time.monotonic()
-        if not self._has_state.is_set() and now_s > self._heard_s + _ANSWER_S:
+        if not self._has_state.is_set() and now_s > self._heard_s + ANSWER_S:
             raise RunError(
                 f"the instrument of process {self.place.process} does not answer: stop it, and start it again"
             )
         if now_s > self._said_s + _ALIVE_S:
             self._say(Sign.ALIVE)
-        for number, (future, sent_s) in list(self._pending.items()):
-            if number not in self._accepted and now_s > sent_s + _ANSWER_S:
-                del self._pending[number]
-                future.set_exception(RunError("the instrument does not answer"))
+        self._outbox.give_up_lost()
 
     def _how_it_ended(self) -> str:
         return "has ended"
 
-    def _take_answer(self, answer: Answer) -> None:
-        self._frames.outdate(answer.count)
-        self._accepted.discard(answer.number)
-        future, _ = self._pending.pop(answer.number, (None, 0.0))
-        if future is not None:
-            if answer.failure is None:
-                future.set_result(answer.result)
-            else:
-                future.set_exception(answer.failure.error())
+    def _take(self, message: object) -> None:
+        match message:
+            case State():
+                self._take_state(message)
+            case Notice():
+                self._frames.announce(message)
+            case Traveller():
+                self._frames.try_again()
+            case Accepted():
+                self._outbox.note_accepted(message.number)
+            case Answer():
+                self._frames.outdate(message.count)
+                self._outbox.note_answer(message)
+            case Sign():  # it has forgotten this client
+                self._say(Hello(self.name, False, self._pause_s))
 
     def _take_state(self, state: State) -> None:
         self.bench, self.status, self._activity = state.bench, state.status, state.activity

@@ -32,9 +32,8 @@ class OwnConnection(Connection):
         If it cannot be reached, that is the connection's `error`.
         """
         self.bench, self.process, self._said = bench, process, said
-        self._ends = False
-        self._prepare("window", Place(name, process.pid, endpoint="", key=""))
-        self.goes_on = False
+        self._ends = self.goes_on = False
+        super().__init__("window", Place(name, process.pid, endpoint="", key=""))
 
     @property
     def is_alive(self) -> bool:

@@ -22,7 +22,7 @@ from support.window_tools import MakeWindow, wait_for_wavefront
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.place import NAME, is_taken, taken_place
-from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
 from app.acquisition.remote.server import Server
 from app.acquisition.worker import Acquisition
@@ -50,7 +50,7 @@ def server(camera: FakeCamera, runtime_folder: Path) -> Iterator[Server]:
 def window(make_window: MakeWindow, server: Server, qtbot: QtBot) -> MainWindow:
     assert server.place.process
     made = make_window()
-    made.open(Access(lambda: Connection("window"), lambda _: ()))
+    made.open(Access(lambda: reach("window"), lambda _: ()))
     wait_for_wavefront(qtbot, made)
     return made
 
@@ -90,7 +90,7 @@ def test_window_that_watches_says_who_has_control_and_takes_it(
 ) -> None:
     with connected("notebook"):
         window = make_window()
-        window.open(Access(lambda: Connection("window"), lambda _: ()))
+        window.open(Access(lambda: reach("window"), lambda _: ()))
         qtbot.waitUntil(lambda: "this program only watches: notebook" in told(window))
         window.messages.control.click()
         qtbot.waitUntil(lambda: "watches" not in told(window))
@@ -141,7 +141,7 @@ def test_commands_of_a_window_that_watches_are_refused_with_a_sentence(
 ) -> None:
     with connected("notebook") as notebook:
         window = make_window()
-        window.open(Access(lambda: Connection("window"), lambda _: ()))
+        window.open(Access(lambda: reach("window"), lambda _: ()))
         wait_for_wavefront(qtbot, window)
         bar, panel = window.recording_bar, window.recording_panel
 
@@ -175,7 +175,7 @@ def test_window_goes_on_with_an_instrument_that_was_started_again(
     assert runtime_folder.is_dir()
     window = make_window()
     with served(FakeCamera()) as first:
-        window.open(Access(lambda: Connection("window"), lambda _: ()))
+        window.open(Access(lambda: reach("window"), lambda _: ()))
         wait_for_wavefront(qtbot, window)
         first.end()
         qtbot.waitUntil(lambda: "the instrument was shut down" in told(window))
@@ -407,7 +407,7 @@ def test_instrument_of_a_window_goes_on_for_the_client_that_has_control(
 ) -> None:
     def act(window: MainWindow) -> None:
         qtbot.waitUntil(lambda: is_measured(window))
-        notebook.append(Connection("notebook", controls=False))
+        notebook.append(reach("notebook", controls=False))
         notebook[0].take_control().result(HANG_S)
         qtbot.waitUntil(lambda: "this program only watches: notebook" in told(window))
         window.benches.open(str(other_toml))

@@ -21,7 +21,7 @@ from support.served import connected, served
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.place import Place, runtime_folder, taken_place
-from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.frames import NewestFrames
 from app.acquisition.remote.messages import MOST_BYTES, Accepted, Answer, Command, Hello, Notice, RingRecord, Sign
 from app.acquisition.remote.ring import RingReader, RingWriter
@@ -274,7 +274,7 @@ def test_a_late_client_gets_everything() -> None:
 @pytest.mark.usefixtures("server")
 def test_frames_of_routines_are_shown_but_not_measured(camera: FakeCamera) -> None:
     taken: list[Measurement] = []
-    connection = Connection("test", sinks=(taken.append,))
+    connection = reach("test", sinks=(taken.append,))
     try:
         newest(connection)
         camera.period_s = 0.1
@@ -416,7 +416,7 @@ def test_a_client_that_does_not_read_gets_no_news_until_it_does(
 @pytest.mark.parametrize("is_every_frame_read", [False, True])
 def test_frames_are_passed_on_as_often_as_they_are_read(server: Server, is_every_frame_read: bool) -> None:
     sinks = (lambda _: None,) if is_every_frame_read else ()
-    with closing(Connection("client", sinks=sinks)) as connection:
+    with closing(reach("client", sinks=sinks)) as connection:
         newest(connection)
         connection.submit(Instrument.set, "is_running", False).result(HANG_S)
         assert server._ring is not None
@@ -443,7 +443,7 @@ def test_a_disk_that_does_not_answer_holds_up_nobody(server: Server, monkeypatch
 def test_messages_that_are_too_large_are_not_heard(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     large = Command(1, "use", (np.zeros(2**20),))
     with connected(controls=False) as watching, silent_client(server) as socket:
-        monkeypatch.setattr("app.acquisition.remote.connection.MOST_BYTES", 2**10)
+        monkeypatch.setattr("app.acquisition.remote.outbox.MOST_BYTES", 2**10)
         with pytest.raises(BadValue, match="too large"):
             watching._send("use", *large.arguments).result(HANG_S)
         assert server._socket.getsockopt(zmq.MAXMSGSIZE) == MOST_BYTES
@@ -495,7 +495,7 @@ def test_everything_is_closed_though_one_step_fails(camera: FakeCamera, monkeypa
 
 
 def test_larger_frames_get_a_larger_ring(server: Server) -> None:
-    with closing(Connection("client", sinks=(lambda _: None,))) as connection:  # else it might be left out
+    with closing(reach("client", sinks=(lambda _: None,))) as connection:  # else it might be left out
         found = newest(connection)
         before = server._ring
         assert before is not None
@@ -563,10 +563,10 @@ def test_a_measurement_after_a_command_was_taken_after_it(camera: FakeCamera) ->
 
 def test_without_an_instrument_the_sentence_says_how_to_start_one() -> None:
     with pytest.raises(RunError, match=r"no instrument runs: start one with svwfs serve"):
-        Connection("test")
+        reach("test")
     (runtime_folder() / "instrument.json").write_text("{")  # of a killed one
     with pytest.raises(RunError, match="no instrument runs"):
-        Connection("test")
+        reach("test")
     assert [each.name for each in runtime_folder().iterdir()] == ["instrument.lock"]
 
 
@@ -611,12 +611,12 @@ def test_a_folder_that_others_may_enter_is_refused() -> None:
 
 
 def test_an_instrument_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.acquisition.remote.connection._ANSWER_S", 0.5)
+    monkeypatch.setattr("app.acquisition.remote.connection.ANSWER_S", 0.5)
     with taken_place() as place, zmq.Context() as context, context.socket(zmq.ROUTER) as socket:
         socket.bind(place.endpoint)
         place.announce()
         with pytest.raises(RunError, match=f"process {place.process} does not answer"):
-            Connection("test")
+            reach("test")
     assert not [each for each in threading.enumerate() if each.name.startswith("connection")]
 
 

@@ -20,7 +20,7 @@ from support.patience import HANG_S, wait_until
 from support.served import connected
 
 from app.acquisition.place import NAME, is_taken, runtime_folder
-from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.connection import Connection, reach
 from app.bench.config import load_bench, save_bench
 from app.errors import RunError
 from app.recording.reader import Recording
@@ -36,8 +36,8 @@ CRASHES = [signal.SIGSEGV] if KILLS > 1 else []  # for the others the same as a 
 
 CLIENT = """
 import sys, time
-from app.acquisition.remote.connection import Connection
-connection = Connection("client")
+from app.acquisition.remote.connection import Connection, reach
+connection = reach("client")
 while connection.newest is None or connection.newest.wavefront is None:
     time.sleep(0.01)
 print("sees", flush=True)
@@ -101,7 +101,7 @@ def test_clients_notice_the_death_of_the_instrument_and_nothing_is_left(how: sig
             assert connection.newest is not None  # the last one stays
             wait_until(nothing_is_left)
         with pytest.raises(RunError, match="no instrument runs"):
-            Connection("test")
+            reach("test")
 
 
 def test_a_frozen_instrument_is_shown_and_goes_on(small_toml: Path) -> None:

@@ -1,0 +1,90 @@
+"""What a client sends: messages that wait for their turn, and commands until they are answered."""
+
+import itertools
+import math
+import threading
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from typing import Any
+
+from app.acquisition.remote.messages import MOST_BYTES, Answer, Command
+from app.acquisition.remote.wire import Packed
+from app.errors import RunError
+from drivers.errors import BadValue
+
+ANSWER_S = 5.0  # for a command to be accepted, and for the first state
+
+
+class Outbox:
+    """Takes messages from any thread, for the one that sends them."""
+
+    def __init__(self, loss: Callable[[], Exception]) -> None:
+        """`loss` tells why nothing is sent any more, after `close`."""
+        self._loss, self._is_closed = loss, False
+        self._numbers, self._lock = itertools.count(1), threading.Lock()
+        self._waiting: list[tuple[int, bytearray]] = []  # messages, with the number of a command or 0
+        self._unanswered: dict[int, tuple[Future[Any], float]] = {}  # with the time when the command was sent
+        self._accepted: set[int] = set()
+
+    def add(self, message: object) -> None:
+        """Take a message that has no answer."""
+        with self._lock:
+            self._waiting.append((0, Packed(message).message()))
+
+    def add_command(self, request: str, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> Future[Any]:
+        """Take a command; return the future of its result."""
+        future: Future[Any] = Future()
+        future.set_running_or_notify_cancel()  # what is sent cannot be called back
+        number = next(self._numbers)
+        try:
+            message = Packed(Command(number, request, arguments, named)).message()
+        except TypeError as refusal:
+            future.set_exception(refusal)
+            return future
+        if len(message) > MOST_BYTES:
+            future.set_exception(BadValue(f"{request}: this is too large to be sent to the instrument"))
+            return future
+        with self._lock:
+            if not self._is_closed:
+                self._unanswered[number] = future, math.inf
+                self._waiting.append((number, message))
+                return future
+        future.set_exception(self._loss())
+        return future
+
+    def take(self) -> list[bytearray]:
+        """Return the messages that are sent now."""
+        with self._lock:
+            taken, self._waiting = self._waiting, []
+        for number, _ in taken:
+            if number in self._unanswered:
+                self._unanswered[number] = self._unanswered[number][0], time.monotonic()
+        return [message for _, message in taken]
+
+    def note_accepted(self, number: int) -> None:
+        """Note that a command has arrived, and may take its time."""
+        self._accepted.add(number)
+
+    def note_answer(self, answer: Answer) -> None:
+        """Resolve the future of a command."""
+        self._accepted.discard(answer.number)
+        future, _ = self._unanswered.pop(answer.number, (None, 0.0))
+        if future is not None and answer.failure is None:
+            future.set_result(answer.result)
+        elif future is not None and answer.failure is not None:
+            future.set_exception(answer.failure.error())
+
+    def give_up_lost(self) -> None:
+        """Fail the commands that have not been accepted in time."""
+        for number, (future, sent_s) in list(self._unanswered.items()):
+            if number not in self._accepted and time.monotonic() > sent_s + ANSWER_S:
+                del self._unanswered[number]
+                future.set_exception(RunError("the instrument does not answer"))
+
+    def close(self, why: Exception) -> None:
+        """Fail all commands without an answer, and take none any more."""
+        with self._lock:
+            left, self._unanswered, self._is_closed = list(self._unanswered.values()), {}, True
+        for future, _ in left:
+            future.set_exception(why)
