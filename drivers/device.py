@@ -89,6 +89,10 @@ class Range:
             raise BadValue(f"{what} = {value:g} is outside {self.minimum:g} ... {self.maximum:g}")
         return value
 
+    def nearest(self, value: float) -> float:
+        """Return the allowed value that is nearest to `value`."""
+        return min(max(value, self.minimum), self.maximum)
+
 
 def choose(wanted: str, devices: Sequence[Collection[str]], what: str, setting: str) -> int:
     """Return the place of the device that has the wanted name among its names, "" for the only one.

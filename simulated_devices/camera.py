@@ -186,8 +186,8 @@ class SimulatedCamera(Camera):
 
     def _move_into_ranges(self) -> None:
         allowed = self._read_capabilities()
-        self._chosen_exposure_s = _clamped(self._chosen_exposure_s, allowed.exposure_range_s)
-        self._chosen_em_gain = _clamped(self._chosen_em_gain, allowed.em_gain_range)
+        self._chosen_exposure_s = allowed.exposure_range_s.nearest(self._chosen_exposure_s)
+        self._chosen_em_gain = allowed.em_gain_range.nearest(self._chosen_em_gain)
 
     def _continue(self, run: _Run, now_s: float) -> None:
         """Use other settings from the first incomplete frame on."""
@@ -230,7 +230,3 @@ class SimulatedCamera(Camera):
 
 def _rounded(exposure_s: float) -> float:
     return round(exposure_s * _EXPOSURE_STEPS_PER_S) / _EXPOSURE_STEPS_PER_S
-
-
-def _clamped(value: float, allowed: Range) -> float:
-    return min(max(value, allowed.minimum), allowed.maximum)

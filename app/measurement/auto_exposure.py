@@ -163,19 +163,15 @@ class _LightControl:
         """Set the exposure for a light, and the current if necessary; return the light as set."""
         camera, lamp = self._devices.camera, self._devices.light
         wanted_s, current_a = light / self._current_a, self._current_a
-        exposure_s = camera.set_exposure(_within(self._exposures_s, wanted_s))
+        exposure_s = camera.set_exposure(self._exposures_s.nearest(wanted_s))
         least = light * (1 - _EXACT)
         if exposure_s * self._currents_a.maximum < least:  # one exposure step too short at the maximum current
-            exposure_s = camera.set_exposure(_within(self._exposures_s, _LONGER * wanted_s))
+            exposure_s = camera.set_exposure(self._exposures_s.nearest(_LONGER * wanted_s))
         if self._is_fixed:
             return exposure_s
         if abs(exposure_s * current_a / light - 1) > _EXACT:
-            current_a = _within(self._currents_a, light / exposure_s)
+            current_a = self._currents_a.nearest(light / exposure_s)
         return exposure_s * lamp.set_current(current_a)
-
-
-def _within(allowed: Range, value: float) -> float:
-    return min(max(value, allowed.minimum), allowed.maximum)
 
 
 @dataclass(frozen=True, slots=True)

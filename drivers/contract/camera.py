@@ -73,7 +73,7 @@ def check_frames(camera: Camera) -> None:
 def check_timeout(camera: Camera) -> None:
     """A read with too short a timeout raises and loses no frame; an invalid timeout is refused."""
     allowed = camera.capabilities.exposure_range_s
-    camera.set_exposure(min(max(_SHORT_S, allowed.minimum), allowed.maximum))
+    camera.set_exposure(allowed.nearest(_SHORT_S))
     for _ in range(_ATTEMPTS):
         started_s = time.monotonic()
         with _running(camera):

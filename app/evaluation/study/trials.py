@@ -190,7 +190,7 @@ def _expose(_bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseRes
         allowed = tried.exposures_s
         rights_s, starts_s = (np.geomspace(allowed.minimum, allowed.maximum, count) for count in (_RIGHT, _STARTS))
         for image, right_s, start_s, seed in itertools.product(_IMAGES, rights_s, starts_s, seeds):
-            first_s = min(max(float(start_s), allowed.minimum), allowed.maximum)  # geomspace rounds
+            first_s = allowed.nearest(float(start_s))  # geomspace rounds
             yield _exposure_trial(tried, current_a, image, float(right_s), first_s, seed)
 
 

@@ -200,7 +200,7 @@ class NumberField(InputField, QDoubleSpinBox):
 
     def _enter(self, value: float) -> None:
         """Emit the entered value; rounding to the shown decimals must not leave the range."""
-        self.entered.emit(min(max(value * self._factor, self._allowed.minimum), self._allowed.maximum))
+        self.entered.emit(self._allowed.nearest(value * self._factor))
 
 
 class NumberLine(InputField, QLineEdit):
