@@ -104,7 +104,6 @@ def _amplitude(light: Image, pitch_px: float) -> Image:
     return np.asarray(np.abs(fft.fft(fft.rfft(repeating, columns, axis=1)[:, :kept], rows, axis=0)))
 
 
-LIT_FRACTION = 0.1  # of the light of a bright cell
 _CYCLES = 1 / (2 * np.pi)  # per rad
 _ROUGH_ROUNDS, _FINE_ROUNDS = 3, 2
 _REWEIGHTINGS = 5
@@ -164,9 +163,9 @@ def fit_lattice(light: Image, start: Lattice, brightest: int) -> Fit | None:
         cells = cut(coefficients, lattice)
         if not _fills_both_axes(cells):
             return None
-        match = match_cells(cells, lit_fraction=LIT_FRACTION, brightest=brightest)
+        match = match_cells(cells, brightest=brightest)
         cells = without_background(cells, match.brightness)
-        match = match_cells(cells, lit_fraction=LIT_FRACTION, brightest=brightest)
+        match = match_cells(cells, brightest=brightest)
         typical = replace(cells, index=cells.index[:1], light=match.typical[None].astype(np.float32))
         offset = cells.offset(np.angle(typical.harmonics()[0] * sign) * _CYCLES)
         weight = match.is_lit * np.clip(match.brightness, 0, 1) ** 2

@@ -13,6 +13,7 @@ from reconstruction.geometry import Lattice, centered_steps
 
 _FEWEST_SAMPLES = 16  # across a cell
 _BEYOND_PX = 1.0  # tolerance: a complete cell may reach so far beyond the frame
+_LIT = 0.1  # of the light of a bright cell
 _SIGNIFICANT = 4.0  # standard deviations of its brightness by which a lit cell exceeds the noise
 _DARKEST_PERCENT = 10.0  # percentile of a cell's pixels taken as background
 _PASSES = 3
@@ -104,21 +105,21 @@ class CellMatch:
     displacement: Floats  # from the light of the typical cell, in pitches, (N, xy)
 
 
-def match_cells(cells: Cells, *, lit_fraction: float, brightest: int) -> CellMatch:
+def match_cells(cells: Cells, *, brightest: int) -> CellMatch:
     """Compare every cell with the typical one, the median of the lit cells scaled to equal brightness.
 
-    A cell is lit if it has `lit_fraction` of the light of the `brightest`-th cell, and significantly more than noise.
+    A cell is lit if it has a tenth of the light of the `brightest`-th cell, and significantly more than noise.
     """
     light = cells.light - cells.light.mean(axis=(1, 2), keepdims=True, dtype=np.float32)
     flat = light.reshape(len(light), -1)
     typical = flat.mean(axis=0)
     for combine in (np.mean, np.median):  # the mean suffices to decide which cells are lit
-        brightness, is_lit, _ = _matched(flat, typical, lit_fraction, brightest)
+        brightness, is_lit, _ = _matched(flat, typical, brightest)
         if not is_lit.any():
             break
         typical = np.asarray(combine(flat[is_lit] / brightness[is_lit, None], axis=0))
         typical = typical - typical.mean()
-    brightness, is_lit, likeness = _matched(flat, typical, lit_fraction, brightest)
+    brightness, is_lit, likeness = _matched(flat, typical, brightest)
     shape = light.shape[1:]
     slopes = np.gradient(typical.reshape(shape), 1 / shape[0])
     model = np.stack([typical, *(slope.ravel() for slope in slopes), np.ones_like(typical)], axis=-1)
@@ -128,13 +129,13 @@ def match_cells(cells: Cells, *, lit_fraction: float, brightest: int) -> CellMat
     return CellMatch(np.asarray(typical.reshape(shape), np.float64), brightness, is_lit, likeness, displacement)
 
 
-def _matched(flat: Image, typical: Image, lit_fraction: float, brightest: int) -> tuple[Floats, Booleans, Floats]:
+def _matched(flat: Image, typical: Image, brightest: int) -> tuple[Floats, Booleans, Floats]:
     """Brightness of cells (N, S S) over the typical one, which are lit, and their correlation with it."""
     power = max(float(typical @ typical), float(np.finfo(np.float32).tiny))
     brightness = np.asarray(flat @ typical / power, np.float64)
     whole = np.einsum("ns,ns->n", flat, flat, dtype=np.float64)
     unlike = np.sqrt(np.maximum(whole / power - brightness**2, 0) / len(typical))
-    enough = lit_fraction * np.sort(brightness)[-min(brightest, len(brightness))]
+    enough = _LIT * np.sort(brightness)[-min(brightest, len(brightness))]
     is_lit = (brightness > enough) & (brightness > _SIGNIFICANT * unlike)
     likeness = brightness * np.sqrt(power / np.where(whole > 0, whole, np.inf), dtype=np.float64)
     return brightness, np.asarray(is_lit), np.asarray(likeness)
