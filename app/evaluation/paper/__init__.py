@@ -58,13 +58,12 @@ def noise_free_frames(bench: Bench, masks: tuple[str, ...]) -> tuple[dict[str, F
     return frames, with_sample[masks[0]].truth
 
 
-def exposed_frames(
-    bench: Bench, exposures_s: Mapping[TableMask, float], progress: Callable[[float], None]
-) -> tuple[dict[str, FramePair], Floats]:
-    """Return frames of the noisy camera above the dark for each mask and its exposure, and the true wavefronts."""
+def exposed_frames(bench: Bench) -> tuple[dict[str, FramePair], Floats]:
+    """Return frames of the noisy camera above the dark for each mask of `EXPOSURES_S`, and the true wavefronts."""
     frames: dict[str, FramePair] = {}
-    with closing(simulated_bench(bench, progress, ManualClock())) as simulated, SimulatedCamera(simulated) as camera:
-        for mask, exposure_s in exposures_s.items():
+    simulated = simulated_bench(bench, lambda _: None, ManualClock())
+    with closing(simulated), SimulatedCamera(simulated) as camera:
+        for mask, exposure_s in EXPOSURES_S.items():
             try:
                 camera.set_exposure(exposure_s)
             except BadValue as error:
@@ -355,7 +354,7 @@ def _table1(methods: Mapping[str, Method], bench: Bench, progress: Progress) -> 
 
 def _table2(methods: Mapping[str, Method], bench: Bench, progress: Progress) -> Iterator[CaseResult]:
     progress("rendering and exposing", 0.0)
-    frames, truth = exposed_frames(bench, EXPOSURES_S, lambda _: None)
+    frames, truth = exposed_frames(bench)
     for half, (suffix, each, its_frames) in enumerate((("", bench, frames), ("_resized", *resized(bench, frames)))):
         try:  # what the experiment takes for the truth
             stars = reconstructed(each, its_frames, METHODS["stars_zonal"])
