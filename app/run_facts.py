@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from app.files import write_whole
-from app.timing import STAGES, Stage, StageTimes
+from app.timing import STAGES, StageTimes, TimedStage
 
 _LIBRARIES = ("svwfs", "numpy", "scipy", "numba", "opencv-python-headless", "PyQt6", "pyqtgraph")
 _CPU = Path("/proc/cpuinfo")
@@ -59,7 +59,7 @@ def newer_version(writer: object) -> str:
     return str(writer).removeprefix("svwfs ") if theirs > ours else ""
 
 
-def timing_facts(times: Mapping[Stage, StageTimes]) -> dict[str, dict[str, float | None]]:
+def timing_facts(times: Mapping[TimedStage, StageTimes]) -> dict[str, dict[str, float | None]]:
     """Count, median, 99th percentile and maximum (s) of every stage; None if nothing was timed."""
     return {
         stage: {name: None if math.isnan(value) else value for name, value in asdict(times[stage]).items()}

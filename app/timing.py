@@ -15,9 +15,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-Stage = Literal["wait", "copy", "register", "reconstruct", "publish", "record", "draw", "to_result", "to_screen"]
-STAGES: tuple[Stage, ...] = get_args(Stage)
-MEANINGS: dict[Stage, str] = {
+TimedStage = Literal["wait", "copy", "register", "reconstruct", "publish", "record", "draw", "to_result", "to_screen"]
+STAGES: tuple[TimedStage, ...] = get_args(TimedStage)
+MEANINGS: dict[TimedStage, str] = {
     "wait": "for the camera's next frame",
     "copy": "from a frame's arrival until it can be used",
     "register": "displacements from the pixels",
@@ -67,17 +67,17 @@ class Timings:
     def __init__(self, kept: int = _KEPT) -> None:
         self._rings = {stage: _Ring(kept) for stage in STAGES}
 
-    def note(self, stage: Stage, seconds: float) -> None:
+    def note(self, stage: TimedStage, seconds: float) -> None:
         """Add one time of a stage."""
         self._rings[stage].note(seconds)
 
     @contextmanager
-    def of(self, stage: Stage) -> Iterator[None]:
+    def of(self, stage: TimedStage) -> Iterator[None]:
         """Time the body of a `with`, unless it raises."""
         start_s = time.perf_counter()
         yield
         self.note(stage, time.perf_counter() - start_s)
 
-    def summary(self) -> dict[Stage, StageTimes]:
+    def summary(self) -> dict[TimedStage, StageTimes]:
         """Statistics of every stage."""
         return {stage: ring.summary() for stage, ring in self._rings.items()}

@@ -36,7 +36,7 @@ from reconstruction.quality.verdict import Fault, Quality
 
 _LATTICE_FRAMES = 4  # averaged to find the lattice
 
-Setting = Literal[
+DeviceSetting = Literal[
     "is_running", "exposure_s", "em_gain", "amplifier", "readout_speed", "current_a", "is_light_on", "is_sample_in"
 ]
 
@@ -154,13 +154,13 @@ class Instrument:
             temperature_c=camera.temperature_c,
         )
 
-    def set(self, name: Setting, value: Any, *, paused: bool = False) -> Any:
+    def set(self, name: DeviceSetting, value: Any, *, paused: bool = False) -> Any:
         """Change a setting of the devices; return the value in force, or for modes of the camera what else changed.
 
         Of a light or stage without control, it is noted. With `paused`, all later frames are exposed after the change.
         """
         camera, light, stage = self.devices.camera, self.devices.light, self.devices.stage
-        changes: dict[Setting, Callable[[Any], Any]] = {
+        changes: dict[DeviceSetting, Callable[[Any], Any]] = {
             "is_running": self._set_running,
             "exposure_s": camera.set_exposure,
             "em_gain": camera.set_em_gain,

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from app.acquisition.carrier import Carrier
-from app.acquisition.instrument import Instrument, Setting, Status
+from app.acquisition.instrument import DeviceSetting, Instrument, Status
 from app.acquisition.place import NAME
 from app.acquisition.remote.connection import reach
 from app.acquisition.start_up import FRAMES, calibrate, knows_sample, start_up
@@ -337,7 +337,7 @@ class LiveBench:
             self._newest = measurement
             self._arrived.notify_all()
 
-    def _set(self, name: Setting, value: object) -> Any:
+    def _set(self, name: DeviceSetting, value: object) -> Any:
         """Change a setting, the camera paused: all later measurements are of frames exposed after the change."""
         return self._result(self._acquisition.submit(Instrument.set, name, value, paused=True))
 

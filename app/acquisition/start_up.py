@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from app.acquisition.carrier import Carrier
-from app.acquisition.instrument import Instrument, Setting, Status
+from app.acquisition.instrument import DeviceSetting, Instrument, Status
 from app.errors import RunError
 from app.measurement.measurement import SKIPPED, Measurement
 from reconstruction.geometry import Lattice
@@ -128,7 +128,7 @@ REFERENCE = CalibrationStep(
 STEPS = (LATTICE, EXPOSURE, DARK, REFERENCE)
 
 
-def by_hand(step: CalibrationStep, status: Status) -> tuple[str, Setting, bool] | None:
+def by_hand(step: CalibrationStep, status: Status) -> tuple[str, DeviceSetting, bool] | None:
     """Return what a person must do before a step, and the setting that notes it with its value; None if nothing."""
     if status.bench.has_manual_light and status.is_light_on != step.is_lit:
         return f"switch the light {'on' if step.is_lit else 'off'} by hand", "is_light_on", step.is_lit

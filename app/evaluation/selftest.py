@@ -75,7 +75,7 @@ KNOWN: dict[str, Known] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class PhaseCheck:
     """Comparison of one known phase with its reconstruction."""
 
     name: str
@@ -89,7 +89,7 @@ class Check:
         return abs(self.scale - 1) < _TOLERANCE and self.residual_rad < _TOLERANCE * self.rms_rad
 
 
-def run_checks() -> Iterator[Check]:
+def run_checks() -> Iterator[PhaseCheck]:
     """Render and reconstruct every light."""
     model = ForwardModel(SENSOR, LATTICE, FIELD, shape=FRAME_SHAPE, pupil_samples=12)
     source = square(Source(), object_samples=25)
@@ -110,7 +110,7 @@ def run_checks() -> Iterator[Check]:
 
         at_views = [[known.phase(u, v, x_m, y_m) for x_m in FIELD.view_x_m] for y_m in FIELD.view_y_m]
         truth, measured = without_piston(np.array(at_views)), reconstructor(model.irradiance(source, of_point)).views
-        yield Check(
+        yield PhaseCheck(
             name=name,
             rms_rad=float(np.sqrt(np.mean(truth**2))),
             scale=float(np.sum(truth * measured) / np.sum(truth**2)),

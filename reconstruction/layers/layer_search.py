@@ -20,7 +20,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layer_solver import SKETCH_DEGREE, FrameEquations, LayerFit
 from reconstruction.solve.evidence import FitQuality
 
-Verdict = Literal[
+LayerVerdict = Literal[
     "one layer",
     "two layers",
     "not a single layer",
@@ -67,7 +67,7 @@ class LayerSearch:
         return self.given or (self.one if self.two is None or self._explains(self.one) else self.two)
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> LayerVerdict:
         """Number of layers that explain the displacements, unless the given ones do not."""
         if self.fit.quality.misfit >= _NOTHING and self.fit.quality.chi_square < _CHI_SQUARE:
             return "nothing above the noise"

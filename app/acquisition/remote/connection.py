@@ -30,7 +30,7 @@ from app.errors import RunError
 from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.sensor_region import SensorArea
 from app.recording.recorder import RecordingLimit, RecordingState
-from app.timing import Stage, StageTimes, Timings
+from app.timing import StageTimes, TimedStage, Timings
 
 _COUNT = itertools.count(1)  # of connections of this process
 _CLOSED = "the connection to the instrument is closed"
@@ -50,9 +50,9 @@ class _Timings(Timings):
 
     def __init__(self) -> None:
         super().__init__()
-        self.there: dict[Stage, StageTimes] = {}
+        self.there: dict[TimedStage, StageTimes] = {}
 
-    def summary(self) -> dict[Stage, StageTimes]:
+    def summary(self) -> dict[TimedStage, StageTimes]:
         """Statistics of every stage."""
         here = super().summary()
         return here | self.there | {stage: times for stage, times in here.items() if times.count}

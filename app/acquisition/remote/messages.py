@@ -18,7 +18,7 @@ from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.routines import Cancelled, RoutineError
 from app.recording.recorder import RecordingState
-from app.timing import Stage, StageTimes
+from app.timing import StageTimes, TimedStage
 from drivers import errors
 from reconstruction.errors import ReconstructionError
 from reconstruction.registration.gauss_newton.template import Propagated
@@ -105,7 +105,7 @@ class State:
     kept: RecordingState | None
     ended_by: Failure | None
     is_alive: bool
-    timings: Mapping[Stage, StageTimes]
+    timings: Mapping[TimedStage, StageTimes]
     clients: tuple[str, ...]
     controller: str  # name of the client that has control; empty: nobody
 

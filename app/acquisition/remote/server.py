@@ -45,7 +45,7 @@ from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.recorder import RecordingLimit
-from app.timing import Stage, StageTimes
+from app.timing import StageTimes, TimedStage
 from drivers.errors import BadValue, WrongState
 from drivers.interface import Devices
 
@@ -112,7 +112,7 @@ class Server:
         self._done: deque[tuple[bytes, int, Future[Any]]] = deque()
         self._state: State | None = None
         self._sent_s, self._timings_s = -math.inf, -math.inf
-        self._timings: dict[Stage, StageTimes] = {}
+        self._timings: dict[TimedStage, StageTimes] = {}
         self._noticed = ("", 0)
         self._is_over = False
         self._fault: Exception | None = None  # of this end

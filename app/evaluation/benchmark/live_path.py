@@ -24,7 +24,7 @@ from app.measurement.measurement import FrameTotals
 from app.progress import Progress
 from app.recording.recorder import RECENT_S, RecordingState
 from app.run_facts import machine_facts, timing_facts, versions
-from app.timing import Stage, StageTimes
+from app.timing import StageTimes, TimedStage
 from reconstruction.settings import FIELD_MODES
 
 LEAST_S, MOST_S = 1.0, 3600.0
@@ -130,7 +130,7 @@ class Span:
     began_s: float  # by time.perf_counter()
     seconds: float
     frames: FrameTotals
-    times: dict[Stage, StageTimes]  # counts are of the span, statistics of the times that were kept at its end
+    times: dict[TimedStage, StageTimes]  # counts are of the span, statistics of the times that were kept at its end
     memory_mb: tuple[float | None, float | None]  # resident, at begin and end of its last seconds
 
     @property

@@ -103,7 +103,7 @@ def _crop_and_resize(image: Image) -> Image:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Method:
+class TableMethod:
     """One row of a table."""
 
     mask: TableMask = "square"
@@ -121,29 +121,30 @@ class Method:
 ZONAL = ReconstructionSettings(method="zonal")
 MODAL = ReconstructionSettings(method="modal", pupil_modes=45)  # the paper's
 MODAL_MANY = ReconstructionSettings(method="modal", pupil_modes=91)
+_CENTROIDS = RegistrationSettings(method="centroids")
 _ITK = RegistrationSettings(method="itk_affine")
 _AFFINE = RegistrationSettings(warp="affine", rotation=True)  # the paper's, with six parameters
 _GRADIENT_AFFINE = RegistrationSettings(warp="affine")  # with five: subimages do not rotate
 _QUADRATIC = RegistrationSettings(warp="quadratic")
 _CUBIC = RegistrationSettings(warp="cubic")
 
-METHODS: dict[str, Method] = {
-    "stars_zonal": Method(mask="stars", registration=RegistrationSettings(method="centroids"), reconstruction=ZONAL),
-    "correlation_zonal": Method(registration=RegistrationSettings(method="correlation"), reconstruction=ZONAL),
-    "itk_affine_zonal": Method(registration=_ITK, reconstruction=ZONAL),
-    "itk_affine_modal": Method(registration=_ITK, reconstruction=MODAL),
-    "block_flow_zonal": Method(own=nonrigid_methods.BlockFlow, reconstruction=ZONAL),
-    "demons_zonal": Method(own=nonrigid_methods.Demons, reconstruction=ZONAL),
-    "ffd_zonal": Method(own=nonrigid_methods.FreeForm, reconstruction=ZONAL),
-    "affine_zonal": Method(registration=_AFFINE, reconstruction=ZONAL),
-    "affine_modal": Method(registration=_AFFINE, reconstruction=MODAL),
-    "affine_gradient_zonal": Method(registration=_GRADIENT_AFFINE, reconstruction=ZONAL),
-    "affine_gradient_modal": Method(registration=_GRADIENT_AFFINE, reconstruction=MODAL),
-    "quadratic_zonal": Method(registration=_QUADRATIC, reconstruction=ZONAL),
-    "quadratic_modal": Method(registration=_QUADRATIC, reconstruction=MODAL_MANY),
-    "cubic_zonal": Method(registration=_CUBIC, reconstruction=ZONAL),
-    "cubic_modal": Method(registration=_CUBIC, reconstruction=MODAL_MANY),
-    "automatic": Method(registration=RegistrationSettings(), reconstruction=ReconstructionSettings()),
+METHODS: dict[str, TableMethod] = {
+    "stars_zonal": TableMethod(mask="stars", registration=_CENTROIDS, reconstruction=ZONAL),
+    "correlation_zonal": TableMethod(registration=RegistrationSettings(method="correlation"), reconstruction=ZONAL),
+    "itk_affine_zonal": TableMethod(registration=_ITK, reconstruction=ZONAL),
+    "itk_affine_modal": TableMethod(registration=_ITK, reconstruction=MODAL),
+    "block_flow_zonal": TableMethod(own=nonrigid_methods.BlockFlow, reconstruction=ZONAL),
+    "demons_zonal": TableMethod(own=nonrigid_methods.Demons, reconstruction=ZONAL),
+    "ffd_zonal": TableMethod(own=nonrigid_methods.FreeForm, reconstruction=ZONAL),
+    "affine_zonal": TableMethod(registration=_AFFINE, reconstruction=ZONAL),
+    "affine_modal": TableMethod(registration=_AFFINE, reconstruction=MODAL),
+    "affine_gradient_zonal": TableMethod(registration=_GRADIENT_AFFINE, reconstruction=ZONAL),
+    "affine_gradient_modal": TableMethod(registration=_GRADIENT_AFFINE, reconstruction=MODAL),
+    "quadratic_zonal": TableMethod(registration=_QUADRATIC, reconstruction=ZONAL),
+    "quadratic_modal": TableMethod(registration=_QUADRATIC, reconstruction=MODAL_MANY),
+    "cubic_zonal": TableMethod(registration=_CUBIC, reconstruction=ZONAL),
+    "cubic_modal": TableMethod(registration=_CUBIC, reconstruction=MODAL_MANY),
+    "automatic": TableMethod(registration=RegistrationSettings(), reconstruction=ReconstructionSettings()),
 }
 
 # Minimum, maximum and mean over the views in the paper's tables, rad.
@@ -160,7 +161,7 @@ PAPER_TABLE_2 = {
 }
 
 
-def reconstructed(bench: Bench, frames: Mapping[str, FramePair], method: Method) -> Arrays:
+def reconstructed(bench: Bench, frames: Mapping[str, FramePair], method: TableMethod) -> Arrays:
     """Reconstruct the frame of the method's mask; a changed frame, setting or reconstruction package recomputes.
 
     Returns the wavefronts `views`, rad, (view_row, view_column, lenslet_row, lenslet_column), the number of lenslets
@@ -346,13 +347,13 @@ def _in_both_lights(
                 yield replace(case, at={**case.at, "light": light})
 
 
-def _table1(methods: Mapping[str, Method], bench: Bench, progress: Progress) -> Iterator[CaseResult]:
+def _table1(methods: Mapping[str, TableMethod], bench: Bench, progress: Progress) -> Iterator[CaseResult]:
     progress("rendering", 0.0)
     frames, truth = noise_free_frames(bench, ("square", "stars"))
     yield from _all_compared(bench, frames, truth, methods, progress)
 
 
-def _table2(methods: Mapping[str, Method], bench: Bench, progress: Progress) -> Iterator[CaseResult]:
+def _table2(methods: Mapping[str, TableMethod], bench: Bench, progress: Progress) -> Iterator[CaseResult]:
     progress("rendering and exposing", 0.0)
     frames, truth = exposed_frames(bench)
     for half, (suffix, each, its_frames) in enumerate((("", bench, frames), ("_resized", *resized(bench, frames)))):
@@ -375,7 +376,7 @@ def _sources(bench: Bench, progress: Progress) -> Iterator[CaseResult]:
 
 
 def _all_compared(
-    bench: Bench, frames: Mapping[str, FramePair], truth: Floats, methods: Mapping[str, Method], progress: Progress
+    bench: Bench, frames: Mapping[str, FramePair], truth: Floats, methods: Mapping[str, TableMethod], progress: Progress
 ) -> Iterator[CaseResult]:
     for done, (name, method) in enumerate(methods.items()):
         progress(name, done / len(methods))

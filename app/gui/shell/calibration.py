@@ -6,7 +6,7 @@ from functools import partial
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
 
-from app.acquisition.instrument import Instrument, Setting
+from app.acquisition.instrument import DeviceSetting, Instrument
 from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, differs
 from app.gui.panels.camera import CameraPanel
 from app.gui.shell.controller import Controller
@@ -156,7 +156,7 @@ class CalibrationGuide(QDialog):
         self._show_question("", "", "Cancel", self.reject)
         self._controller.send(lambda to: step.begin(to, self._frames), self._finish, self._fail)
 
-    def _note(self, setting: Setting, value: bool) -> None:
+    def _note(self, setting: DeviceSetting, value: bool) -> None:
         self._controller.send(lambda to: to.submit(Instrument.set, setting, value), lambda _: self._next(), self._fail)
 
     def _finish(self, result: object) -> None:

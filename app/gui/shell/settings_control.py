@@ -9,7 +9,7 @@ from PyQt6.QtCore import QTimer
 from app.acquisition.instrument import Instrument
 from app.gui.shell.controller import Controller, Then
 
-Command = tuple[Any, ...]  # a request of the instrument, and its arguments
+Call = tuple[Any, ...]  # a request of the instrument, and its arguments
 
 _BENCH = "bench"  # kind of the commands that change registration, reconstruction, lattice or mask
 _MODES = {"amplifier", "readout_speed"}  # their commands return what else has changed
@@ -25,7 +25,7 @@ class SettingsControl:
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
         self._sent: set[str] = set()  # kinds of the commands under way
-        self._next: dict[str, tuple[Callable[[], Command], Then]] = {}  # by kind
+        self._next: dict[str, tuple[Callable[[], Call], Then]] = {}  # by kind
         self._changes: list[tuple[str, Any]] = []  # of the next command of the bench
         self._mask: str | None = None  # of the next command, too
         self._kinds: dict[str, str] = {}  # of the wanted settings
@@ -57,12 +57,12 @@ class SettingsControl:
         _, earlier = self._next.get(_BENCH, (None, None))
         self._keep(_BENCH, self._change_bench, then or earlier)
 
-    def _change_bench(self) -> Command:
+    def _change_bench(self) -> Call:
         """Return one command for all changes of the bench, so that the reconstruction is prepared once."""
         changes, mask, self._changes, self._mask = self._changes, self._mask, [], None
         return Instrument.change_settings, changes, mask
 
-    def _keep(self, kind: str, make: Callable[[], Command], then: Then) -> None:
+    def _keep(self, kind: str, make: Callable[[], Call], then: Then) -> None:
         self._next[kind] = make, then
         if kind not in self._sent:
             self._send_next(kind)

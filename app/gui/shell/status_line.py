@@ -18,7 +18,7 @@ from app.gui.widgets.layouts import column, row, row_of
 from app.gui.widgets.presentation import NOTHING
 from app.gui.widgets.texts import ElidedLabel, colour_text, label
 from app.measurement.measurement import Measurement, RefinementState, sample_sentence
-from app.timing import MEANINGS, STAGES, Stage, StageTimes, Timings
+from app.timing import MEANINGS, STAGES, StageTimes, TimedStage, Timings
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE
 
@@ -196,7 +196,7 @@ class TimingRow(QWidget):
         grid.setVerticalSpacing(0)
         for index, text in enumerate(("ms", *_TIMES)):
             grid.addWidget(label(text, "dim"), index, 0)
-        self.values: dict[Stage, tuple[QLabel, ...]] = {}
+        self.values: dict[TimedStage, tuple[QLabel, ...]] = {}
         for at, stage in enumerate(STAGES, 1):
             name = label(stage.replace("_", " "), "dim")
             self.values[stage] = tuple(label(NOTHING) for _ in _TIMES)
@@ -211,13 +211,13 @@ class TimingRow(QWidget):
     def toggle(self) -> None:
         self.setVisible(self.isHidden())
 
-    def update_text(self, summaries: Mapping[Stage, StageTimes]) -> None:
+    def update_text(self, summaries: Mapping[TimedStage, StageTimes]) -> None:
         for stage, values in self.values.items():
             for value, number in zip(values, _numbers(summaries[stage]), strict=True):
                 value.setText(number)
 
 
-def _timing_table(summaries: Mapping[Stage, StageTimes]) -> str:
+def _timing_table(summaries: Mapping[TimedStage, StageTimes]) -> str:
     """Return all stages as an HTML table."""
     rows = "".join(
         f"<tr><td>{stage.replace('_', ' ')}&nbsp;</td><td align='right'>{' / '.join(_numbers(summaries[stage]))}&nbsp;"

@@ -42,7 +42,7 @@ from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState
 from app.results.coefficients import ModeCoefficients
-from app.timing import Stage, Timings
+from app.timing import TimedStage, Timings
 from drivers.interface import Devices, Disconnected, Frame
 from simulated_devices.camera import SimulatedCamera
 
@@ -319,7 +319,7 @@ def test_redraw_with_panels_has_no_limit_of_its_own() -> None:
 
 
 @pytest.mark.parametrize(("stage", "name"), [("record", "record_p99_s"), ("to_result", "to_result_p99_s")])
-def test_two_percent_late_frames_miss_the_limit(stage: Stage, name: str) -> None:
+def test_two_percent_late_frames_miss_the_limit(stage: TimedStage, name: str) -> None:
     timings = Timings()
     for number in range(1000):
         timings.note(stage, 0.035 if number % 50 == 0 else 0.01)
