@@ -15,7 +15,7 @@ from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import DeviceSetting, Instrument, Status
 from app.acquisition.place import NAME
 from app.acquisition.remote.connection import reach
-from app.acquisition.start_up import FRAMES, calibrate, knows_sample, start_up
+from app.acquisition.start_up import FRAMES, calibrate, knows_sample, start_up, without_sample
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
 from app.bench.device_kinds import RecordingSettings
@@ -195,8 +195,8 @@ class LiveBench:
         reference is unusable, it is a `RunError`, but a person is asked to try again, before the sample is moved.
         """
         bench = self._bench
-        if bench.has_manual_stage:
-            ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
+        if request := without_sample(bench):
+            ask(request)
         if bench.has_manual_light:
             dark, reference = partial(self.take_dark, frames), partial(self.take_reference, frames)
             steps: list[tuple[bool, Callable[[], object]]] = [(False, dark), (True, reference)]

@@ -10,6 +10,7 @@ import numpy as np
 
 from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import DeviceSetting, Instrument, Status
+from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import SKIPPED, Measurement
 from reconstruction.geometry import Lattice
@@ -135,6 +136,11 @@ def by_hand(step: CalibrationStep, status: Status) -> tuple[str, DeviceSetting, 
     if status.bench.has_manual_stage and step.is_lit and status.is_sample_in:
         return "take the sample out of the beam", "is_sample_in", False
     return None
+
+
+def without_sample(bench: Bench) -> str:
+    """Return what a person must do before light without the sample is measured; empty if motors do it."""
+    return f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in" * bench.has_manual_stage
 
 
 def differs(found: Lattice, status: Status) -> bool:

@@ -141,14 +141,15 @@ def find_lattice(
 def find_linearity(bench: Bench, frames: int | None, progress: Progress) -> MeasuredLinearity:
     """Measure the nonlinearity of a bench's camera with its devices; `RunError` says why it cannot be told."""
     from app.acquisition.session import LiveBench
+    from app.acquisition.start_up import without_sample
     from app.measurement.linearity import EXPOSURE_FRAMES
     from drivers.interface import DeviceError
 
     live = LiveBench(bench, average=0, progress=progress)
     try:
         with live:
-            if bench.has_manual_stage:
-                terminal.ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
+            if request := without_sample(bench):
+                terminal.ask(request)
             return live.measure_linearity(frames or EXPOSURE_FRAMES)
     except DeviceError as error:
         raise RunError(live.failure or str(error)) from error
