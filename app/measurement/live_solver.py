@@ -17,11 +17,11 @@ from app.measurement.measurement import Assumptions, RefinementStage, Refinement
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE
+from reconstruction.runtime.background import NICENESS
 from reconstruction.wavefront import Wavefront, mean_rms
 
 _MOVED_FRACTION = 0.5  # of the RMS of the bias's wavefront; after a larger change the bias is useless
 _MOVED_RAD = 0.1  # limit for a nearly flat wavefront
-_NICENESS = 10
 _REST_S = 1.0  # at most, after a search with a correction, which would grow old
 _WAIT_S = 0.2
 _ENDED = "the process that finds layers and corrections has ended: take the reference again"
@@ -90,7 +90,7 @@ class LiveSolver:
     def _work(self, finder: Finder | FinderProcess) -> None:
         """Let the finder look at the newest frame again and again; it rests as long as it worked, or is idle."""
         if sys.platform == "linux":  # threads have their own priority only here
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
         try:
             finder.prepare()
             while not self._closing.is_set():

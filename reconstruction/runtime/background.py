@@ -16,7 +16,7 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import IO, Any, TypeAlias, cast
 
-_NICENESS = 10
+NICENESS = 10  # of what must not delay frames
 _ROOT = str(Path(__file__).resolve().parents[2])
 
 
@@ -70,7 +70,7 @@ class BackgroundProcess:
 def _run(module: str, name: str) -> None:
     """Be the child process: lower the priority, do the work, and end."""
     if hasattr(os, "nice"):
-        os.nice(_NICENESS)
+        os.nice(NICENESS)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     arrived = SimpleQueue[Any]()

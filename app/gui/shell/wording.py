@@ -23,6 +23,7 @@ from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
 
 _SLOW_S = 1.0  # a frame shown for longer is explained
+_STOPPED = "the camera is stopped: Space starts it"
 _SATURATED = "saturated"  # in a problem of a frame
 
 
@@ -65,7 +66,7 @@ def liveness(status: Status | None, failure: str, activity: Activity, measuremen
         return Liveness(f"DISCONNECTED, {age} old", failure, is_grey=True)
     is_stopped = not status.is_running and not activity.text
     if is_stopped or (_is_old(measurement) and age_s > 3 * measurement.latency_s):  # a slow method is always late
-        why = "the camera is stopped: Space starts it" if is_stopped else "no newer frame has come yet"
+        why = _STOPPED if is_stopped else "no newer frame has come yet"
         return Liveness(f"PAUSED, {age} old", activity.text or why, is_grey=True)
     reason = "; ".join(each.doubt for each in (status.dark, status.reference) if each.validity == "doubtful")
     return Liveness("STALE" if reason else "", reason, is_grey=bool(reason))
@@ -106,7 +107,7 @@ def advice(status: Status | None, activity: Activity, measurement: Measurement |
     if status is None:
         return "no bench is open: open one (Ctrl+O), or a preset in the menu Bench"
     if not status.is_running:
-        return "the replay is paused: Space plays it" if status.is_replay else "the camera is stopped: Space starts it"
+        return "the replay is paused: Space plays it" if status.is_replay else _STOPPED
     if measurement is not None and _is_old(measurement):
         return "slow method: still reconstructing a frame; your command waits until it is done"
     return status.mask_note or "F1 shows keys and conventions"
