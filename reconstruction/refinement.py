@@ -59,7 +59,6 @@ class Round:
     wavefront: Wavefront
     bias: Bias
     change_rad: float  # mean over the views of the RMS change
-    misfit_px: float  # RMS difference of measured and modelled displacements
 
 
 class Refinement:
@@ -94,11 +93,10 @@ class Refinement:
             wavefront = self._reconstructor.solve(displacement, bias=bias.displacement, sample=sample)
             following = self.bias(wavefront)
             common = _known(displacement, bias, following)
-            misfit_px = _misfit_px(displacement, following, common)
-            if not misfit_px < _misfit_px(displacement, bias, common):
+            if not _misfit_px(displacement, following, common) < _misfit_px(displacement, bias, common):
                 return
             change_rad = mean_rms(wavefront.views - bias.views)
-            yield Round(wavefront, bias, change_rad, misfit_px)
+            yield Round(wavefront, bias, change_rad)
             if change_rad < _SETTLED_RAD:
                 return
             bias = following
