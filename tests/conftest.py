@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
     from support.gui_bench import FakeCamera
     from support.window_tools import MakeWindow
 
+    from app.acquisition.remote.server import Server
     from app.gui.shell.main_window import MainWindow
 
 _WATCHED = {"gui", "acquisition", "remote"}  # others leave threads of Dask and of process pools
@@ -189,6 +190,23 @@ def live(make_window: MakeWindow, qtbot: QtBot) -> tuple[MainWindow, FakeCamera]
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
     return window, camera
+
+
+@pytest.fixture
+def fake_camera() -> FakeCamera:
+    """The camera of `server`."""
+    from support.gui_bench import FakeCamera  # noqa: PLC0415 - only where it is wanted
+
+    return FakeCamera()
+
+
+@pytest.fixture
+def server(fake_camera: FakeCamera, runtime_folder: Path) -> Iterator[Server]:  # noqa: ARG001 - it must be there
+    """An instrument that serves `fake_camera` to other programs."""
+    from support.served import served  # noqa: PLC0415 - only where it is wanted
+
+    with served(fake_camera) as running:
+        yield running
 
 
 @pytest.fixture

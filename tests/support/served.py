@@ -11,6 +11,7 @@ from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.server import Server
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
+from app.measurement.measurement import Measurement
 from drivers.interface import Disconnected
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import wait_until
@@ -56,3 +57,10 @@ def connected(what: str = "test", *, controls: bool = True) -> Iterator[Connecti
         yield connection
     finally:
         connection.close()
+
+
+def newest(connection: Connection, holds: Callable[[Measurement], object] = lambda made: made.wavefront) -> Measurement:
+    """Return the newest measurement, once it holds what is wanted."""
+    wait_until(lambda: connection.newest is not None and holds(connection.newest))
+    assert connection.newest is not None
+    return connection.newest

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from PyQt6.QtCore import QPoint, QRect, QSettings, Qt
 from PyQt6.QtGui import QFont, QFontDatabase, QImage
-from PyQt6.QtWidgets import QApplication, QTabBar, QWidget
+from PyQt6.QtWidgets import QApplication, QMessageBox, QTabBar, QWidget
 from pytestqt.qtbot import QtBot
 
 from app.acquisition.start_up import FRAMES, start_up
@@ -86,6 +87,26 @@ def press(qtbot: QtBot, widget: QWidget, key: Qt.Key) -> None:
 
 def click(qtbot: QtBot, widget: QWidget, at: QPoint) -> None:
     qtbot.mouseClick(widget, Qt.MouseButton.LeftButton, pos=at)  # type: ignore[no-untyped-call] # pytest-qt again
+
+
+def said_in(window: MainWindow) -> str:
+    """Return the text of the message strip, in small letters."""
+    return window.messages.text.text().lower()
+
+
+def choose_button(monkeypatch: pytest.MonkeyPatch, label: str, defaults: list[str] | None = None) -> list[str]:
+    """Click a button of the next message box; returns the questions asked, and into `defaults` what Return answers."""
+    asked: list[str] = []
+
+    def click(box: QMessageBox) -> int:
+        asked.append(f"{box.text()} {box.informativeText()}")
+        if defaults is not None and (button := box.defaultButton()) is not None:
+            defaults.append(button.text().replace("&", ""))
+        next(each for each in box.buttons() if each.text().replace("&", "") == label).click()
+        return 0
+
+    monkeypatch.setattr(QMessageBox, "exec", click)
+    return asked
 
 
 def tabs(window: MainWindow) -> dict[str, Panel]:

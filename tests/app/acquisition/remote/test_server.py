@@ -1,0 +1,215 @@
+"""The instrument's end of the wire: strangers, clients that do not read, faults, and a full ring."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zmq
+from support.gui_bench import FakeCamera, make_frame
+from support.patience import HANG_S, wait_until
+from support.served import connected, newest, served
+
+from app.acquisition.instrument import Instrument
+from app.acquisition.remote.connection import reach
+from app.acquisition.remote.messages import MOST_BYTES, Accepted, Answer, Command, Hello, Notice, Sign
+from app.acquisition.remote.ring import RingReader
+from app.acquisition.remote.server import Server
+from app.acquisition.remote.wire import Packed, unpacked
+from app.errors import RunError
+from app.measurement.measurement import Measurement
+from drivers.interface import BadValue
+
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder")]  # each prepares a reference
+
+
+def text_message(text: str) -> bytes:
+    return len(text).to_bytes(8, "little") + bytes(56) + text.encode()
+
+
+def test_strangers_are_not_heard(server: Server) -> None:
+    with connected(controls=False) as watching, zmq.Context() as context:
+        wait_until(lambda: server.acquisition.status is not None)
+        messages: list[list[bytes | bytearray]] = [
+            [b"wrong key", Packed(Hello("stranger", True, 0.0)).message()],
+            [server.place.key.encode(), b"no message"],
+            [server.place.key.encode(), text_message('{"of":[]}')],
+            [server.place.key.encode(), text_message('{"tuple":[' * 5000 + "]}" * 5000)],
+            [server.place.key.encode()],
+            [b""],
+            [server.place.key.encode(), Packed(Command(1, "shut_down")).message()],  # without a hello
+            [server.place.key.encode(), Packed(Sign.ALIVE).message(), b"more"],
+        ]
+        for parts in messages:
+            with context.socket(zmq.DEALER) as socket:
+                socket.connect(server.place.endpoint)
+                socket.send_multipart(parts)
+        newest(watching)
+        time.sleep(0.3)
+        assert watching.clients == (watching.name,)
+        assert watching.is_alive
+        assert not watching.controller
+
+
+@contextmanager
+def silent_client(server: Server) -> Iterator[zmq.Socket[bytes]]:
+    """A client that has said hello, and reads no more."""
+    with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
+        socket.setsockopt(zmq.RCVHWM, 1)
+        socket.connect(server.place.endpoint)
+        say(socket, server, Hello("silent", True, 0.0))
+        wait_until(lambda: server._clients)
+        yield socket
+
+
+def say(socket: zmq.Socket[bytes], server: Server, message: object) -> None:
+    socket.send_multipart([server.place.key.encode(), Packed(message).message()])
+
+
+def send_notices(server: Server, count: int) -> None:
+    """Let the server tell of so many frames, one after the other."""
+    frame = Measurement(make_frame(np.zeros((3, 4), np.uint16)), None, "x")
+    for _ in range(count):
+        before = server._noticed
+        server._publish(frame, is_shown_only=True)
+        while server._noticed == before:
+            time.sleep(0.0005)
+
+
+def read_all(socket: zmq.Socket[bytes]) -> list[object]:
+    """The messages that have arrived; those whose object is missing are left out."""
+    found = list[object]()
+    while socket.poll(500):
+        with suppress(RunError, ValueError):
+            found.append(unpacked(socket.recv()))
+    return found
+
+
+def test_an_answer_reaches_a_client_that_did_not_read_for_long(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    wait_until(lambda: server.acquisition.status is not None)
+    monkeypatch.setattr("app.acquisition.remote.server._SILENT_S", 60.0)
+    monkeypatch.setattr("app.acquisition.remote.server._BEHIND_S", 60.0, raising=False)
+    with silent_client(server) as socket:
+        send_notices(server, 2000)  # more than the system keeps by itself
+        say(socket, server, Command(7, "free_minutes", (Path.cwd(),)))
+        answers = [each.number for each in read_all(socket) if isinstance(each, Answer)]
+    assert answers == [7]
+
+
+def test_a_client_that_does_not_read_gets_no_news_until_it_does(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wait_until(lambda: server.acquisition.status is not None)
+    monkeypatch.setattr("app.acquisition.remote.server._SILENT_S", 60.0)
+    monkeypatch.setattr("app.acquisition.remote.server._BEHIND_S", 0.1)
+    with silent_client(server) as socket:
+        time.sleep(0.3)
+        read_all(socket)
+        send_notices(server, 20)
+        assert read_all(socket) == []
+        say(socket, server, Sign.ALIVE)
+        told = [each.count for each in read_all(socket) if isinstance(each, Notice)]
+    assert server._ring is not None
+    assert told
+    assert told[0] > 20
+
+
+@pytest.mark.parametrize("is_every_frame_read", [False, True])
+def test_frames_are_passed_on_as_often_as_they_are_read(server: Server, is_every_frame_read: bool) -> None:
+    sinks = (lambda _: None,) if is_every_frame_read else ()
+    with closing(reach("client", sinks=sinks)) as connection:
+        newest(connection)
+        connection.submit(Instrument.set, "is_running", False).result(HANG_S)
+        assert server._ring is not None
+        frame, before, began_s = make_frame(np.zeros((3, 4), np.uint16)), server._ring.count, time.monotonic()
+        for number in range(100):
+            time.sleep(0.002)
+            server._publish(Measurement(frame, None, str(number)), is_shown_only=False)
+        written, seconds = server._ring.count - before, time.monotonic() - began_s
+        assert written == 100 if is_every_frame_read else 0 < written <= seconds / 0.02 + 1
+        newest(connection, lambda made: made.problem == "99")
+
+
+def test_a_disk_that_does_not_answer_holds_up_nobody(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = threading.Event()
+    monkeypatch.setattr(server.acquisition._recorder, "free_minutes", lambda _: answers.wait(HANG_S) and 7.0)
+    with connected() as connection:
+        asked = connection.free_minutes(Path.cwd())
+        connection.take_control().result(HANG_S)
+        assert not asked.done()
+        answers.set()
+        assert asked.result(HANG_S) == 7.0
+
+
+def test_messages_that_are_too_large_are_not_heard(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    large = Command(1, "use", (np.zeros(2**20),))
+    with connected(controls=False) as watching, silent_client(server) as socket:
+        monkeypatch.setattr("app.acquisition.remote.outbox.MOST_BYTES", 2**10)
+        with pytest.raises(BadValue, match="too large"):
+            watching._send("use", *large.arguments).result(HANG_S)
+        assert server._socket.getsockopt(zmq.MAXMSGSIZE) == MOST_BYTES
+        say(socket, server, large)
+        assert any(isinstance(each, Accepted) for each in read_all(socket))  # this one may come
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # the worker ends loudly
+@pytest.mark.parametrize("where", ["_publish", "_answer"])
+def test_a_fault_of_the_instruments_end_switches_the_light_off_and_is_told(
+    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    faults = list[Exception]()
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError("no memory is left")
+
+    with served(fake_camera, faults=faults) as server, connected() as connection:
+        newest(connection)
+        if where == "_publish":
+            monkeypatch.setattr(server, "_write", fail)
+        else:
+            monkeypatch.setattr(server, "_answer", fail)
+            connection.take_control()
+        wait_until(lambda: not connection.is_alive)
+        assert connection.failure == "OSError: no memory is left"
+        wait_until(lambda: faults)
+        assert not server.acquisition.is_alive
+        assert not fake_camera.light.shines
+    assert str(faults[0]) == "no memory is left"
+
+
+def test_everything_is_closed_though_one_step_fails(fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError("no state")
+
+    faults = list[Exception]()
+    with served(fake_camera, faults=faults) as server:
+        with connected() as connection:
+            newest(connection)
+        monkeypatch.setattr(server, "_tell_state", fail)
+        wait_until(lambda: faults)
+        assert not server.acquisition.is_alive
+        assert not fake_camera.light.shines
+        assert server._socket.closed
+        assert server._ring is not None
+        with pytest.raises(FileNotFoundError):
+            RingReader(server._ring.place)
+
+
+def test_larger_frames_get_a_larger_ring(server: Server) -> None:
+    with closing(reach("client", sinks=(lambda _: None,))) as connection:  # else it might be left out
+        found = newest(connection)
+        before = server._ring
+        assert before is not None
+        assert connection.status is not None
+        assert found.frame.pixels.nbytes < before._stride
+        server._publish(
+            Measurement(found.frame.__class__(np.zeros((900, 900), np.uint16), 7, 0.0, 0.0, 0.1, 1.0), None, "large"),
+            is_shown_only=True,
+        )
+        wait_until(lambda: server._ring is not before)
+        newest(connection)  # goes on in the new one

@@ -1,0 +1,63 @@
+"""Where an instrument and its clients meet: a folder for each user, and one instrument for each name."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from app.acquisition.place import Place, runtime_folder, taken_place
+from app.acquisition.remote.connection import reach
+from app.errors import InputError, RunError
+
+pytestmark = pytest.mark.usefixtures("runtime_folder")
+
+
+def test_without_an_instrument_the_sentence_says_how_to_start_one() -> None:
+    with pytest.raises(RunError, match=r"no instrument runs: start one with svwfs serve"):
+        reach("test")
+    (runtime_folder() / "instrument.json").write_text("{")  # of a killed one
+    with pytest.raises(RunError, match="no instrument runs"):
+        reach("test")
+    assert [each.name for each in runtime_folder().iterdir()] == ["instrument.lock"]
+
+
+def test_a_place_belongs_to_one_instrument() -> None:
+    with taken_place() as place:
+        place.announce()
+        assert Place.of() == place
+        with pytest.raises(RunError, match="runs as instrument already"), taken_place():
+            pass
+        with taken_place("second") as second:
+            assert second.endpoint != place.endpoint
+    with pytest.raises(RunError, match="no instrument runs"):
+        Place.of()
+
+
+@pytest.mark.parametrize("name", ["", "../x", "a b", "a/b"])
+def test_names_that_are_no_words_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match="cannot have the name"), taken_place(name):
+        pass
+    with pytest.raises(InputError, match="cannot have the name"):
+        Place.of(name)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has a temporary folder for each user")
+def test_desktop_and_cron_find_the_same_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("SVWFS_RUNTIME_DIR")
+    found = set[Path]()
+    for variables in ({}, {"XDG_RUNTIME_DIR": str(tmp_path), "TMPDIR": str(tmp_path)}):
+        for name in ("XDG_RUNTIME_DIR", "TMPDIR"):
+            monkeypatch.delenv(name, raising=False)
+        for name, value in variables.items():
+            monkeypatch.setenv(name, value)
+        monkeypatch.setattr("tempfile.tempdir", None)
+        found.add(runtime_folder())
+    assert found == {Path(f"/tmp/svwfs-{os.getuid()}")}  # noqa: S108 - the folder that is meant
+
+
+def test_a_folder_that_others_may_enter_is_refused() -> None:
+    runtime_folder().chmod(0o755)
+    with pytest.raises(RunError, match="open to others"), taken_place():
+        pass
