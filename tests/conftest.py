@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
 
 _WATCHED = {"gui", "acquisition", "remote"}  # others leave threads of Dask and of process pools
 
-pytest_plugins = ["support.driver_fixtures"]
+pytest_plugins = ["support.driver_fixtures", "support.streams"]
 
 # Each run tries the same examples, however slow the computer is; with `--hypothesis-profile=random`, each time others.
 _PATIENT = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])

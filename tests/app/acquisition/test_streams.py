@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import socket
 import subprocess
@@ -10,11 +9,9 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,136 +19,31 @@ import pytest
 import zmq
 from numpy.typing import NDArray
 from support.command_line import run
-from support.optics import FIELD, SmallBench
+from support.optics import SmallBench
 from support.paths import DOCS
 from support.patience import HANG_S, wait_until
+from support.streams import Subscriber, measured, until_heard
 
-from app.acquisition.streams.guard import BURST_BYTES, CONNECTIONS, TOPIC_BYTES
-from app.acquisition.streams.messages import TOPICS
-from app.acquisition.streams.publisher import Publisher, stream_sinks
+from app.acquisition.streams.publisher import Publisher
 from app.bench.config import Bench, StreamSettings, load_bench, parse_bench, write_bench
-from app.errors import InputError, RunError
-from app.measurement.averages import Average
-from app.measurement.calibration import Calibration
-from app.measurement.measurement import Assumptions, FrameTotals, Measurement, RefinementState
+from app.errors import InputError
+from app.measurement.measurement import Measurement
 from app.recording.reader import Recording
-from drivers.interface import Frame
-from reconstruction.layers.layered_wavefront import AssumedSample
-from reconstruction.settings import ReconstructionSettings
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
 DOCUMENT = DOCS / "streams.md"
 
 
-@pytest.fixture
-def port() -> int:
-    """A free port."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
-
-
-@pytest.fixture(scope="session")
-def bench(small_bench: SmallBench) -> Bench:
-    return Bench(sensor=small_bench.sensor, field=FIELD)
-
-
-@pytest.fixture(scope="session")
-def measurement(small_bench: SmallBench, bench: Bench) -> Measurement:
-    frame, _ = small_bench.tilted(3000.0, 500.0)
-    frame[: frame.shape[0] // 6] = 0  # lost lenslets, so that NaN is sent
-    reference = Average(small_bench.reference, np.zeros_like(small_bench.reference), 1, 0.02, 8.0, "em")
-    in_force = replace(bench, reconstruction=ReconstructionSettings(basis="zernike"))  # changed since it was opened
-    calibration = Calibration(in_force, None, reference, small_bench.lattice, 65535.0)
-    return replace(_measured(small_bench.reconstructor()(frame), 5), calibration=calibration)
-
-
-def _measured(wavefront: Wavefront | None, index: int, problem: str = "") -> Measurement:
-    now_s = time.perf_counter()
-    frame = Frame(
-        pixels=np.zeros((2, 3), np.uint16),
-        index=index,
-        camera_time_s=7.25,
-        host_time_s=now_s - 0.01,
-        exposure_s=0.02,
-        em_gain=8.0,
-    )
-    layer = AssumedSample((-0.975,), np.array([[0.01**2]]))  # 195 +- 2 mm before the lenslets
-    assumed = Assumptions(layer, RefinementState("applied", 0.75, 0.01)) if index % 2 else Assumptions()
-    return Measurement(frame, wavefront, problem, FrameTotals(9, 8, 1), now_s - 0.02, 0.02, assumed=assumed)
-
-
-class Subscriber:
-    """Subscriber in its own socket."""
-
-    def __init__(self, port: int, *topics: str, keeps_little: bool = False) -> None:
-        self._context = zmq.Context()
-        self._socket = self._context.socket(zmq.SUB)
-        if keeps_little:
-            self._socket.setsockopt(zmq.RCVHWM, 1)
-            self._socket.setsockopt(zmq.RCVBUF, 1 << 16)
-        self._socket.connect(f"tcp://127.0.0.1:{port}")
-        for topic in topics:
-            self._socket.subscribe(topic)
-        self.topics = len(TOPICS) if "" in topics else len(topics)  # number of messages per measurement
-
-    def close(self) -> None:
-        self._context.destroy(linger=0)
-
-    def hears(self, timeout_s: float = HANG_S) -> tuple[str, dict[str, Any], dict[str, NDArray[Any]]]:
-        assert self._socket.poll(int(timeout_s * 1000))
-        topic, text, *parts = self._socket.recv_multipart()
-        header = json.loads(text)
-        assert len(parts) == len(header["arrays"])
-        return (
-            topic.decode(),
-            header,
-            {
-                array["name"]: np.frombuffer(part, array["dtype"]).reshape(array["shape"])
-                for array, part in zip(header["arrays"], parts, strict=True)
-            },
-        )
-
-    def is_waiting(self) -> bool:
-        return not self._socket.poll(50)
-
-
-@pytest.fixture
-def publisher(bench: Bench, port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Publisher]:
-    """A publisher whose connections may say nothing for longer than any test."""
-    monkeypatch.setattr("app.acquisition.streams.guard._HANDSHAKE_MS", int(2000 * HANG_S))
-    with closing(Publisher(replace(bench, streams=StreamSettings(port=port)))) as publisher:
-        yield publisher
-
-
-def _until_heard(publisher: Publisher, subscriber: Subscriber, measurement: Measurement) -> int:
-    """Publish until every topic arrives, receive all messages, and return the last sequence number."""
-    heard = set[str]()
-
-    def hears_every_topic() -> bool:
-        publisher.take(measurement)
-        while not subscriber.is_waiting():
-            heard.add(subscriber.hears()[0])
-        return len(heard) == subscriber.topics
-
-    wait_until(hears_every_topic)
-    publisher.take(measurement)  # what was published before arrives before it
-    for _ in range(subscriber.topics):
-        while subscriber.hears()[1]["sequence"] < publisher._sequence:
-            pass
-    return publisher._sequence
-
-
 def test_subscriber_receives_exact_arrays(
-    publisher: Publisher, port: int, measurement: Measurement, bench: Bench, small_bench: SmallBench
+    publisher: Publisher, port: int, measurement: Measurement, stream_bench: Bench, small_bench: SmallBench
 ) -> None:
     wavefront = measurement.wavefront
     assert wavefront is not None
     assert isinstance(wavefront.solution, ModalSolution)
     assert 0 < np.count_nonzero(wavefront.displacement.valid) < wavefront.displacement.valid.size
     with closing(Subscriber(port, "")) as subscriber:
-        before = _until_heard(publisher, subscriber, measurement)
+        before = until_heard(publisher, subscriber, measurement)
         publisher.take(measurement)
         heard = {topic: (header, arrays) for topic, header, arrays in (subscriber.hears() for _ in range(3))}
     expected: dict[str, dict[str, NDArray[Any]]] = {
@@ -160,8 +52,8 @@ def test_subscriber_receives_exact_arrays(
             "coefficients_sigma": wavefront.solution.coefficients_sigma,
         },
         "slopes": {
-            "slopes": wavefront.displacement.coefficients * bench.sensor.slope_per_px,
-            "slopes_sigma": np.sqrt(wavefront.displacement.variance) * bench.sensor.slope_per_px,
+            "slopes": wavefront.displacement.coefficients * stream_bench.sensor.slope_per_px,
+            "slopes_sigma": np.sqrt(wavefront.displacement.variance) * stream_bench.sensor.slope_per_px,
             "valid": wavefront.displacement.valid.astype(np.uint8),
         },
         "views": {"wavefront": wavefront.views, "wavefront_sigma": wavefront.sigma()},
@@ -179,7 +71,7 @@ def test_subscriber_receives_exact_arrays(
         assert header["exposure_end_unix_s"] == pytest.approx(time.time() - 0.02, abs=100)
         assert (header["refinement"], header["bias_age_s"], header["problem"]) == ("applied", 0.75, "")
         assert header["layers"] == [{"distance_m": pytest.approx(0.195), "distance_sigma_m": pytest.approx(2e-3)}]
-        assert header["sensor"]["wavelength_m"] == bench.sensor.wavelength_m
+        assert header["sensor"]["wavelength_m"] == stream_bench.sensor.wavelength_m
         assert header["lattice"] == asdict(small_bench.lattice)
         assert header["reconstruction"]["basis"] == "zernike"
         assert header["view_x_m"] == [-0.5e-3, 0, 0.5e-3]
@@ -188,7 +80,7 @@ def test_subscriber_receives_exact_arrays(
 
 def test_subscriber_receives_only_its_topics(publisher: Publisher, port: int, measurement: Measurement) -> None:
     with closing(Subscriber(port, "slopes")) as subscriber:
-        _until_heard(publisher, subscriber, measurement)
+        until_heard(publisher, subscriber, measurement)
         publisher.take(measurement)
         assert subscriber.hears()[0] == "slopes"
         assert subscriber.is_waiting()
@@ -199,15 +91,15 @@ def test_unsubscribed_topics_are_not_computed(
 ) -> None:
     monkeypatch.setattr(Wavefront, "sigma", lambda _: pytest.fail("computed without a subscriber"))
     with closing(Subscriber(port, "coefficients")) as subscriber:
-        _until_heard(publisher, subscriber, measurement)  # an error would have ended the publisher's thread
+        until_heard(publisher, subscriber, measurement)  # an error would have ended the publisher's thread
         publisher.take(measurement)
         assert subscriber.hears()[0] == "coefficients"
 
 
 def test_frame_without_wavefront_is_published(publisher: Publisher, port: int, measurement: Measurement) -> None:
     with closing(Subscriber(port, "views")) as subscriber:
-        _until_heard(publisher, subscriber, measurement)
-        publisher.take(_measured(None, 6, "the frame is saturated"))
+        until_heard(publisher, subscriber, measurement)
+        publisher.take(measured(None, 6, "the frame is saturated"))
         _, header, arrays = subscriber.hears()
     assert (header["frame"], header["problem"], header["arrays"], arrays) == (6, "the frame is saturated", [], {})
     assert (header["refinement"], header["bias_age_s"], header["lattice"]) == ("off", None, None)
@@ -217,9 +109,9 @@ def test_frame_without_wavefront_is_published(publisher: Publisher, port: int, m
 def test_zonal_method_publishes_no_coefficients(
     publisher: Publisher, port: int, small_bench: SmallBench, measurement: Measurement
 ) -> None:
-    zonal = _measured(small_bench.reconstructor(method="zonal")(small_bench.reference), 8)
+    zonal = measured(small_bench.reconstructor(method="zonal")(small_bench.reference), 8)
     with closing(Subscriber(port, "coefficients", "slopes")) as subscriber:
-        _until_heard(publisher, subscriber, measurement)
+        until_heard(publisher, subscriber, measurement)
         publisher.take(zonal)
         assert subscriber.hears()[0] == "slopes"
         assert subscriber.is_waiting()
@@ -228,8 +120,8 @@ def test_zonal_method_publishes_no_coefficients(
 def test_stalled_subscriber_blocks_nothing(publisher: Publisher, port: int, measurement: Measurement) -> None:
     """More is published than is queued for it; another subscriber receives every measurement."""
     with closing(Subscriber(port, "views", keeps_little=True)) as stalled, closing(Subscriber(port, "slopes")) as other:
-        _until_heard(publisher, stalled, measurement)
-        _until_heard(publisher, other, measurement)
+        until_heard(publisher, stalled, measurement)
+        until_heard(publisher, other, measurement)
         sequence = 0
         for _ in range(1000):
             publisher.take(measurement)
@@ -254,7 +146,7 @@ def test_publisher_drops_oldest_measurements(
         return wavefront.views
 
     with closing(Subscriber(port, "views")) as subscriber:
-        before = _until_heard(publisher, subscriber, measurement)
+        before = until_heard(publisher, subscriber, measurement)
         monkeypatch.setattr(Wavefront, "sigma", slowly)
         publisher.take(measurement)
         assert is_busy.wait(HANG_S)
@@ -273,10 +165,10 @@ def lingers(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("lingers")
-def test_close_sends_waiting_messages(bench: Bench, port: int, measurement: Measurement) -> None:
-    publisher = Publisher(replace(bench, streams=StreamSettings(port=port)))
+def test_close_sends_waiting_messages(stream_bench: Bench, port: int, measurement: Measurement) -> None:
+    publisher = Publisher(replace(stream_bench, streams=StreamSettings(port=port)))
     with closing(Subscriber(port, "slopes")) as subscriber:
-        before = _until_heard(publisher, subscriber, measurement)
+        before = until_heard(publisher, subscriber, measurement)
         publisher.take(measurement)
         publisher.close()
         assert subscriber.hears()[1]["sequence"] == before + 1
@@ -303,48 +195,14 @@ class LastMoment(deque[tuple[int, Measurement]]):
 
 
 @pytest.mark.usefixtures("lingers")
-def test_measurement_at_the_last_moment_is_sent(bench: Bench, port: int, measurement: Measurement) -> None:
-    publisher = Publisher(replace(bench, streams=StreamSettings(port=port)))
+def test_measurement_at_the_last_moment_is_sent(stream_bench: Bench, port: int, measurement: Measurement) -> None:
+    publisher = Publisher(replace(stream_bench, streams=StreamSettings(port=port)))
     with closing(Subscriber(port, "slopes")) as subscriber:
-        before = _until_heard(publisher, subscriber, measurement)
+        before = until_heard(publisher, subscriber, measurement)
         publisher._waiting = last = LastMoment(publisher, measurement)
         publisher._wake.notify()
         assert subscriber.hears()[1]["sequence"] == before + 1
         last.closing.join(HANG_S)
-
-
-def test_without_port_no_socket_is_opened(bench: Bench, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(zmq, "Context", lambda: pytest.fail("a socket was made"))
-    with stream_sinks(bench) as sinks:
-        assert sinks == ()
-    monkeypatch.undo()
-    with stream_sinks(replace(bench, streams=StreamSettings(port=port))) as sinks:
-        assert len(sinks) == 1
-        listening = _listening(port)
-    assert listening == ["127.0.0.1"]
-
-
-def _listening(port: int) -> list[str]:
-    """Addresses on which a port is open, from the kernel's table."""
-    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-    local = [row[1].split(":") for row in rows if row[3] == "0A"]
-    return [socket.inet_ntoa(bytes.fromhex(host)[::-1]) for host, at in local if int(at, 16) == port]
-
-
-def test_taken_port_is_one_sentence(bench: Bench, port: int) -> None:
-    streams = StreamSettings(port=port)
-    with (
-        stream_sinks(replace(bench, streams=streams)),
-        pytest.raises(RunError, match=rf"127.0.0.1:{port}: Address already in use; change streams.port"),
-        stream_sinks(replace(bench, streams=streams)),
-    ):
-        pass
-
-
-def test_foreign_address_is_one_sentence(bench: Bench, port: int) -> None:
-    elsewhere = replace(bench, streams=StreamSettings(port=port, address="192.0.2.1"))
-    with pytest.raises(RunError, match="assign"), stream_sinks(elsewhere):
-        pass
 
 
 @pytest.mark.parametrize(
@@ -435,115 +293,3 @@ def _can_be_read(descriptor: int) -> bool:
     poller = zmq.Poller()
     poller.register(descriptor, zmq.POLLIN)
     return bool(poller.poll(50))
-
-
-def descriptors() -> int:
-    """Number of open files and sockets of this process."""
-    return sum(1 for _ in Path("/proc/self/fd").iterdir())
-
-
-def test_connections_are_limited(publisher: Publisher, port: int, measurement: Measurement) -> None:
-    before, ours = descriptors(), list[socket.socket]()
-    for _ in range(400):
-        ours.append(socket.create_connection(("127.0.0.1", port)))
-        wait_until(lambda: descriptors() - before - len(ours) <= CONNECTIONS + 10)  # some are about to be closed
-    wait_until(lambda: descriptors() - before - len(ours) <= CONNECTIONS)
-    for connection in ours:
-        connection.close()
-    with closing(Subscriber(port, "views")) as subscriber:  # there is room again
-        _until_heard(publisher, subscriber, measurement)
-
-
-def test_long_topic_closes_its_connection(publisher: Publisher, port: int, measurement: Measurement) -> None:
-    with closing(Subscriber(port, "views")) as subscriber, closing(Subscriber(port, "v" * 10_000)) as other:
-        _until_heard(publisher, subscriber, measurement)
-        assert max(map(len, publisher._subscriptions)) < 10_000
-        assert other.is_waiting()
-
-
-def test_flood_of_subscriptions_closes_its_connection(
-    publisher: Publisher, port: int, measurement: Measurement
-) -> None:
-    with closing(Subscriber(port, "views")) as subscriber:
-        _until_heard(publisher, subscriber, measurement)
-        with closing(Subscriber(port)) as flooding:
-            for number in range(20_000):
-                flooding._socket.subscribe(str(number).ljust(TOPIC_BYTES, "x"))
-            wait_until(lambda: publisher._guard._addresses["127.0.0.1"].open_from_s > 0)  # the flood was noticed
-            wait_until(lambda: publisher._subscriptions == {b"views"})  # and its connection closed
-            _until_heard(publisher, subscriber, measurement)  # the other one stays connected
-
-
-def test_subscriber_hears_all_while_another_floods_and_reconnects(
-    publisher: Publisher, port: int, measurement: Measurement
-) -> None:
-    """Each of its connections stays below what one may send."""
-    topics = [f"{number}".ljust(TOPIC_BYTES, "x") for number in range(300)]
-    assert sum(map(len, topics)) < BURST_BYTES
-    with closing(Subscriber(port, "views")) as subscriber:
-        last = _until_heard(publisher, subscriber, measurement)
-        kept = set[int]()
-        for _ in range(40):
-            with closing(Subscriber(port, *topics)), closing(Subscriber(port, *topics)):
-                publisher.take(measurement)
-                assert subscriber.hears()[1]["sequence"] == last + 1
-                last += 1
-                kept.add(len(publisher._subscriptions))
-        assert max(kept) < BURST_BYTES / TOPIC_BYTES + 100
-        wait_until(lambda: publisher._subscriptions == {b"views"})
-
-
-def test_no_connection_is_accepted_for_5_s_after_a_flood(
-    publisher: Publisher, port: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Only from the address that flooded; otherwise it floods on with new connections."""
-    guard, clock = publisher._guard, SimpleNamespace(monotonic=lambda: 1e6)
-    monkeypatch.setattr("app.acquisition.streams.guard.time", clock)
-
-    def is_kept(address: str = "127.0.0.1") -> bool:
-        wait_until(lambda: not guard._received)
-        with socket.create_connection(("127.0.0.1", port), source_address=(address, 0)) as connection:
-            connection.setblocking(False)
-
-            def has_ended() -> bool:
-                try:
-                    return not connection.recv(1000)
-                except BlockingIOError:
-                    return False
-                except ConnectionResetError:
-                    return True
-
-            wait_until(lambda: guard._received or has_ended())
-            return bool(guard._received)
-
-    assert is_kept()
-    assert not guard._addresses["127.0.0.1"].spend(BURST_BYTES)
-    assert not is_kept()
-    assert is_kept("127.0.0.9")
-    clock.monotonic = lambda: 1e6 + 4.99
-    assert not is_kept()
-    clock.monotonic = lambda: 1e6 + 5.01
-    assert is_kept()
-
-
-def test_addresses_share_an_allowance(publisher: Publisher, port: int) -> None:
-    """A computer has 16 million addresses of its own."""
-    guard = publisher._guard
-    for number in range(1, 250):
-        with socket.create_connection(("127.0.0.1", port), source_address=(f"127.0.1.{number}", 0)):
-            wait_until(lambda number=number: len(guard._addresses) == number)  # type: ignore[misc] # called now
-        if guard._together.open_from_s:
-            break
-    assert 100 < number < 249
-    assert all(each.open_from_s == 0 for each in guard._addresses.values())
-
-
-@pytest.mark.parametrize(("address", "is_warned"), [("127.0.0.1", False), ("127.8.9.1", False), ("0.0.0.0", True)])  # noqa: S104 - it is warned of
-def test_open_address_is_warned_of(
-    bench: Bench, port: int, capsys: pytest.CaptureFixture[str], address: str, is_warned: bool
-) -> None:
-    with stream_sinks(replace(bench, streams=StreamSettings(port=port, address=address))):
-        pass
-    errors = capsys.readouterr().err
-    assert errors.startswith("warning: every computer that reaches 0.0.0.0 can read the results") == is_warned
-    assert bool(errors) == is_warned
