@@ -1,0 +1,235 @@
+"""The plan of the live-path benchmark, the limits of its figures, and its command."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import signal
+import sys
+from copy import copy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.gui_bench import BENCH, make_measurement
+
+import app.commands.benchmark
+from app import cli
+from app.acquisition.start_up import FirstWavefront
+from app.bench.config import load_bench
+from app.bench.device_kinds import RecordingSettings
+from app.commands.benchmark import print_figures
+from app.errors import InputError, Interrupted, RunError, ended_by
+from app.evaluation.benchmark.live_path import LiveFigures, LivePlan, Span, recording_folder, resident_mb, share
+from app.measurement.measurement import SKIPPED, FrameTotals
+from app.recording.recorder import RecordingState
+from app.timing import TimedStage, Timings
+
+
+def test_share_counts_lost_frames() -> None:
+    assert share(FrameTotals(acquired=3, reconstructed=1, lost=5)) == 1 / 8
+    assert math.isnan(share(FrameTotals()))
+
+
+def test_first_wavefront_is_hopeless_after_twenty_failed_frames() -> None:
+    made = make_measurement(np.zeros((300, 430), np.uint16), np.zeros((3, 3, 9, 13)))
+    first = FirstWavefront(100.0)
+    for _ in range(25):
+        first.take(replace(made, wavefront=None, problem=SKIPPED))
+    for _ in range(19):
+        first.take(replace(made, wavefront=None, problem="too dark"))
+        first.check()
+    hopeful = copy(first)
+    first.take(replace(made, wavefront=None, problem="too dark"))
+    with pytest.raises(RunError, match="no wavefront in the first 20 frames: too dark"):
+        first.check()
+    hopeful.take(made)
+    hopeful.take(replace(made, wavefront=None, problem="too dark"))
+    hopeful.check()
+    assert hopeful.came_s is not None
+    with pytest.raises(RunError, match="no wavefront within 0 s: no frame came"):
+        FirstWavefront(0.0).check()
+
+
+def span_of(
+    *, redraws: int = 200, draw_s: float = 0.008, late_s: float = 0.02, rate_hz: float = 70.0, **changes: Any
+) -> Span:
+    """Return ten good seconds, with changes."""
+    timings = Timings()
+    for count, stage, seconds in ((redraws, "draw", draw_s), (1000, "to_result", late_s), (1000, "record", 0.01)):
+        for _ in range(count):
+            timings.note(stage, seconds)  # type: ignore[arg-type] # each is a stage
+    frames = FrameTotals(acquired=700, reconstructed=round(10 * rate_hz))
+    how = {"first_wavefront_s": 14.0, "began_s": 0.0, "seconds": 10.0, "frames": frames, "memory_mb": (800.0, 808.0)}
+    return Span(**{"times": timings.summary(), **how, **changes})
+
+
+def figures_of(window: Span, bare: Span | None = None, problem: str = "", *, with_panels: bool = False) -> LiveFigures:
+    state = RecordingState(Path("r"), "ended early" if problem else "finished", 700, 0, 10.0, 60.0, problem)
+    planned = LivePlan(bench=BENCH, seconds=10, record_in=Path(), with_panels=with_panels)
+    return LiveFigures(plan=planned, is_seen=True, window=window, recording=state, bare=bare or span_of())
+
+
+def test_good_run_misses_no_limit() -> None:
+    figures = figures_of(span_of())
+    assert figures.missed() == []
+    assert len(figures.checks()) == 10
+    assert figures.memory_growth == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "window"),
+    [
+        ("share", span_of(frames=FrameTotals(acquired=700, reconstructed=699))),
+        ("lost", span_of(frames=FrameTotals(acquired=7000, reconstructed=7000, lost=1))),
+        ("to_result_p99_s", span_of(late_s=0.03)),
+        ("redrawn_hz", span_of(redraws=199)),
+        ("draw_p50_s", span_of(draw_s=0.0081)),
+        ("rate_ratio", span_of(frames=FrameTotals(acquired=660, reconstructed=660))),
+        ("first_wavefront_s", span_of(first_wavefront_s=15.0)),
+        ("memory_growth", span_of(memory_mb=(800.0, 816.0))),
+    ],
+)
+def test_each_limit_is_missed_alone(name: str, window: Span) -> None:
+    assert [line.split()[0] for line in figures_of(window).missed()] == [name]
+
+
+def test_redraw_with_panels_has_no_limit_of_its_own() -> None:
+    assert figures_of(span_of(draw_s=0.03), with_panels=True).missed() == []
+
+
+@pytest.mark.parametrize(("stage", "name"), [("record", "record_p99_s"), ("to_result", "to_result_p99_s")])
+def test_two_percent_late_frames_miss_the_limit(stage: TimedStage, name: str) -> None:
+    timings = Timings()
+    for number in range(1000):
+        timings.note(stage, 0.035 if number % 50 == 0 else 0.01)
+    good = span_of()
+    window = replace(good, times={**good.times, stage: timings.summary()[stage]})
+    assert [line.split()[0] for line in figures_of(window).missed()] == [name]
+
+
+def test_early_end_of_recording_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
+    figures = figures_of(span_of(), problem="the disk is full")
+    assert [line.split()[0] for line in figures.missed()] == ["recording_problems"]
+    print_figures(figures)
+    assert "The recording ended early: the disk is full" in capsys.readouterr().out
+
+
+def test_empty_run_misses_limits_and_is_valid_json() -> None:
+    empty = span_of(frames=FrameTotals(), times=Timings().summary(), memory_mb=(None, None))
+    figures = replace(figures_of(empty, empty), recording=None)
+    names = {line.split()[0] for line in figures.missed()}
+    assert names == {"share", "to_result_p99_s", "redrawn_hz", "draw_p50_s", "rate_ratio"}
+    assert json.loads(json.dumps(figures.tree(), allow_nan=False))["live"]["memory"]["growth"] is None
+    print_figures(figures)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not report the memory")
+def test_resident_memory_matches_the_system() -> None:
+    before_mb = resident_mb(os.getpid())
+    held = np.ones(64 << 17)  # 64 MB
+    after_mb = resident_mb(os.getpid())
+    assert before_mb is not None
+    assert after_mb is not None
+    assert after_mb - before_mb == pytest.approx(64, abs=8)
+    assert held.all()
+    (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS:"))
+    assert after_mb == pytest.approx(int(line.split()[1]) / 1024, rel=0.05)
+
+
+@pytest.mark.parametrize("seconds", [0.0, -5.0, 0.9, 3601.0, math.nan, math.inf])
+def test_impossible_duration_is_rejected(seconds: float) -> None:
+    with pytest.raises(InputError, match=r"--live .*: must be 1 \.\.\. 3600 seconds"):
+        LivePlan(bench=BENCH, seconds=seconds, record_in=None)
+
+
+def test_real_bench_is_rejected() -> None:
+    with pytest.raises(InputError, match="simulated camera; this bench has recording"):
+        LivePlan(bench=replace(BENCH, camera=RecordingSettings(folder="r")), seconds=10, record_in=None)
+
+
+def test_recording_needs_room_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    planned = LivePlan(bench=load_bench("live_demo", ("camera.exposure_s=0.014286",)), seconds=600, record_in=tmp_path)
+    assert 1 < planned.recording_bytes / (612 * 70 * 512 * 512 * 2) < 1.3
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=int(planned.recording_bytes) - 1))
+    with (
+        pytest.raises(InputError, match=r"takes up to [\d.]+ GB, and [\d.]+ GB are free.*--record-in"),
+        recording_folder(planned, lambda *_: None),
+    ):
+        pass
+    assert not list(tmp_path.iterdir())
+    nowhere = replace(planned, record_in=tmp_path / "nowhere")
+    with pytest.raises(InputError, match="no such folder"), recording_folder(nowhere, lambda *_: None):
+        pass
+    with recording_folder(replace(planned, record_in=None), lambda *_: None) as folder:
+        assert folder is None
+
+
+def test_second_interrupt_still_removes_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    planned = LivePlan(bench=BENCH, seconds=1, record_in=tmp_path)
+    remove = shutil.rmtree
+
+    def remove_interrupted(path: Path) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        remove(path)
+
+    def interrupt(_number: int, _frame: object) -> None:
+        raise Interrupted
+
+    monkeypatch.setattr(shutil, "rmtree", remove_interrupted)
+    with ended_by(interrupt), pytest.raises(Interrupted), recording_folder(planned, lambda *_: None):
+        raise Interrupted
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--live", "0"], "--live 0: must be 1 ... 3600 seconds"),
+        (["--live", "5", "--record-in", "nowhere"], "nowhere: no such folder"),
+        (["--no-record"], "--live SECONDS"),
+        (["--set", "camera.exposure_s=0.02"], "--live SECONDS"),
+    ],
+)
+def test_command_rejects_impossible_options(
+    options: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
+    monkeypatch.setattr(sys, "argv", ["svwfs", "benchmark", *options])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("late_s", "status"), [(0.02, 0), (0.04, 1)])
+def test_command_measures_70_hz_prints_writes_and_checks(
+    late_s: float, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plans: list[LivePlan] = []
+
+    def measured(planned: LivePlan, _report: object) -> LiveFigures:
+        plans.append(planned)
+        return figures_of(span_of(late_s=late_s))
+
+    monkeypatch.setattr(app.commands.benchmark, "benchmark_acquisition", measured)
+    options = ["--live", "60", "--record-in", str(tmp_path), "--json", str(tmp_path / "live.json"), "--check"]
+    monkeypatch.setattr(sys, "argv", ["svwfs", "benchmark", *options, "--set", "camera.em_gain=8"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == status
+    (planned,) = plans
+    camera = planned.bench.camera_model
+    assert 1 / camera.exposure_s == pytest.approx(70, abs=0.1)
+    assert (camera.rows, camera.columns) == (512, 512)
+    assert (camera.em_gain, planned.bench.reconstruction.refine) == (8, False)
+    assert (planned.seconds, planned.record_in) == (60, tmp_path)
+    assert json.loads((tmp_path / "live.json").read_text())["live"]["limits"]["share"]["is_met"]
+    said = capsys.readouterr()
+    assert "frames acquired" in said.out
+    assert said.err == ("" if status == 0 else "svwfs: missed: to_result_p99_s is 0.04, asked 99 % < 30 ms\n")
