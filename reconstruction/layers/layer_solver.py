@@ -72,14 +72,15 @@ class LayerDesign:
         modes, nodes = self._to_modes.shape[:2]
         rows, columns = sensor.lenslet_rows, sensor.lenslet_columns
         local = np.empty((rows, columns, len(i), len(self._n), modes), np.float32)
-        for first, x_m in enumerate(sensor.lenslet_centers_m[:2, :, 0]):  # of even and of odd rows
+        step = 1 if sensor.arrangement == "square" else 2  # odd rows of a hexagonal lattice are shifted
+        for first, x_m in enumerate(sensor.lenslet_centers_m[:step, :, 0]):
             along_x = self._along(x_m / half_x_m, half_x_m, reach_m, degree)  # (column, i, m, node)
             half = np.tensordot(along_x, self._to_modes, axes=([3], [2]))  # (column, i, m, field_mode, node_y)
             of_x = half.transpose(1, 2, 4, 3, 0)[i].reshape(len(i), self._highest + 1, nodes, -1)
             for place, (n, m) in enumerate(zip(self._n, self._m, strict=True)):
-                found = np.matmul(of_y[:, n, first::2], of_x[:, m])  # (k, row, field_mode column)
+                found = np.matmul(of_y[:, n, first::step], of_x[:, m])  # (k, row, field_mode column)
                 found = found.reshape(len(i), -1, modes, columns)
-                local[first::2, :, :, place] = found.transpose(1, 3, 0, 2)
+                local[first::step, :, :, place] = found.transpose(1, 3, 0, 2)
         per_rad = np.swapaxes(local.reshape(rows * columns, len(i), -1), 1, 2)
         return np.asarray(np.matmul(self._response, per_rad))
 

@@ -11,6 +11,7 @@ angle and without a singular centre (R. J. Noll, J. Opt. Soc. Am. 66, 207, 1976)
 import itertools
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -70,13 +71,16 @@ def legendre_slopes(x: Floats, degree: int) -> Floats:
     return np.asarray(series.legvander(x, len(derive) - 1) @ derive)
 
 
+@cache
 def legendre_projection(degree: int, exact: int) -> tuple[Floats, Floats]:
     """Projection of functions on P_0 ... P_degree from nodes in [-1, 1]: nodes (node,), weights (node, degree + 1).
 
-    It is exact for polynomials up to the degree `exact`.
+    It is exact for polynomials up to the degree `exact`. The arrays are read-only.
     """
     nodes, weights = series.leggauss((exact + degree) // 2 + 1)
-    return nodes, series.legvander(nodes, degree) * weights[:, None] * (np.arange(degree + 1) + 0.5)
+    project = series.legvander(nodes, degree) * weights[:, None] * (np.arange(degree + 1) + 0.5)
+    nodes.flags.writeable = project.flags.writeable = False
+    return nodes, project
 
 
 def _order_arrays(count: int) -> tuple[list[int], list[int], int]:
