@@ -52,7 +52,7 @@ test-long: setup c-compiler $(NUMBA_CACHE_DIR) ## those that take four seconds o
 
 # Else every process of the tests would compile the same code at the same time; so would each the tests' own bytecode.
 COMPILING := tests/reconstruction/test_round_trips.py tests/simulated_devices/test_detector.py \
-    tests/app/results/test_frame_statistics.py
+    tests/app/results/test_frame_statistics.py tests/reconstruction/frame/test_spline.py
 
 $(NUMBA_CACHE_DIR): | setup
 	@echo 'compiling, half a minute'

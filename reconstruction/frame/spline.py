@@ -89,6 +89,47 @@ def _sample(coefficients: Image, position_px: Floats, values: Floats, gradients:
         values[n], gradients[n, 0], gradients[n, 1] = value, slope_x, slope_y
 
 
+def sample_evenly(coefficients: Image, start_px: Floats, steps_px: Floats, shape: tuple[int, int]) -> Image:
+    """Interpolate on a turned grid, three times as fast as `sample`; beyond its borders the image is mirrored.
+
+    Parameters
+    ----------
+    coefficients
+        Of the spline, (row, column).
+    start_px
+        Position of the first sample, (xy,), px.
+    steps_px
+        From a sample to the next in its row, and to that below it, (2, xy), px.
+    shape
+        Rows and columns of the samples.
+    """
+    values = np.empty(shape, np.float32)
+    image = np.require(coefficients, np.float32, ("C", "W"))  # so that Numba compiles one signature only
+    start, steps = (np.require(each, np.float64, ("C", "W")) for each in (start_px, steps_px))
+    _sample_evenly(image, start, steps, values)
+    return values
+
+
+@compiled
+def _sample_evenly(coefficients: Image, start_px: Floats, steps_px: Floats, values: Image) -> None:
+    rows, columns = coefficients.shape
+    for row in range(values.shape[0]):
+        for column in range(values.shape[1]):
+            x = start_px[0] + column * steps_px[0, 0] + row * steps_px[1, 0]
+            y = start_px[1] + column * steps_px[0, 1] + row * steps_px[1, 1]
+            left, above = int(np.floor(x)), int(np.floor(y))
+            along, _ = _weights(x - left)
+            across, _ = _weights(y - above)
+            is_inside = 1 <= left < columns - 2 and 1 <= above < rows - 2
+            value = 0.0
+            for i in range(4):
+                taps = coefficients[above + i - 1 if is_inside else _mirrored_index(above + i - 1, rows)]
+                for j in range(4):
+                    tap = taps[left + j - 1 if is_inside else _mirrored_index(left + j - 1, columns)]
+                    value += across[i] * along[j] * tap
+            values[row, column] = value
+
+
 def noise_power(position_px: Floats) -> Floats:
     """Variance of an interpolated value over that of a pixel, for white noise, at positions (..., xy): (...).
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from reconstruction.arrays import Booleans, Floats, Image
+from reconstruction.frame.spline import sample_evenly
 from reconstruction.geometry import Lattice, centered_steps
 
 _FEWEST_SAMPLES = 16  # across a cell
@@ -78,15 +78,12 @@ def cut(coefficients: Image, lattice: Lattice) -> Cells:
     first, last = index.min(axis=0), index.max(axis=0)
     columns, rows = last - first + 1
     beside = 0 if lattice.arrangement == "square" else samples // 2  # samples by which odd rows lie to the right
-    turn = lattice.turn * [lattice.row_spacing, 1.0] * lattice.pitch_px  # cells to px
-    start = first[::-1] - 0.5 + 0.5 / samples
-    sampled = ndimage.affine_transform(
+    size_px = np.array([1.0, lattice.row_spacing]) * lattice.pitch_px
+    sampled = sample_evenly(
         coefficients,
-        turn / samples,
-        turn @ start + [lattice.center_y_px, lattice.center_x_px],
+        lattice.to_camera_px((first - 0.5 + 0.5 / samples) * size_px),
+        size_px[:, None] / samples * lattice.turn,
         (rows * samples, columns * samples + beside),
-        mode="mirror",
-        prefilter=False,
     )
     column, row = (index - first).T
     start = column * samples + index[:, 1] % 2 * beside

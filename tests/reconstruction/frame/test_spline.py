@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from reconstruction.frame.spline import sample, spline_coefficients
+from reconstruction.frame.spline import sample, sample_evenly, spline_coefficients
 from reconstruction.registration.gauss_newton._warped_sampling import new_scratch, sample_warped, window_of
 
 
@@ -36,6 +36,17 @@ def test_samples_match_scipy() -> None:
     values, _ = sample(spline_coefficients(image), position)
     expected = ndimage.map_coordinates(image, [position[:, 1], position[:, 0]], order=3, mode="mirror")
     np.testing.assert_allclose(values, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(40, 60), (3, 5)])
+def test_samples_on_a_turned_grid_match_scipy_also_beyond_the_borders(shape: tuple[int, int]) -> None:
+    image = np.random.default_rng(6).uniform(0, 1, shape).astype(np.float32)
+    start_px, steps_px = np.array([-4.3, 2.6]), np.array([[1.1, -0.2], [0.3, 0.9]])
+    samples = sample_evenly(spline_coefficients(image), start_px, steps_px, (50, 70))
+    row, column = np.indices(samples.shape)
+    x, y = (start_px[axis] + column * steps_px[0, axis] + row * steps_px[1, axis] for axis in range(2))
+    expected = ndimage.map_coordinates(image, [y, x], order=3, mode="mirror")
+    np.testing.assert_allclose(samples, expected, atol=1e-5)
 
 
 def test_gradients_match_numerical_derivatives() -> None:
