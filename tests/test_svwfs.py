@@ -49,6 +49,11 @@ def images(bench: Bench) -> SimulatedFrames:
     return svwfs.simulate(bench, frames=2)
 
 
+@pytest.fixture(scope="module")
+def wavefront(bench: Bench, images: SimulatedFrames) -> svwfs.Wavefront:
+    return svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+
+
 def error_rad(views: Floats, truth: Floats) -> float:
     return float(rms(views - truth).mean())
 
@@ -122,8 +127,7 @@ def test_moving_sample_has_a_truth_for_every_frame(bench: Bench) -> None:
         svwfs.simulate(moving, frames=4)
 
 
-def test_psf_is_the_strehl_ratio_at_angle_zero(bench: Bench, images: SimulatedFrames) -> None:
-    wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+def test_psf_is_the_strehl_ratio_at_angle_zero(wavefront: svwfs.Wavefront) -> None:
     image = svwfs.psf(wavefront, x_m=0.5e-3, y_m=-0.5e-3)
     strehl = svwfs.to_dataset(wavefront)["strehl"].isel(view_row=0, view_column=2)
     assert image.sel(angle_x=0, angle_y=0).item() == pytest.approx(strehl.item(), rel=1e-4)
@@ -131,8 +135,7 @@ def test_psf_is_the_strehl_ratio_at_angle_zero(bench: Bench, images: SimulatedFr
         svwfs.psf(wavefront, x_m=1e-3, y_m=0.0)
 
 
-def test_wavefront_is_evaluated_at_many_positions(bench: Bench, images: SimulatedFrames) -> None:
-    wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+def test_wavefront_is_evaluated_at_many_positions(bench: Bench, wavefront: svwfs.Wavefront) -> None:
     x_m, y_m = np.linspace(-0.5e-3, 0.5e-3, 3), np.array([[-0.5e-3], [0.4e-3]])
     found = wavefront.at(x_m, y_m)
     assert found.shape == (2, 3, 7, 7)
@@ -150,8 +153,7 @@ def picture(html: str) -> Floats:
     return np.asarray(found[..., ::-1], np.float64)
 
 
-def test_notebook_shows_wavefront(bench: Bench, images: SimulatedFrames) -> None:
-    wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+def test_notebook_shows_wavefront(wavefront: svwfs.Wavefront) -> None:
     views = wavefront.views.copy()
     views[0, 0] = np.nan
     views[2, 1] = np.where(np.arange(7) < 3, -99.0, 99.0)
