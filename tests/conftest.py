@@ -47,10 +47,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--costs", metavar="FOLDER", type=Path, help="write the processor seconds of every test there")
 
 
-def pytest_collection_finish() -> None:
-    """Let no later collection of garbage look at what was loaded: there are hundreds, one after each window."""
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Search for garbage neither while all is loaded nor later in what was: tests do it after each window."""
+    gc.disable()
+    result = yield
     gc.collect()
     gc.freeze()
+    gc.enable()
+    return result
 
 
 @pytest.hookimpl(wrapper=True)
