@@ -218,6 +218,7 @@ def test_reference_is_valid_at_any_brightness(paper_bench: SmallBench, level: fl
     assert np.abs(at_views(brighter) - truth_px).max() < 0.05
 
 
+@pytest.mark.slow
 def test_reference_noise_enters_covariance(small_bench: SmallBench) -> None:
     """With independent noise in frames and references, displacements scatter as their covariance predicts."""
     random = np.random.default_rng(8)

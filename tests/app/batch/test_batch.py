@@ -349,6 +349,7 @@ def test_changed_recording_is_refused(recordings: list[Recording], mine: Recordi
     assert (made.recordings, made.wavefronts) == (2, 3)
 
 
+@pytest.mark.slow
 def test_moved_recording_is_recognised(mine: Recording, tmp_path: Path) -> None:
     batch(tmp_path / "r.zarr", mine)
     moved = mine.folder.rename(tmp_path / "moved")

@@ -190,6 +190,7 @@ def test_live_run_never_replaces_a_recording(
     assert "run: holds a recording; choose another folder with --out" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_names_of_files_need_not_be_text(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path
 ) -> None:

@@ -124,6 +124,7 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(thorlabs_dc4100, "_DIALECT", replace(thorlabs_dc4100._DIALECT, timeout_s=60.0))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("patience")
 @pytest.mark.parametrize("shows", [False, True])
 def test_serial_numbers_are_hidden_unless_asked_for(capsys: pytest.CaptureFixture[str], *, shows: bool) -> None:
@@ -220,6 +221,7 @@ def test_good_light_passes_within_announced_current(
     assert not bench.condition.is_light_on
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("patience")
 def test_device_is_checked_with_bench_settings(capsys: pytest.CaptureFixture[str]) -> None:
     lamp = DC4100Wire()  # at a port that is never discovered, using its second head (200 mA)

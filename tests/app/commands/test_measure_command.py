@@ -113,6 +113,7 @@ def test_measure_never_overwrites_recording(
     assert "holds no recording" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_interrupted_measure_names_folder_of_frames(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:
@@ -125,6 +126,7 @@ def test_interrupted_measure_names_folder_of_frames(
     assert not (tmp_path / "m" / "results.nc").exists()
 
 
+@pytest.mark.slow
 def test_measure_on_full_disk_names_folder_of_frames(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:

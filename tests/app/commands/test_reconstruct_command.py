@@ -53,6 +53,7 @@ def test_reconstruct_matches_truth(
     assert_drawn(picture)
 
 
+@pytest.mark.slow
 def test_reconstructing_simulated_frame_gives_truth(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -178,6 +179,7 @@ def test_frame_of_another_scale_than_the_reference_is_named(
     assert said.endswith(": save both in the same form\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("setting", "is_told"), [("camera.rows=100", True), ("camera.exposure_s=0.1", False)])
 def test_frame_of_another_size_than_the_bench_is_told(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, setting: str, is_told: bool

@@ -112,6 +112,7 @@ def test_check_sets_the_exit_status(
     assert json.loads((tmp_path / "out.json").read_text())["ratios"] == ratios
 
 
+@pytest.mark.slow
 def test_tiled_frames_repeat_their_source(bench: Bench) -> None:
     case = noise_free(bench)
     large = tiled(case, 7, margin_px=4)

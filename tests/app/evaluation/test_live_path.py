@@ -175,6 +175,7 @@ def lost_of(frames: list[Frame]) -> int:
     return sum(after.index - before.index - 1 for before, after in pairwise(frames))
 
 
+@pytest.mark.slow
 def test_recording_holds_warm_up_and_span_within_the_estimated_size(seen: Seen) -> None:
     figures = seen.figures
     assert figures.recording is not None
@@ -187,6 +188,7 @@ def test_recording_holds_warm_up_and_span_within_the_estimated_size(seen: Seen) 
     assert figures.window.times["record"].count > 0
 
 
+@pytest.mark.slow
 def test_bare_run_draws_and_records_nothing(seen: Seen) -> None:
     window, bare = seen.figures.window, seen.figures.bare
     assert 0 < window.redrawn_hz < 27
@@ -196,10 +198,12 @@ def test_bare_run_draws_and_records_nothing(seen: Seen) -> None:
     assert seen.figures.rate_ratio == window.rate_hz / bare.rate_hz
 
 
+@pytest.mark.slow
 def test_panels_asked_for_are_open(seen: Seen) -> None:
     assert seen.shown_bars > 1
 
 
+@pytest.mark.slow
 def test_progress_increases(seen: Seen) -> None:
     texts = [text for text, _ in seen.reports]
     stages = ["unseen window: warming up", "unseen window: measuring", "unseen window: removing the recording"]
@@ -212,6 +216,7 @@ def test_progress_increases(seen: Seen) -> None:
     assert 0.68 < fractions[-1] <= 1  # the first run took 0.68 of the planned time
 
 
+@pytest.mark.slow
 def test_figures_are_written_and_printed(seen: Seen, capsys: pytest.CaptureFixture[str]) -> None:
     written = json.loads(json.dumps(seen.figures.tree(), allow_nan=False))
     assert set(written) == {"live", "machine", "versions"}
@@ -306,6 +311,7 @@ def test_interrupt_turns_light_off_and_removes_recording(camera: FakeCamera, tmp
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_camera_failure_ends_the_run_with_its_message(camera: FakeCamera, tmp_path: Path) -> None:
     acted = when_recorded(tmp_path, lambda: setattr(camera, "fault", Disconnected("the camera is gone")))
     with pytest.raises(RunError, match="the camera is gone"):
@@ -328,6 +334,7 @@ def test_camera_failure_ends_the_bare_run(camera: FakeCamera) -> None:
     watched.acquisition.close()
 
 
+@pytest.mark.slow
 def test_saturated_frames_end_the_run_soon(
     small_toml: Path, qapp: QApplication, monkeypatch: pytest.MonkeyPatch
 ) -> None:

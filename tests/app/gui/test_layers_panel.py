@@ -90,6 +90,7 @@ def test_layer_is_found_with_curve_and_map(window: MainWindow, qtbot: QtBot) -> 
     np.testing.assert_allclose(in_nm.values, maps.values * 462 / (2 * np.pi), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_known_distance_is_fitted_to_every_measurement(
     window: MainWindow, qtbot: QtBot, measurement: Measurement
 ) -> None:
@@ -209,6 +210,7 @@ def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: py
     assert panel.sentence.text() == "Searching \N{HORIZONTAL ELLIPSIS}"
 
 
+@pytest.mark.slow
 def test_corrector_leaves_least_in_the_layer(window: MainWindow, qtbot: QtBot) -> None:
     open_tab(qtbot, window, "Corrector")
     panel = window.panels.corrector

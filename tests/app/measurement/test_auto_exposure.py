@@ -50,6 +50,7 @@ def true_fill(scene: LampScene, found: AutoExposure) -> float:
     return float((light + scene.offset_counts) / (2**scene.bits - 1))
 
 
+@pytest.mark.slow
 @settings(max_examples=120, deadline=None, derandomize=True)
 @given(
     allowed=st.sampled_from([*C9100.values(), WIDEST]),

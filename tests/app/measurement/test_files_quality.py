@@ -49,17 +49,20 @@ def measured(frame: NDArray[np.uint16]) -> tuple[Quality, float]:
     return reconstructor.quality(frame, wavefront), float(np.median(displacement.chi_square[displacement.valid]))
 
 
+@pytest.mark.slow
 def test_right_integer_frame_is_explained_by_its_noise() -> None:
     quality, chi_square = measured(exposed(light()[1], 2))
     assert quality.faults == Fault(0), quality.sentence
     assert 0.8 < chi_square < 1.5
 
 
+@pytest.mark.slow
 def test_reference_as_frame_is_right() -> None:
     quality, _ = measured(exposed(light()[0], 3))
     assert quality.faults == Fault(0), quality.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", [np.uint16, np.uint32, np.float32])
 def test_reference_itself_as_frame_is_flagged(form: type[np.number[Any]]) -> None:
     quality, _ = measured(exposed(light()[0], 1).astype(form))
@@ -75,6 +78,7 @@ def test_averaged_reference_rounded_to_a_frame_is_flagged() -> None:
     assert reconstructor.quality(frame, reconstructor(frame)).faults == Fault.FROZEN
 
 
+@pytest.mark.slow
 def test_averaged_reference_of_little_light_is_not_clipped() -> None:
     """Its plateau scatters less than that of one frame."""
     reference, frame = (image * np.float32(200 / ELECTRONS) for image in light())
@@ -121,6 +125,7 @@ def test_fault_that_hides_the_noise_is_flagged(process: str) -> None:
     assert Fault.MISFIT in quality.faults
 
 
+@pytest.mark.slow
 def test_exchanged_frame_and_reference_are_flagged() -> None:
     reconstructor = BenchReconstructor(load_bench("small_demo", SQUARE), exposed(light()[1], 1), dark=dark())
     frame = exposed(light()[0], 2)
@@ -182,6 +187,7 @@ def test_uneven_pixels_and_a_dimmer_frame_are_no_gamma(averaged: int) -> None:
     assert quality.faults == Fault(0), quality.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", [0, 1])
 def test_stray_light_that_rises_across_the_frame_is_flagged(axis: int) -> None:
     """By 1.5 % of the brightest from lenslet to lenslet."""
@@ -191,6 +197,7 @@ def test_stray_light_that_rises_across_the_frame_is_flagged(axis: int) -> None:
     assert "stray light rises across the frame, by 1." in quality.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["the same everywhere", "half the light on one side"])
 def test_even_stray_light_and_uneven_light_do_not_rise(change: str) -> None:
     frame = light()[1]

@@ -176,6 +176,7 @@ def test_dimmer_frames_have_the_light_of_the_reference(bench: Bench) -> None:
     assert misfits[1] < 0.25 * misfits[0]
 
 
+@pytest.mark.slow
 def test_frames_are_judged_by_their_light(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Lenslets of different brightness lose different shares of their light; that is no change since the reference."""
     light = np.asarray(NoiseFreeFrames(bench).reference(), np.float64)
@@ -251,6 +252,7 @@ def test_results_of_files_say_that_they_are_corrected(
         assert results.attrs["linearity"] == f"corrected: {CURVE.sentence}"
 
 
+@pytest.mark.slow
 def test_noise_of_single_images_is_that_of_the_light(bench: Bench) -> None:
     """Offline, the noise comes from one image: that of the corrected light."""
     light = np.asarray(NoiseFreeFrames(bench).reference(), np.float64)

@@ -96,6 +96,7 @@ def test_bias_applies_only_near_its_wavefront(paper_bench: SmallBench, reconstru
         solver.close()
 
 
+@pytest.mark.slow
 def test_nearly_flat_wavefront_keeps_bias(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
     solver = solver_of(paper_bench, reconstructor)
     until(solver, reconstructor, paper_bench.reference, "applied")
@@ -323,6 +324,7 @@ def test_search_that_finds_the_same_again_rests_for_longer(
     assert began_s[2] - began_s[1] >= 10 * took_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("strength", "rests"), [(1.0, True), (-1.0, False)], ids=["applied", "moved"])
 def test_refinement_rests_unless_frames_lack_a_correction(
     paper_bench: SmallBench, reconstructor: Reconstructor, *, strength: float, rests: bool

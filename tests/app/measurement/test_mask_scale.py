@@ -145,6 +145,7 @@ def test_another_mask_is_no_ruler() -> None:
     assert mask_scale(bench, rendered("square")[1]) is None
 
 
+@pytest.mark.slow
 def test_calibrate_tells_the_scale(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def calibrate(*settings: str) -> str:
         changes = [word for setting in settings for word in ("--set", setting)]

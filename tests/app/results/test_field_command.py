@@ -150,6 +150,7 @@ def test_exports_hold_every_frame(recording: Path, tmp_path: Path, monkeypatch: 
         np.testing.assert_allclose(made, results["wavefront"].values[1], atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.command_line import run
+from support.recordings import record
 
 from app.bench.config import load_bench
 from app.errors import InputError
@@ -44,6 +45,11 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as monkeypatch:
         assert run(monkeypatch, "measure", "--bench", "small_demo", "--frames", "1", "--out", folder) == 0
     return folder
+
+
+@pytest.fixture(scope="module")
+def small_recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(small_toml, tmp_path_factory.mktemp("small") / "run", frames=1).folder
 
 
 @pytest.mark.slow
@@ -156,6 +162,8 @@ def test_distance_axis_shows_what_was_found() -> None:
     assert shown_range_m(np.array(0.02), np.array([0.01, np.nan, 0.2]), "mask") == (0.0, 0.2)
 
 
+@pytest.mark.slow
+@pytest.mark.long
 def test_best_corrector_lies_in_the_screen(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, plot, command = tmp_path / "c.nc", tmp_path / "c.png", tmp_path / "command.npy"
     files = ("--out", out, "--plot", plot, "--command", command, "--pixels", "65")
@@ -186,6 +194,7 @@ def test_best_corrector_lies_in_the_screen(recording: Path, tmp_path: Path, monk
     assert np.std(sum_rad) < 0.1 * np.std(phase[inner, inner])
 
 
+@pytest.mark.slow
 def test_residual_at_the_pupil_is_the_change_over_the_field(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -254,7 +263,7 @@ def test_wave_has_256_levels() -> None:
     ],
 )
 def test_bad_input_is_one_line(
-    recording: Path,
+    small_recording: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -265,7 +274,7 @@ def test_bad_input_is_one_line(
     monkeypatch.chdir(tmp_path)
     command, *options = words
     out = () if "--out" in options else ("--out", "out.nc")
-    assert run(monkeypatch, command, recording, *out, *options) == 2
+    assert run(monkeypatch, command, small_recording, *out, *options) == 2
     assert sentence in capsys.readouterr().err.strip().splitlines()[-1]
     assert [path.name for path in tmp_path.iterdir()] == ["exists.nc"]
 

@@ -104,6 +104,7 @@ def test_command_reports_the_verification(
     assert said.count("8 frames") == 1
 
 
+@pytest.mark.slow
 def test_other_settings_search_in_the_first_frame_of_a_block(plain: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     searched: list[Displacement] = []
     original = Reconstructor.find_sample

@@ -205,6 +205,7 @@ def test_second_layer_is_not_invented() -> None:
     assert layer.ratio == pytest.approx(-0.975, rel=0.02)
 
 
+@pytest.mark.slow
 def test_verdict_on_given_layers_is_theirs() -> None:
     clean = displacements_px(PHASE, 0.8) + displacements_px(OTHER, 0.3)
     measured = equations(clean)

@@ -93,6 +93,7 @@ def test_even_wavefronts_cause_no_displacement(registered: Registered) -> None:
     assert np.all(np.any(registered.response[:, ((n + m) % 2 == 1) & (n + m < 5)], axis=(0, 2, 3)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("n", "m", "q"), [(0, 1, 0), (3, 0, 0), (1, 2, 0), (0, 1, 1), (1, 0, 1), (1, 0, 5), (0, 3, 2), (2, 1, 4)]
 )
@@ -139,6 +140,7 @@ def measured_response(
     return (registered_px(rad) - registered_px(-rad)) / (2 * rad)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "m", "q"), [(1, 0, 5), (0, 3, 2)])
 def test_response_is_that_of_each_lenslet(checker_bench: SmallBench, n: int, m: int, q: int) -> None:
     """Their own wavefronts change it as they change complete registrations, but for effects of second order."""
