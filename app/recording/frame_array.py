@@ -20,6 +20,7 @@ from app.files import check_readable, in_words, sync, write_whole
 from app.recording.folder import PIXELS
 
 METADATA = "zarr.json"  # in the folder of an array or group
+HINT = "svwfs recover lists the readable frames"  # of what is damaged
 _STEP = 4096  # frames by which an array grows
 _WRITE = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0)
 _TYPES = ("uint16", "float32", "float64")  # of pixels and results
@@ -54,7 +55,8 @@ class FrameArray:
             is_ours = self._metadata["codecs"] == _CODECS and self._metadata["data_type"] in _TYPES
             is_ours &= self._metadata["chunk_grid"]["configuration"]["chunk_shape"] == [1, *shape]
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise InputError(f"{path}: not an array of a recording: {in_words(error)}") from error
+            why = f"not an array of a recording: {in_words(error)}"
+            raise InputError(f"{path / METADATA}: {why}; svwfs recover makes it again") from error
         if not is_ours:
             raise InputError(
                 f"{path}: not an array of a recording, one plain chunk of {' or '.join(_TYPES)} for each frame"
@@ -120,12 +122,12 @@ class FrameArray:
         try:
             size = chunk.stat().st_size
             if size != self._bytes:  # also a pipe, which would have to be waited for
-                raise DamagedFrame(f"{chunk}: is damaged: {size} bytes instead of {self._bytes}")
+                raise DamagedFrame(f"{chunk}: is damaged: {size} bytes instead of {self._bytes}; {HINT}")
             values = np.fromfile(chunk, self._type)
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise DamagedFrame(f"{chunk}: cannot be read: {in_words(error)}") from error
+            raise DamagedFrame(f"{chunk}: cannot be read: {in_words(error)}; {HINT}") from error
         return values.reshape(self.shape).astype(self._type.newbyteorder("="), copy=False)
 
     def is_whole(self, index: int) -> bool:

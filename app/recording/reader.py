@@ -31,7 +31,7 @@ from app.recording.folder import (
     recorded_frames,
     version_of,
 )
-from app.recording.frame_array import DamagedFrame, FrameArray, is_array
+from app.recording.frame_array import HINT, DamagedFrame, FrameArray, is_array
 from app.recording.frame_lines import FrameLine, checksum
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
@@ -40,7 +40,6 @@ T = TypeVar("T")
 
 _PIECE_BYTES = 1 << 20
 _FARTHEST_PX = 1e5  # of a displacement; farther than any camera reaches
-_HINT = "svwfs recover lists the readable frames"
 _UNCHANGED = ("began", "began_host_s", "bench")  # keys of `run.json` that tell recordings apart
 
 
@@ -131,12 +130,12 @@ class Recording:
         """Pixels of a frame (row, column), counts, read-only; verified if its line can be read."""
         pixels = self._read(PIXELS, index)
         if pixels is None:
-            raise DamagedFrame(f"{self.folder}: the pixels of frame {index} are missing")
+            raise DamagedFrame(f"{self.folder}: the pixels of frame {index} are missing; {HINT}")
         expected = None
         with suppress(InputError):
             expected = self.line(index).crc32
         if expected not in {None, checksum(pixels)}:
-            raise DamagedFrame(f"{self.folder}: the pixels of frame {index} are not those that were recorded; {_HINT}")
+            raise DamagedFrame(f"{self.folder}: the pixels of frame {index} are not those that were recorded; {HINT}")
         pixels.flags.writeable = False
         return pixels
 
@@ -213,9 +212,12 @@ class Recording:
             return None
         values: Floats | None
         if line.start == BEFORE:
-            values = self._followed(lambda: read_array(self.folder / START))
+            try:
+                values = self._followed(lambda: read_array(self.folder / START))
+            except InputError as error:
+                raise DamagedFrame(f"{error}; leave frame {index} out (--frames)") from error
         else:  # always of the same calibration
-            values = self._read(f"{RESULTS.format(line.calibration)}/displacement", line.start)
+            values = self._found(line.calibration, "displacement", line.start)
         sensor = self.calibration(line.calibration).bench.sensor
         shape = sensor.lenslet_rows, sensor.lenslet_columns
         if values is not None and (
@@ -223,7 +225,9 @@ class Recording:
             or (*values.shape[:2], values.shape[3]) != (*shape, 2)
             or np.any(np.abs(values) > _FARTHEST_PX)
         ):
-            raise DamagedFrame(f"{self.folder}: the displacements that frame {index} starts from are damaged; {_HINT}")
+            raise DamagedFrame(
+                f"{self.folder}: the displacements that frame {index} starts from are damaged; leave it out (--frames)"
+            )
         return values
 
     def _followed(self, read: Callable[[], T]) -> T:
@@ -265,15 +269,21 @@ class Recording:
         try:
             line = FrameLine.from_json(text)
         except ValueError as error:
-            raise DamagedFrame(f"{self.folder / FRAME_LINES}: line {index + 1} is damaged; {_HINT}") from error
+            raise DamagedFrame(f"{self.folder / FRAME_LINES}: line {index + 1} is damaged; {HINT}") from error
         if line.index != index:
             found = f"line {index + 1} is of frame {line.index} instead of {index}"
-            raise DamagedFrame(f"{self.folder / FRAME_LINES}: {found}; {_HINT}")
+            raise DamagedFrame(f"{self.folder / FRAME_LINES}: {found}; {HINT}")
         return line
 
     def _result(self, name: str, index: int) -> Floats | None:
         calibration = self.line(index).calibration
-        return None if calibration is None else self._read(f"{RESULTS.format(calibration)}/{name}", index)
+        return None if calibration is None else self._found(calibration, name, index)
+
+    def _found(self, calibration: int, name: str, index: int) -> Floats | None:
+        """What was found live; None if it is missing or damaged: svwfs replay finds it again."""
+        with suppress(DamagedFrame):
+            return self._read(f"{RESULTS.format(calibration)}/{name}", index)
+        return None
 
     def _read(self, name: str, index: int) -> NDArray[Any] | None:
         def read() -> NDArray[Any] | None:

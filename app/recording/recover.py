@@ -16,8 +16,20 @@ from app.bench.bench_files import read_bench_text
 from app.errors import InputError, RunError
 from app.files import atomic_write, remove_partial, write_whole
 from app.progress import counted
-from app.recording.calibration_files import read_calibration
-from app.recording.folder import CALIBRATION, FORMAT, FRAME_LINES, PIXELS, RESULTS, RUN, STORE, damaged_name, lock
+from app.recording.calibration_files import read_array, read_calibration
+from app.recording.folder import (
+    BEFORE,
+    CALIBRATION,
+    FORMAT,
+    FRAME_LINES,
+    PIXELS,
+    RESULTS,
+    RUN,
+    START,
+    STORE,
+    damaged_name,
+    lock,
+)
 from app.recording.frame_array import METADATA, FrameArray, is_array
 from app.recording.frame_lines import FoundLines, find_lines
 from app.recording.reader import Recording
@@ -125,6 +137,7 @@ def _examine(recording: Recording, lines: FoundLines, found: Recovered, progress
     without_line, without_pixels, changed, without_results = [], [], [], []
     calibrations: set[int | None] = set()
     biases: set[int | None] = set()
+    starts: set[int | None] = set()
     for index in range(found.frames):
         line, has_pixels = lines.line(index), recording.is_whole(index)
         if line is None:
@@ -134,6 +147,7 @@ def _examine(recording: Recording, lines: FoundLines, found: Recovered, progress
             found.lost, found.gaps = found.lost + line.lost, found.gaps + (line.lost > 0)
             calibrations.add(line.calibration)
             biases.add(line.bias)
+            starts.add(line.start if line.start == BEFORE else None)
             if has_pixels and not recording.has_results(line):
                 without_results.append(index)
         if not has_pixels:
@@ -152,7 +166,8 @@ def _examine(recording: Recording, lines: FoundLines, found: Recovered, progress
     damaged = [f"{frames_in_words(which)}: {what}" for which, what in of_frames if which]
     unreadable = list(_faults(recording.calibration, calibrations))
     found.has_calibration = not unreadable or len(unreadable) < len(calibrations - {None})
-    found.damage = (*damaged, *unreadable, *_faults(recording.bias, biases))
+    start = _faults(lambda _: read_array(recording.folder / START), starts)
+    found.damage = (*damaged, *unreadable, *_faults(recording.bias, biases), *start)
 
 
 def _faults(read: Callable[[int], object], numbers: Iterable[int | None]) -> Iterator[str]:
@@ -245,7 +260,10 @@ def _rebuild_arrays(folder: Path) -> Iterator[str]:
             FrameArray.create(store, name, values)
             yield f"{STORE}/{name}/{METADATA} was missing or damaged and is made again"
         except InputError as error:
-            yield f"{STORE}/{name}/{METADATA} is missing or damaged and cannot be made again: {error}"
+            sentence = f"{STORE}/{name}/{METADATA} is missing or damaged and cannot be made again: {error}"
+            if metadata.exists():  # no frame could be examined
+                raise InputError(sentence) from error
+            yield sentence
 
 
 def _array_folders(store: Path) -> list[Path]:

@@ -72,6 +72,9 @@ def test_metadata_that_no_calibration_explains_are_reported(tmp_path: Path) -> N
     found = recover(tmp_path / "r")
     assert "zarr.json is missing or damaged and cannot be made again" in found.rebuilt[0]
     assert not found.whole
+    (tmp_path / "r" / ARRAYS[0] / "zarr.json").write_text("{")
+    with pytest.raises(InputError, match="is missing or damaged and cannot be made again"):
+        recover(tmp_path / "r")
 
 
 @pytest.mark.parametrize(("array", "chunk"), [*((ARRAYS[0], f"c/{frame}/0/0") for frame in (0, 3)), (ARRAYS[1], "")])

@@ -21,6 +21,8 @@ from app.recording.frame_array import DamagedFrame
 from app.recording.reader import Recording
 from app.recording.recover import recover
 
+PIXELS_1 = "frames.zarr/0/c/1/0/0"
+
 
 @pytest.fixture(scope="module")
 def calibration(small_bench: SmallBench) -> Calibration:
@@ -66,10 +68,21 @@ def retyped(metadata: Path) -> None:
             lambda r: r.start(0),
             "starts from are damaged",
         ),
+        (lambda r: (r / "start.npy").unlink(), lambda r: r.start(0), r"no such file; leave frame 0 out \(--frames\)"),
+        (
+            lambda r: (r / PIXELS_1).write_bytes(b"x"),
+            lambda r: r.pixels(1),
+            "1 bytes instead of .*; svwfs recover lists",
+        ),
+        (lambda r: (r / PIXELS_1).unlink(), lambda r: r.pixels(1), "missing; svwfs recover lists the readable frames"),
         (lambda r: None, lambda r: r.calibration(7), "7"),
         (lambda r: None, lambda r: r.line(2), "has no frame 2; it has 2"),
         (lambda r: None, lambda r: r.line(-1), "has no frame -1"),
-        (lambda r: (r / "frames.zarr/0/zarr.json").write_text("{}"), lambda r: r.pixels(0), "not an array of"),
+        (
+            lambda r: (r / "frames.zarr/0/zarr.json").write_text("{}"),
+            lambda r: r.pixels(0),
+            "svwfs recover makes it again",
+        ),
         (lambda r: retyped(r / "frames.zarr/0/zarr.json"), lambda r: r.pixels(0), "not an array of a recording"),
         (lambda r: (r / "frames.zarr/0/zarr.json").unlink(), lambda r: r.pixels(0), "pixels of frame 0 are missing"),
     ],

@@ -325,6 +325,7 @@ def test_missing_results_calibrations_and_biases_are_listed(tmp_path: Path, cali
     bias = RANDOM.normal(size=(7, 9, 3, 2))
     passed_over = make_record(2, calibration, displacement=None, coefficients=None, problem="passed over")
     records = [*make_chain(calibration, 2), passed_over, make_record(3, calibration, bias=bias, bias_age_s=0.1)]
+    records[0] = replace(records[0], start=RANDOM.normal(size=(7, 9, 3, 2)))
     write(tmp_path / "r", [*records, make_record(4)])
     assert recover(tmp_path / "r").damage == ()
     results = tmp_path / "r" / "frames.zarr" / "results" / "0"
@@ -332,13 +333,15 @@ def test_missing_results_calibrations_and_biases_are_listed(tmp_path: Path, cali
     (results / "displacement/c.3.0.0.0.0").write_bytes(b"half")
     (tmp_path / "r/calibrations/0/dark.npz").write_bytes(b"PK")
     (tmp_path / "r/biases/0.npy").unlink()
+    (tmp_path / "r/start.npy").unlink()
     before = _everything(tmp_path / "r")
     found = recover(tmp_path / "r")
     assert (list(found.whole), found.readable, found.put_aside) == (list(range(5)), "", "")
-    first, dark, of_bias = found.damage
+    first, dark, of_bias, start = found.damage
     assert first == "frames 1 and 3: what was found live is missing; svwfs replay finds it again"
     assert "calibrations/0/dark.npz: cannot be read" in dark
     assert "biases/0.npy: no such file" in of_bias
+    assert "start.npy: no such file" in start
     assert _everything(tmp_path / "r") == before
 
 

@@ -177,6 +177,10 @@ def test_other_software_version_is_named(mine: Recording) -> None:
 
 DAMAGES: dict[str, tuple[Callable[[Recording], object], str]] = {
     "a result is missing": (lambda mine: remove_coefficients(mine, 6), "frame 6: coefficients were not recorded"),
+    "a result is cut short": (
+        lambda mine: (mine.folder / "frames.zarr/results/0/displacement/c.7.0.0.0.0").write_bytes(b"half"),
+        "frame 7: displacements were not recorded",
+    ),
     "a problem is invented": (
         lambda mine: edit_line(mine, 2, problem="too dark"),
         'frame 2: the problem was "too dark" and is ""',
