@@ -23,6 +23,7 @@ _MOST_PIXELS = 2**28  # a small file can claim to hold more than the memory
 _ORIENTATION, _WHITE_IS_ZERO = 274, 0  # of TIFF: a tag, and a photometric interpretation
 _JPEG, _FITS, _PICTURES = b"\xff\xd8\xff", b"SIMPLE  =", (b"\x89PNG", b"BM", b"P5")
 _TEXT = b"P2"
+_TIFF = b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"  # of either order of bytes; the last two of BigTIFF
 _FITS_BLOCK_BYTES, _FITS_CARD_BYTES = 2880, 80
 _FITS_SIZE = "BITPIX, NAXIS, BSCALE or BZERO"
 _FITS_SCALING = ("BSCALE", "1"), ("BZERO", "0")
@@ -73,7 +74,9 @@ def _read(path: Path) -> NDArray[Any]:
         return _read_picture(path)
     if start.startswith(_JPEG):
         raise ValueError("JPEG changes the light of every pixel; save the frame in another format")
-    return _read_tiff(path)
+    if start.startswith(_TIFF):
+        return _read_tiff(path)
+    raise ValueError("it is another kind of file")
 
 
 def _read_tiff(path: Path) -> NDArray[Any]:
@@ -86,6 +89,8 @@ def _read_tiff(path: Path) -> NDArray[Any]:
             raise ValueError(f"{' x '.join(map(str, series.shape))} pixels are too many")
         if series.keyframe.photometric == _WHITE_IS_ZERO:
             raise ValueError("it is a negative, in which 0 is white; save it with 0 as black")
+        if series.keyframe.compression not in tifffile.TIFF.DECOMPRESSORS:
+            raise ValueError(f"it is compressed ({series.keyframe.compression.name}); save it without compression")
         tag = series.keyframe.tags.get(_ORIENTATION)
         image = series.asarray()
         if series.axes == "SYX":  # its channels are stored one after the other

@@ -154,10 +154,9 @@ def read_screen(path: Path, setting: str = "file", content: str = "phases in rad
     """Values (row, column) from a .npy or .tif file; a bad file raises a `ValueError` that names the setting."""
     try:
         with reading_npy():
-            values = np.load(path, allow_pickle=False) if path.suffix == ".npy" else tifffile.imread(path)
-        samples_rad = np.asarray(values, np.float64)
-    except (OSError, ValueError, EOFError, TypeError, tifffile.TiffFileError) as error:
+            values = np.asarray(np.load(path, allow_pickle=False) if path.suffix == ".npy" else tifffile.imread(path))
+    except Exception as error:  # damaged files make tifffile raise anything
         raise ValueError(f"{setting} = {str(path)!r} is not a readable .npy or .tif array: {error}") from error
-    if samples_rad.ndim != 2 or not np.isfinite(samples_rad).all():
+    if values.ndim != 2 or not values.size or values.dtype.kind not in "buif" or not np.isfinite(values).all():
         raise ValueError(f"{setting} = {str(path)!r} must hold a 2-D array of finite {content}")
-    return samples_rad
+    return values.astype(np.float64)

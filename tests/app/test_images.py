@@ -222,6 +222,7 @@ def test_damaged_picture_is_refused(tmp_path: Path) -> None:
     [
         ("empty.tif", b"", "it is empty"),
         ("text.pgm", b"P2\n2 1\n255\n1 2\n", "it holds its numbers as text"),
+        ("frame.pdf", b"%PDF-1.4\n", "it is another kind of file$"),
         ("cut.png", b"\x89PNG\r\n\x1a\n" + bytes(40), "it is damaged or too large"),
     ],
 )
@@ -232,6 +233,12 @@ def test_damaged_images_are_refused_without_other_lines(
     with pytest.raises(InputError, match=sentence):
         read_image(tmp_path / name)
     assert capfd.readouterr() == ("", "")
+
+
+def test_compression_that_cannot_be_undone_is_named(tmp_path: Path) -> None:
+    Image.fromarray(IMAGE).save(tmp_path / "frame.tif", compression="tiff_lzw")
+    with pytest.raises(InputError, match=r"it is compressed \(LZW\); save it without compression$"):
+        read_image(tmp_path / "frame.tif")
 
 
 def test_damage_inside_an_image_is_one_sentence(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

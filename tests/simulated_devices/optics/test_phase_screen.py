@@ -231,7 +231,7 @@ def test_screens_are_read_from_files(tmp_path: Path) -> None:
 
 
 def test_bad_file_raises_one_sentence(tmp_path: Path) -> None:
-    for name, content in (("a.npy", b"no array"), ("b.tif", b"no image"), ("c.npy", b"")):
+    for name, content in (("a.npy", b"no array"), ("b.tif", b"no image"), ("c.npy", b""), ("d.tif", b"II*\0")):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(ValueError, match=r"^file = .* is not a readable"):
             read_screen(tmp_path / name)
@@ -250,7 +250,8 @@ def test_bad_file_raises_one_sentence(tmp_path: Path) -> None:
             ValueError, match=r"^file = .* is not a readable"
         ):  # without a warning, which would be an error
             read_screen(tmp_path / name)
-    for name, array in (("1d.npy", np.zeros(5)), ("nan.npy", np.full((5, 5), np.nan))):
+    nan, none, complex_ = np.full((5, 5), np.nan), np.zeros((0, 5)), np.zeros((5, 5), complex)
+    for name, array in (("1d.npy", np.zeros(5)), ("nan.npy", nan), ("none.npy", none), ("complex.npy", complex_)):
         np.save(tmp_path / name, array)
         with pytest.raises(ValueError, match=r"^file = .* must hold a 2-D array"):
             read_screen(tmp_path / name)

@@ -177,9 +177,10 @@ def test_image_is_resampled_by_area(tmp_path: Path) -> None:
 def test_bad_image_raises_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "text.png").write_bytes(b"no image")
     (tmp_path / "text.tif").write_bytes(b"no image")
+    (tmp_path / "cut.tif").write_bytes(b"II*\0")
     (tmp_path / "text.npy").write_bytes(b"")
     (tmp_path / "empty.png").write_bytes(b"")
-    for name in ("text.png", "text.tif", "text.npy", "empty.png", "absent.png", "absent.npy"):
+    for name in ("text.png", "text.tif", "cut.tif", "text.npy", "empty.png", "absent.png", "absent.npy"):
         with pytest.raises(ValueError, match=r"^file = .* is not a readable image: "):
             source.read_grey_image(tmp_path / name)
     with pytest.raises(ValueError, match=r"is not a readable image: Is a directory$"):
