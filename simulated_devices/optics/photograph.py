@@ -9,8 +9,9 @@ from collections.abc import Callable
 from itertools import product
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 from numpy.typing import NDArray
-from scipy import fft, ndimage, signal
+from scipy import fft, ndimage
 
 from reconstruction.arrays import Floats
 
@@ -54,7 +55,7 @@ def photographs(scenes: Floats, psf_at: Callable[[float, float], Floats], *, spa
     images = np.pad(np.zeros_like(padded), ((0, 0), (reach, reach), (reach, reach)))
     for y, x in product(nodes_y, nodes_x):
         near = padded[:, y : y + len(tent), x : x + len(tent)] * (tent * tent[:, None])
-        blurred = signal.fftconvolve(near, psf_at(float(x), float(y))[None], axes=(1, 2))
+        blurred = scipy.signal.fftconvolve(near, psf_at(float(x), float(y))[None], axes=(1, 2))
         images[:, y : y + blurred.shape[1], x : x + blurred.shape[2]] += blurred
     first = margin[0] + reach
     return np.maximum(images[:, first : first + rows, first : first + columns], 0)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import signal
+import scipy  # which loads its parts when they are used
 
 from reconstruction.deconvolution.blur import SpaceVariantBlur
 from reconstruction.deconvolution.corrected_image import regularised, richardson_lucy
@@ -36,22 +36,22 @@ def blur(psf_at: Any, change: float = 0.02, shape: tuple[int, int] = SHAPE, **ch
 def test_constant_pattern_is_an_ordinary_convolution() -> None:
     constant = blur(lambda *_: lobe(1.0, -2.0))
     scene = RNG.random(constant.object_shape)
-    expected = signal.fftconvolve(scene, lobe(1.0, -2.0), mode="valid")
+    expected = scipy.signal.fftconvolve(scene, lobe(1.0, -2.0), mode="valid")
     np.testing.assert_allclose(constant(scene), expected, atol=1e-12)
     for mirrored in (lobe(1.0, -2.0)[:, ::-1], lobe(1.0, -2.0).T):
-        assert np.abs(constant(scene) - signal.fftconvolve(scene, mirrored, mode="valid")).max() > 0.01
+        assert np.abs(constant(scene) - scipy.signal.fftconvolve(scene, mirrored, mode="valid")).max() > 0.01
 
 
 def test_constant_pattern_makes_ordinary_richardson_lucy() -> None:
     constant, kernel = blur(lambda *_: lobe(0.7, 0.3)), lobe(0.7, 0.3)
     scene = RNG.random(constant.object_shape) ** 8
-    image = signal.fftconvolve(scene, kernel, mode="valid") * RNG.uniform(0.9, 1.1, SHAPE)
+    image = scipy.signal.fftconvolve(scene, kernel, mode="valid") * RNG.uniform(0.9, 1.1, SHAPE)
     restored = richardson_lucy(image, constant, noise=None, counted=np.ones(SHAPE, np.bool_), iterations=20)
-    seen = signal.correlate(np.ones(SHAPE), kernel, mode="full", method="direct")
+    seen = scipy.signal.correlate(np.ones(SHAPE), kernel, mode="full", method="direct")
     estimate = np.where(seen > 0.01, image.mean(), 0)
     for _ in range(20):
-        ratio = image / signal.convolve(estimate, kernel, mode="valid", method="direct")
-        estimate *= signal.correlate(ratio, kernel, mode="full", method="direct") * np.where(
+        ratio = image / scipy.signal.convolve(estimate, kernel, mode="valid", method="direct")
+        estimate *= scipy.signal.correlate(ratio, kernel, mode="full", method="direct") * np.where(
             seen > 0.01, 1 / np.maximum(seen, 0.01), 0
         )
     expected = estimate[REACH:-REACH, REACH:-REACH]
@@ -66,7 +66,7 @@ def test_constant_pattern_makes_the_ordinary_wiener_filter() -> None:
     rows, columns = constant.object_shape
     columns_of = np.eye(rows * columns).reshape(-1, rows, columns)
     matrix = np.stack(
-        [signal.convolve(each, lobe(0.7, 0.3), mode="valid", method="direct").ravel() for each in columns_of]
+        [scipy.signal.convolve(each, lobe(0.7, 0.3), mode="valid", method="direct").ravel() for each in columns_of]
     )
     gradients = [np.diff(columns_of, axis=axis).reshape(rows * columns, -1) for axis in (1, 2)]
     normal = matrix @ matrix.T + 0.05 * sum(each @ each.T for each in gradients)

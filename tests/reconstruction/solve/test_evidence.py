@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+import scipy  # which loads its parts when they are used
 from support.optics import FIELD, converged, sensor_of
 
 from reconstruction.arrays import Floats
@@ -33,7 +33,9 @@ def check(found: FitQuality, design: Floats, data: Floats) -> None:
     def evidence(ratio: float) -> float:
         spread = np.eye(data.size) + ratio * design @ design.T
         noise = max(float(data @ np.linalg.solve(spread, data)) / data.size, 1.0)
-        return float(multivariate_normal(cov=noise * spread).logpdf(data) + data.size * np.log(2 * np.pi) / 2)
+        return float(
+            scipy.stats.multivariate_normal(cov=noise * spread).logpdf(data) + data.size * np.log(2 * np.pi) / 2
+        )
 
     tried = 10.0 ** np.arange(-4, 7, 0.25) / largest
     ratio = float(tried[np.argmax([evidence(each) for each in tried])])
