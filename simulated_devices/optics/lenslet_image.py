@@ -149,7 +149,8 @@ class LensletImage:
         position_m, of_point = np.unique(self._position_m[:, axis], return_inverse=True)  # a grid has few along an axis
         y_m = self._pixel_m[:, None, None] + self._node_m[:, None]  # (pixel, node, 1)
         wave = self._tilt_per_m * position_m - self._wave_per_m * y_m  # rad/m, (pixel, node, position)
-        of_parity = [part(wave[..., None] * self._sample_m) for part in (np.cos, np.sin)]
+        parts = (np.cos, np.sin) if max(degree, first, second) else (np.cos,)  # without odd functions no sine is needed
+        of_parity = [part(wave[..., None] * self._sample_m) for part in parts]
         polynomials = np.polynomial.legendre.legvander(self._along, max(degree, first, second)).T  # (m, sample)
         factors = self._factors[axis].T  # (sample, term)
 
