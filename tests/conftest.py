@@ -138,6 +138,14 @@ def small_toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="session")
+def quick_toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """That bench without the response, which takes most of a reference's preparation."""
+    path = tmp_path_factory.mktemp("bench") / "quick.toml"
+    path.write_text(SMALL_TOML.replace("[reconstruction]\n", "[reconstruction]\nresponse = false\n"))
+    return path
+
+
 @pytest.fixture
 def no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     """The simulated bench has a clock that lets each frame be measured before the next begins."""

@@ -58,11 +58,11 @@ class Live:
 
 
 @pytest.fixture
-def make_live(small_toml: Path) -> Iterator[Callable[..., Live]]:
+def make_live(quick_toml: Path) -> Iterator[Callable[..., Live]]:
     made: list[Live] = []
 
     def make(*settings: str) -> Live:
-        made.append(Live(small_toml, *settings))
+        made.append(Live(quick_toml, *settings))
         return made[-1]
 
     yield make
@@ -217,12 +217,12 @@ def test_recent_frames_are_kept_during_recording(make_live: Callable[..., Live],
 
 @pytest.mark.slow
 @pytest.mark.long
-def test_kill_at_random_moment_keeps_all_but_last_frames(small_toml: Path, tmp_path: Path) -> None:
+def test_kill_at_random_moment_keeps_all_but_last_frames(quick_toml: Path, tmp_path: Path) -> None:
     """`recording_crash.py` counts the missing frames on a quiet computer; a busy one may lose more."""
     random = np.random.default_rng()
     for kill in range(2):
         folder = tmp_path / str(kill)
-        left = kill_one(str(small_toml), ("camera.exposure_s=0.0139",), folder, after_s=random.uniform(0.3, 1.5))
+        left = kill_one(str(quick_toml), ("camera.exposure_s=0.0139",), folder, after_s=random.uniform(0.3, 1.5))
         assert left.wrong == 0
         assert 0 <= left.missing < left.acquired
         kept = len(Recording(folder))

@@ -51,8 +51,8 @@ class Live:
 
 
 @pytest.fixture
-def live(small_toml: Path) -> Iterator[Live]:
-    live = Live(small_toml)
+def live(quick_toml: Path) -> Iterator[Live]:
+    live = Live(quick_toml)
     yield live
     live.acquisition.close()
 
@@ -85,8 +85,8 @@ def test_auto_expose_command_reaches_target_and_restores_state(live: Live, monke
     assert (status.dark.validity, status.reference.validity) == ("doubtful", "doubtful")
 
 
-def test_failed_auto_exposure_keeps_loop_running(small_toml: Path) -> None:
-    dim = Live(small_toml, "light.maximum_current_a=1e-6", "light.current_a=0.0")
+def test_failed_auto_exposure_keeps_loop_running(quick_toml: Path) -> None:
+    dim = Live(quick_toml, "light.maximum_current_a=1e-6", "light.current_a=0.0")
     try:
         with pytest.raises(RoutineError, match="check the lamp"):
             dim.acquisition.submit(Instrument.auto_expose).result(HANG_S)
@@ -97,8 +97,8 @@ def test_failed_auto_exposure_keeps_loop_running(small_toml: Path) -> None:
         dim.acquisition.close()
 
 
-def test_auto_exposure_can_be_cancelled(small_toml: Path) -> None:
-    live = Live(small_toml, "camera.readout_speed=2", "camera.exposure_s=9.0")
+def test_auto_exposure_can_be_cancelled(quick_toml: Path) -> None:
+    live = Live(quick_toml, "camera.readout_speed=2", "camera.exposure_s=9.0")
     try:
         future = live.acquisition.submit(Instrument.auto_expose)
         wait_until(lambda: live.acquisition.activity.text.startswith("finding"))

@@ -67,8 +67,8 @@ class Running:
 
 
 @pytest.fixture
-def running(small_toml: Path) -> Iterator[Running]:
-    running = Running(load_bench(small_toml))
+def running(quick_toml: Path) -> Iterator[Running]:
+    running = Running(load_bench(quick_toml))
     yield running
     running.acquisition.close()
 
@@ -201,8 +201,8 @@ def test_dark_is_dark_and_reference_lit(running: Running) -> None:
     assert np.sqrt(np.median(dark.variance)) == pytest.approx(37 / 5.8, rel=0.7)  # read noise in counts, three frames
 
 
-def test_stop_interrupts_long_exposure(small_toml: Path) -> None:
-    running = Running(load_bench(small_toml, ("camera.readout_speed=2", "camera.exposure_s=30.0")))
+def test_stop_interrupts_long_exposure(quick_toml: Path) -> None:
+    running = Running(load_bench(quick_toml, ("camera.readout_speed=2", "camera.exposure_s=30.0")))
     running.acquisition.start()
     running.acquisition.submit(lambda instrument: instrument.devices.light.set_on(True)).result(HANG_S)
     running.acquisition.submit(lambda instrument: instrument.devices.camera.start()).result(HANG_S)
@@ -223,7 +223,7 @@ def test_saturated_frame_keeps_loop_running(running: Running) -> None:
     wait_until(lambda: running.measurements[-1].wavefront is not None)
 
 
-def test_reference_clipped_by_the_full_well_is_doubtful(small_toml: Path) -> None:
+def test_reference_clipped_by_the_full_well_is_doubtful(quick_toml: Path) -> None:
     """Its counts stay below the camera's full scale."""
     clipped = (
         "camera.full_well_e=20000.0",
@@ -231,7 +231,7 @@ def test_reference_clipped_by_the_full_well_is_doubtful(small_toml: Path) -> Non
         "camera.exposure_s=0.1",
         "camera.em_read_noise_e=[1.0, 1.0, 1.0]",
     )
-    running = Running(load_bench(small_toml, clipped))
+    running = Running(load_bench(quick_toml, clipped))
     try:
         running.begin()
         status = running.acquisition.status
@@ -301,8 +301,8 @@ def test_stalled_camera_ends_loop(running: Running, monkeypatch: pytest.MonkeyPa
     assert "no frame" in running.acquisition.failure
 
 
-def test_impossible_bench_is_input_error(small_toml: Path) -> None:
-    running = Running(load_bench(small_toml, ("simulation.screen.file=/nowhere/screen.npy",)))
+def test_impossible_bench_is_input_error(quick_toml: Path) -> None:
+    running = Running(load_bench(quick_toml, ("simulation.screen.file=/nowhere/screen.npy",)))
     running.acquisition.start()
     wait_until(lambda: not running.acquisition.is_alive)
     assert isinstance(running.acquisition.error, InputError)
@@ -320,20 +320,20 @@ def test_settings_change_while_running(running: Running) -> None:
     )
 
 
-def test_close_works_before_start_and_twice(small_toml: Path) -> None:
-    acquisition = Acquisition(load_bench(small_toml), open_devices)
+def test_close_works_before_start_and_twice(quick_toml: Path) -> None:
+    acquisition = Acquisition(load_bench(quick_toml), open_devices)
     acquisition.close()
     acquisition.close()
 
 
-def test_slow_reconstruction_skips_to_newest_frame(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slow_reconstruction_skips_to_newest_frame(quick_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measure = Instrument.measure
 
     def slowly(instrument: Instrument, frame: Frame) -> Measurement:
         time.sleep(0.2)
         return measure(instrument, frame)
 
-    running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
+    running = Running(load_bench(quick_toml, ("camera.exposure_s=0.0139",)))
     try:
         running.begin()
         monkeypatch.setattr(Instrument, "measure", slowly)
@@ -359,7 +359,7 @@ def test_slow_reconstruction_skips_to_newest_frame(small_toml: Path, monkeypatch
     assert running.newest is last
 
 
-def test_slow_skipping_still_measures_and_stops(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slow_skipping_still_measures_and_stops(quick_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measure, skip = Instrument.measure, Instrument.skip
 
     def slowly(instrument: Instrument, frame: Frame) -> Measurement:
@@ -370,7 +370,7 @@ def test_slow_skipping_still_measures_and_stops(small_toml: Path, monkeypatch: p
         time.sleep(0.03)
         return skip(instrument, frame)
 
-    running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
+    running = Running(load_bench(quick_toml, ("camera.exposure_s=0.0139",)))
     try:
         running.begin()
         monkeypatch.setattr(Instrument, "measure", slowly)
@@ -401,7 +401,7 @@ def test_slow_devices_are_polled_less_often(running: Running, monkeypatch: pytes
     assert min(asked - answered for asked, answered in zip(asked_s[1:], answered_s, strict=False)) >= 1.8
 
 
-def test_light_timeout_while_skipping_is_not_the_cameras(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_light_timeout_while_skipping_is_not_the_cameras(quick_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     skip, status = Instrument.skip, Instrument.status
     has_skipped = threading.Event()
 
@@ -419,7 +419,7 @@ def test_light_timeout_while_skipping_is_not_the_cameras(small_toml: Path, monke
         time.sleep(0.4)
         return Measurement(frame, None, "slow")
 
-    running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
+    running = Running(load_bench(quick_toml, ("camera.exposure_s=0.0139",)))
     try:
         running.begin()
         monkeypatch.setattr("app.acquisition.worker._STATUS_INTERVAL_S", 0.0)
@@ -444,8 +444,8 @@ def test_light_switched_off_by_hand_is_detected(running: Running) -> None:
     assert running.acquisition.is_alive
 
 
-def test_camera_that_repeats_a_frame_is_reported(small_toml: Path) -> None:
-    running = Running(load_bench(small_toml))
+def test_camera_that_repeats_a_frame_is_reported(quick_toml: Path) -> None:
+    running = Running(load_bench(quick_toml))
     try:
         running.begin()
         instrument = running.acquisition.submit(lambda each: each).result(HANG_S)
