@@ -32,8 +32,8 @@ VERSION_0_1 = Path(__file__).parents[2] / "support" / "version_0_1" / "recording
 
 
 @pytest.fixture(scope="module")
-def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    return record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
+def recording(quick_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return record(quick_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
 
 
 @pytest.fixture

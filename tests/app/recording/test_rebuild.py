@@ -29,8 +29,8 @@ ARRAYS = ("frames.zarr/0", "frames.zarr/results/0/displacement", "frames.zarr/re
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory, small_toml: Path) -> Recording:
-    return record(small_toml, tmp_path_factory.mktemp("recorded") / "run", frames=4)
+def recorded(tmp_path_factory: pytest.TempPathFactory, quick_toml: Path) -> Recording:
+    return record(quick_toml, tmp_path_factory.mktemp("recorded") / "run", frames=4)
 
 
 @pytest.fixture

@@ -33,8 +33,8 @@ FRAMES = 6
 
 
 @pytest.fixture(scope="module")
-def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    return record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
+def recording(quick_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return record(quick_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
 
 
 @pytest.fixture(scope="module")

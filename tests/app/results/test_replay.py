@@ -56,8 +56,8 @@ def recording(request: pytest.FixtureRequest, small_toml: Path, tmp_path_factory
 
 
 @pytest.fixture(scope="module")
-def plain(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    return record(small_toml, tmp_path_factory.mktemp("recording") / "plain", frames=8)
+def plain(quick_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return record(quick_toml, tmp_path_factory.mktemp("recording") / "plain", frames=8)
 
 
 @pytest.fixture
@@ -335,8 +335,8 @@ def test_calibration_changes_are_replayed(eventful: Recording) -> None:
     assert (made.frames, made.reconstructed, made.problem) == (8, 6, "no reference yet")
 
 
-def test_replay_starts_as_recorded_after_skipped_frames(small_toml: Path, tmp_path: Path) -> None:
-    recording = record(small_toml, tmp_path / "run", frames=4, before=1, passed_over=[0, 1])
+def test_replay_starts_as_recorded_after_skipped_frames(quick_toml: Path, tmp_path: Path) -> None:
+    recording = record(quick_toml, tmp_path / "run", frames=4, before=1, passed_over=[0, 1])
     assert [recording.start(index) is None for index in range(4)] == [True, True, False, False]
     made = replayed(recording.folder, verify=True)
     assert made.verification is not None

@@ -40,9 +40,9 @@ FRAMES = 5
 
 
 @pytest.fixture(scope="module")
-def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def recording(quick_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """Five frames; the left part of the third is dark."""
-    made = record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
+    made = record(quick_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
     pixels = made.pixels(2).copy()
     pixels[:, :80] = 480
     replace_pixels(made, 2, pixels)
