@@ -40,6 +40,11 @@ class OwnConnection(Connection):
         """True while the instrument runs and this connection is open, and until it has ended if it ends."""
         return super().is_alive or (self._ends and self.process.poll() is None)
 
+    @property
+    def loss(self) -> str:
+        """As of any connection; the end that this one has asked for is none."""
+        return "" if self._ends else super().loss
+
     def _reach(self) -> None:
         until_s = time.monotonic() + _STARTS_S
         while not self._is_announced():

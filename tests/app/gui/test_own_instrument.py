@@ -329,3 +329,22 @@ def test_process_without_a_window_ends(started: list[subprocess.Popen[bytes]], s
         process = own.start(load_bench(small_toml))
         assert own.start(load_bench(small_toml)) is process
     assert [each.poll() is None for each in started] == [False]
+
+
+def test_end_that_is_heard_of_before_leaving_is_no_loss(
+    started: list[subprocess.Popen[bytes]], small_toml: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a busy computer the answer comes before the connection is closed; the window then shows the light as off."""
+    end = OwnConnection.end
+
+    def end_and_hear_of_it(connection: OwnConnection) -> None:
+        end(connection)
+        wait_until(lambda: connection.failure)
+
+    monkeypatch.setattr(OwnConnection, "end", end_and_hear_of_it)
+    with OwnInstrument() as own:
+        connection = own.connect(load_bench(small_toml))
+        wait_until(lambda: connection.status is not None)
+        connection.close(HANG_S)
+        assert (connection.loss, connection.goes_on) == ("", False)
+    assert [each.poll() for each in started] == [0]
