@@ -43,23 +43,24 @@ def simulate(
         opening = simulated_bench(loaded, lambda fraction: progress("rendering", fraction), ManualClock())
         simulated = stack.enter_context(closing(opening))
         camera = stack.enter_context(SimulatedCamera(simulated))
+        images: dict[str, Any] = {}  # Ctrl-C while they are rendered leaves no half set
         state: int | None = None
         for name, (light_on, sample_in) in _CONDITIONS.items():
             simulated.change(is_light_on=light_on, is_sample_in=sample_in)
-            image: Any
             if noise_free:  # mean photons per pixel of one exposure
                 start_s = simulated.clock.now()
                 simulated.clock.sleep(camera.exposure_s)
                 exposed = simulated.expose(start_s, simulated.clock.now())
-                image, state = exposed.photons, exposed.state
+                images[name], state = exposed.photons, exposed.state
             else:
                 camera.start()
                 frame = camera.read(2 * camera.exposure_s)
-                image, state = frame.pixels, camera.state_of_frame(frame.index)
+                images[name], state = frame.pixels, camera.state_of_frame(frame.index)
                 camera.stop()
-            write_image(out / f"{name}.tif", image)
         light = simulated.renderer.truth_intensity(state or 0)
         truth = truth_dataset(simulated.renderer.truth_wavefront(state or 0), light, loaded)
         write_results(out / _TRUTH, truth, bench=loaded, inputs={"frame": "frame.tif"})
+        for name, image in images.items():
+            write_image(out / f"{name}.tif", image)
     typer.echo(f"dark.tif, reference.tif, frame.tif and truth.nc are in {out}")
     typer.echo(f"light at the lenslets: {100 * scintillation(light):.1f} % RMS from that without the sample")

@@ -13,6 +13,7 @@ import pytest
 import xarray as xr
 from support.command_line import run
 
+from app.errors import Interrupted
 from app.images import write_image
 from app.recording.folder import FORMAT
 
@@ -163,6 +164,18 @@ def test_folder_may_end_with_a_slash_and_settings_may_be_repeated(
     more = ("--set", "camera.em_gain=1", "--set", "camera.em_gain=2", "--overwrite", "--overwrite")
     assert run(monkeypatch, "simulate", "--bench", "bench.toml", "--out", "new/", *more) == 0
     assert (folder / "new" / "truth.nc").exists()
+
+
+def test_interrupted_simulation_leaves_no_half_set(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Ctrl-C comes when all frames are rendered, and the truth is computed."""
+    before = contents(folder)
+
+    def interrupt(*_: object) -> None:
+        raise Interrupted("interrupted")
+
+    monkeypatch.setattr("app.results.dataset.truth_dataset", interrupt)
+    assert run(monkeypatch, "simulate", "--bench", "bench.toml", "--out", "new") == 130
+    assert contents(folder) == before
 
 
 @pytest.mark.parametrize("command", ONTO_EXISTING)
