@@ -2,6 +2,7 @@
 
 import os
 import sys
+from contextlib import suppress
 from typing import NoReturn
 
 from app.commands.terminal import printable, shortened
@@ -52,14 +53,16 @@ def _run() -> None:
 
 def _drop_output() -> None:
     """Drop printed text that cannot be written: Python would try again at its end, and tell in its own words."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _exit(error: BaseException, status: int) -> NoReturn:
-    sys.stderr.write(f"svwfs: {shortened(printable(str(error)))}\n")
-    if sys.stdout is not None:
-        _drop_output()
+    with suppress(OSError):  # a full disk: the status tells
+        if sys.stderr is not None:
+            sys.stderr.write(f"svwfs: {shortened(printable(str(error)))}\n")
+    _drop_output()
     raise SystemExit(status) from error

@@ -201,6 +201,13 @@ def test_output_that_cannot_be_printed_is_one_line(unbuffered: str) -> None:
     assert (done.returncode, done.stderr) == (1, "svwfs: the output cannot be printed: No space left on device\n")
 
 
+@pytest.mark.parametrize("redirection", ["2>/dev/full", "2>&-", ">/dev/full 2>&1", ">&- 2>&-"])
+def test_status_tells_of_an_error_that_cannot_be_printed(redirection: str) -> None:
+    command = f"{shlex.quote(sys.executable)} -c 'from app.cli import main; main()' recover nowhere {redirection}"
+    done = subprocess.run(["/bin/sh", "-c", command], capture_output=True, check=False)  # noqa: S603 - our own command
+    assert (done.returncode, done.stdout, done.stderr) == (2, b"", b"")
+
+
 def test_closed_pipe_ends_silently() -> None:
     program = "import sys, app.cli.application as all; from app.cli import main\n"
     program += "all.cli = lambda: sys.stdout.write('result') and sys.exit(); main()"  # as commands that do not flush
