@@ -16,7 +16,7 @@ from app.errors import InputError, RunError
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL  # the last refuses a symbolic link
 _PARTIAL = ".partial"  # in the name of a file that is being written
 _NAME = re.compile(r"\.[0-9a-f]{16}" + re.escape(_PARTIAL) + r"(\.\w+)?")
-_REFUSED = 1 << 16  # bytes that no full disk takes
+_MORE = 1 << 16  # bytes, for which a disk that was full has no room
 _STALE_S = 86400.0  # nobody is still writing a file that has not changed for so long
 MEASURED = ("results.nc", "dark.tif", "reference.tif")  # what `svwfs measure` writes beside the parts of its recording
 RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "start.npy", "biases", "calibrations")
@@ -143,20 +143,15 @@ def atomic_write(path: Path) -> Iterator[Path]:
             sync(temporary)
             temporary.replace(path)
         except OSError as error:
-            if error.errno is None:  # NumPy's "9 requested and 5 written"
-                _extend(temporary)
+            if error.errno is None:  # NumPy's "9 requested and 5 written": another write fails with a reason
+                with temporary.open("ab") as file:
+                    file.write(bytes(_MORE))
             raise
         finally:
             temporary.unlink(missing_ok=True)
         sync(path.parent)
     except OSError as error:
         raise RunError(f"{path}: cannot be written: {in_words(error)}") from error
-
-
-def _extend(path: Path) -> None:
-    """Write more into a file that could not be written whole, for the system's word of why."""
-    with path.open("ab") as file:
-        file.write(bytes(_REFUSED))
 
 
 def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
