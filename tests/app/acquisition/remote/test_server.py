@@ -83,8 +83,9 @@ def send_notices(server: Server, count: int) -> None:
 
 def read_all(socket: zmq.Socket[bytes]) -> list[object]:
     """The messages that have arrived; those whose object is missing are left out."""
-    found = list[object]()
+    found, until_s = list[object](), time.monotonic() + HANG_S
     while socket.poll(500):
+        assert time.monotonic() < until_s, "news does not end"
         with suppress(RunError, ValueError):
             found.append(unpacked(socket.recv()))
     return found
