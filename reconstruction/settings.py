@@ -20,10 +20,26 @@ FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "
 class RegistrationSettings(Checked):
     """Method and warp of the registration, and the star positions of a pinhole source."""
 
-    method: Annotated[Method, OwnNames()] = "gauss_newton"
-    warp: Annotated[Warp, Doc("Omitted: that of the least expected error; quartic if noise is unknown")] | None = None
-    rotation: Annotated[bool, Doc("Of gauss_newton: whether subimages may rotate; layers cannot make them")] = False
-    threads: Annotated[int, Ge(1), Le(64), Doc("Of gauss_newton")] = THREADS
+    method: Annotated[
+        Method,
+        OwnNames(),
+        Doc(
+            "Match of the subimages with the reference: Gauss-Newton is this instrument's own; the others come from the"
+            " paper and related software, and some are too slow for live use"
+        ),
+    ] = "gauss_newton"
+    warp: (
+        Annotated[
+            Warp,
+            Doc(
+                "Of Gauss-Newton: allowed distortion of a subimage; more freedom resolves finer changes over the field."
+                " Omitted: that of the least expected error; quartic if noise is unknown"
+            ),
+        ]
+        | None
+    ) = None
+    rotation: Annotated[bool, Doc("Of Gauss-Newton: whether subimages may rotate; layers cannot make them")] = False
+    threads: Annotated[int, Ge(1), Le(64), Doc("Of Gauss-Newton")] = THREADS
     excluded: Annotated[tuple[tuple[int, int], ...], Doc("Lenslets (row, column from 0) that are left out")] = ()
     star_rows: Annotated[int, Ge(1), Le(99)] = STARS
     star_columns: Annotated[int, Ge(1), Le(99)] = STARS
@@ -32,11 +48,26 @@ class RegistrationSettings(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReconstructionSettings(Checked):
-    """From displacements to wavefronts; without a number of modes as many as the lattice carries, smoothed."""
+    """From displacements to wavefronts."""
 
-    method: Literal["zonal", "modal"] = "modal"
-    basis: Annotated[PupilBasis, OwnNames()] = "legendre"
-    pupil_modes: Annotated[int, Ge(PUPIL_MODES.start), Le(PUPIL_MODES[-1])] | None = None
+    method: Annotated[
+        Literal["zonal", "modal"], Doc("Wavefront from the slopes: lenslet by lenslet, or as polynomials")
+    ] = "modal"
+    basis: Annotated[PupilBasis, OwnNames(), Doc("Modal: Legendre for a square pupil, Zernike for a circular one")] = (
+        "legendre"
+    )
+    pupil_modes: (
+        Annotated[
+            int,
+            Ge(PUPIL_MODES.start),
+            Le(PUPIL_MODES[-1]),
+            Doc(
+                "Modal: number of modes, at most one for each lenslet. Omitted: as many as the lattice supports,"
+                " smoothed according to the noise"
+            ),
+        ]
+        | None
+    ) = None
     response: Annotated[bool, Doc("Modal, without rotation: the modelled response, not mean gradients")] = True
     sample: Annotated[SampleModel, Doc("Modal: any wavefront, layers, or what the evidence prefers")] = "automatic"
     refine: Annotated[bool, Doc("Live: subtract the bias that a forward model finds in the background")] = False

@@ -20,30 +20,32 @@ from app.gui.widgets.presentation import percent
 from app.gui.widgets.texts import label, mark_wanted
 from app.measurement.averages import AVERAGED_FRAMES
 from drivers.interface import Range
-from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis
+from reconstruction.annotated_settings import settings_of
+from reconstruction.settings import (
+    FIELD_MODES,
+    PUPIL_MODES,
+    Method,
+    PupilBasis,
+    ReconstructionSettings,
+    RegistrationSettings,
+)
 
 _GAP_PX, _GROUP_GAP_PX = 4, 8  # between controls, and between groups of them
 _DIM = 0.3  # share of full scale below which noise matters
+_HELP = {
+    f"{section}.{setting.name}": f"<p>{setting.help}</p>"  # Qt wraps the lines of a paragraph
+    for section, cls in (("registration", RegistrationSettings), ("reconstruction", ReconstructionSettings))
+    for setting in settings_of(cls)
+}
 _CHOICES = {  # tool tips by the names of the requests
     "amplifier": "Output amplifier; a change restarts the camera",
     "readout_speed": "Readout speed: faster is noisier; a change restarts the camera",
     "mask": "Mask in front of the light; a new mask needs a new reference (R)",
-    "registration.method": (
-        "Matching of the subimages with the reference: Gauss-Newton is this instrument's own method;\n"
-        "the others come from the paper and related software, and some are too slow for live use"
-    ),
-    "registration.warp": (
-        "Allowed distortion of a subimage: shift (translation), affine, quadratic, cubic or quartic.\n"
-        "Subimages rotate only if the bench says registration.rotation = true.\n"
-        "More freedom resolves finer changes over the field. Most other methods ignore this"
-    ),
-    "reconstruction.method": "Wavefront from the slopes: lenslet by lenslet (zonal) or as polynomials (modal)",
-    "reconstruction.basis": "Polynomials of the modal method: Legendre for a square pupil, Zernike for a circular one",
+    **{
+        name: _HELP[name]
+        for name in ("registration.method", "registration.warp", "reconstruction.method", "reconstruction.basis")
+    },
 }
-_MODES_TIP = (
-    "Number of pupil modes that the modal method fits, at most one for each lenslet;\n"
-    "automatic (or 0): as many as the lattice supports, smoothed according to the noise"
-)
 
 
 class ControlsPanel(Panel):
@@ -64,7 +66,7 @@ class ControlsPanel(Panel):
         self._make_calibration()
         self.choices = {name: _choice(tip, partial(self._choose, name)) for name, tip in _CHOICES.items()}
         amplifier, speed, mask, self.registration, self.warp, self.method, self.basis = self.choices.values()
-        self.pupil_modes = NumberField(name="Modes", tool_tip=_MODES_TIP, lowest=AUTOMATIC)
+        self.pupil_modes = NumberField(name="Modes", tool_tip=_HELP["reconstruction.pupil_modes"], lowest=AUTOMATIC)
         self.pupil_modes.entered.connect(self._enter_modes)
         about = "Correct systematic errors by a simulation of your bench; the status line has the correction's age (F)"
         self.refine = Toggle("Refine", about, self._ask("reconstruction.refine"))
@@ -248,11 +250,11 @@ class ControlsPanel(Panel):
             chosen_warp = next((name for name, count in FIELD_MODES.items() if count == fields), "")
         if wavefront is not None and self.pupil_modes.isEnabled() and self.pupil_modes.text() == AUTOMATIC:
             chosen_modes = "" if wavefront.coefficients is None else str(len(wavefront.coefficients))
-        for control, tip, chosen in (
-            (self.warp, _CHOICES["registration.warp"], chosen_warp),
-            (self.pupil_modes, _MODES_TIP, chosen_modes),
+        for control, name, chosen in (
+            (self.warp, "registration.warp", chosen_warp),
+            (self.pupil_modes, "reconstruction.pupil_modes", chosen_modes),
         ):
-            control.setToolTip(f"{tip}\n\nChosen now: {chosen}" if chosen else tip)
+            control.setToolTip(f"{_HELP[name]}<p>Chosen now: {chosen}</p>" if chosen else _HELP[name])
 
 
 class StepButton(Button):

@@ -100,7 +100,7 @@ def test_tooltips_name_what_automatic_has_chosen(live: tuple[MainWindow, FakeCam
 
     def tells_warp_in_use() -> bool:
         wavefront = None if window.shown.measurement is None else window.shown.measurement.wavefront
-        told = controls.warp.toolTip().rpartition(": ")[2]
+        told = controls.warp.toolTip().rpartition(": ")[2].removesuffix("</p>")
         return wavefront is not None and counts.get(told) == wavefront.displacement.coefficients.shape[2]
 
     controls.requested.emit("registration.warp", None)
