@@ -38,7 +38,7 @@ if TYPE_CHECKING:
         WrongState,
     )
     from reconstruction.arrays import Counts
-    from reconstruction.deconvolution.corrected_image import PhaseAt
+    from reconstruction.deconvolution.corrected_image import PhaseAt, RestorationMethod
     from reconstruction.displacement import Displacement, Outcome
     from reconstruction.errors import ReconstructionError
     from reconstruction.geometry import Lattice
@@ -280,7 +280,7 @@ def deconvolve(
     source: Wavefront | str | Path,
     bench: Bench,
     *,
-    method: Literal["richardson-lucy", "wiener"] = "richardson-lucy",
+    method: RestorationMethod = "richardson-lucy",
     iterations: int = 50,
 ) -> xr.DataArray:
     """Remove the aberration of each field position from an image of the sample (docs/corrected_images.md).

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
 import numpy as np
 import tifffile
@@ -59,9 +59,9 @@ class Deconvolution(Analysis):
     imaging: Annotated[
         Path | None, typer.Option(metavar="TOML", help="File with a section [imaging], instead of the bench's.")
     ] = None
-    method: Annotated[
-        Literal["richardson-lucy", "wiener"], typer.Option(help="wiener is faster and allows negative values.")
-    ] = "richardson-lucy"
+    method: Annotated[RestorationMethod, typer.Option(help="wiener is faster and allows negative values.")] = (
+        "richardson-lucy"
+    )
     iterations: Annotated[
         int, typer.Option(min=1, max=10_000, help="At most; it ends earlier when only noise is left.")
     ] = 50
