@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from app.bench.bench_files import written_by
 from app.bench.config import Bench, write_bench
 from app.errors import NOTHING_TO_WRITE, SETTINGS_CHANGED, InputError, RunError
-from app.files import atomic_write, in_words
+from app.files import atomic_write, check_readable, in_words
 
 if TYPE_CHECKING:
     import h5netcdf
@@ -37,8 +37,7 @@ def open_results(path: Path | str) -> xr.Dataset:
     """Open a file of results; arrays are read when they are used. `InputError` if it holds none, or is damaged."""
     import xarray as xr
 
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file")
+    check_readable(Path(path))
     try:
         _check_sums(path)
         with warnings.catch_warnings():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from pathlib import Path
 
 import numpy as np
@@ -199,6 +200,7 @@ def test_sources_without_the_coefficients_are_refused(
     assert modal in refused("field", zonal)
     assert modal in refused("export", zonal, "--to", "zernike-table", out=tmp_path / "f.csv")
     assert "no such file" in refused("field", tmp_path / "nothing.nc")
+    assert "null: not a file" in refused("field", Path(os.devnull))
     with xr.open_dataset(recording / "results.nc") as results:
         results.drop_vars(["coefficients"]).to_netcdf(tmp_path / "other.nc")
         results.assign(wavefront=results["wavefront"] * np.nan).to_netcdf(tmp_path / "lost.nc")
