@@ -114,6 +114,10 @@ class Acquisition:
         future.add_done_callback(self._note_light_off)
         return future
 
+    def keep_light_off(self) -> None:
+        """Let the present command, which calls this, not light: the light was switched off after it was made."""
+        self._light_switch.begin_command(known=-1)
+
     def set_area(self, area: SensorArea) -> Future[SensorArea]:
         """Read out another area of the sensor; see `Instrument.set_area`.
 

@@ -58,6 +58,7 @@ class Command:
     request: str
     arguments: tuple[Any, ...] = ()
     named: Mapping[str, Any] = field(default_factory=dict)
+    may_light: bool = True  # False if the light was switched off after it, but before it was sent
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,10 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import Any
 
-from app.acquisition.remote.messages import MOST_BYTES, Answer, Command
+from app.acquisition.remote.messages import MOST_BYTES, Answer, Command, Wanted
 from app.acquisition.remote.wire import Packed
 from app.errors import RunError
 from drivers.errors import BadValue
@@ -23,32 +24,36 @@ class Outbox:
         """`loss` tells why nothing is sent any more, after `close`."""
         self._loss, self._is_closed = loss, False
         self._numbers, self._lock = itertools.count(1), threading.Lock()
-        self._waiting: list[tuple[int, bytearray]] = []  # messages, with the number of a command or 0
+        self._waiting: list[Command | Wanted] = []
         self._unanswered: dict[int, tuple[Future[Any], float]] = {}  # with the time when the command was sent
         self._accepted: set[int] = set()
 
-    def add(self, message: object) -> None:
+    def add(self, message: Wanted) -> None:
         """Take a message that has no answer."""
         with self._lock:
-            self._waiting.append((0, Packed(message).message()))
+            self._waiting.append(message)
 
     def add_command(self, request: str, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> Future[Any]:
-        """Take a command; return the future of its result."""
+        """Take a command; return the future of its result. One to switch the light off holds for all that wait."""
         future: Future[Any] = Future()
         future.set_running_or_notify_cancel()  # what is sent cannot be called back
-        number = next(self._numbers)
+        command = Command(next(self._numbers), request, arguments, named)
         try:
-            message = Packed(Command(number, request, arguments, named)).message()
+            nbytes = Packed(command).nbytes
         except TypeError as refusal:
             future.set_exception(refusal)
             return future
-        if len(message) > MOST_BYTES:
+        if nbytes > MOST_BYTES:
             future.set_exception(BadValue(f"{request}: this is too large to be sent to the instrument"))
             return future
         with self._lock:
             if not self._is_closed:
-                self._unanswered[number] = future, math.inf
-                self._waiting.append((number, message))
+                if request == "switch_light_off":
+                    self._waiting = [
+                        replace(one, may_light=False) if isinstance(one, Command) else one for one in self._waiting
+                    ]
+                self._unanswered[command.number] = future, math.inf
+                self._waiting.append(command)
                 return future
         future.set_exception(self._loss())
         return future
@@ -57,10 +62,10 @@ class Outbox:
         """Return the messages that are sent now."""
         with self._lock:
             taken, self._waiting = self._waiting, []
-        for number, _ in taken:
-            if number in self._unanswered:
-                self._unanswered[number] = self._unanswered[number][0], time.monotonic()
-        return [message for _, message in taken]
+        for message in taken:
+            if isinstance(message, Command) and message.number in self._unanswered:
+                self._unanswered[message.number] = self._unanswered[message.number][0], time.monotonic()
+        return [Packed(message).message() for message in taken]
 
     def note_accepted(self, number: int) -> None:
         """Note that a command has arrived, and may take its time."""

@@ -291,16 +291,18 @@ class Server:
         if not isinstance(limit, RecordingLimit):
             raise BadValue(f"{name}: {limit!r:.60} is no limit of a recording")
         if is_instruments:
-
-            def checked(instrument: Instrument) -> Any:
-                try:
-                    return request(instrument, *command.arguments, **command.named)
-                except (TypeError, AttributeError) as error:  # of a value from outside
-                    raise BadValue(f"{name}: {error}") from error
-
-            return self.acquisition.submit(checked)
+            return self.acquisition.submit(self._executed, request, command)
         future: Future[Any] = request(self.acquisition, *command.arguments, **command.named)
         return future
+
+    def _executed(self, instrument: Instrument, request: Callable[..., Any], command: Command) -> Any:
+        """Execute a command of the instrument; called by the worker."""
+        if not command.may_light:
+            self.acquisition.keep_light_off()
+        try:
+            return request(instrument, *command.arguments, **command.named)
+        except (TypeError, AttributeError) as error:  # of a value from outside
+            raise BadValue(f"{command.request}: {error}") from error
 
     def _answer(self, identity: bytes, number: int, future: Future[Any]) -> None:
         error = future.exception()

@@ -18,6 +18,7 @@ from support.patience import HANG_S, wait_until
 from support.served import connected, newest, served
 
 from app.acquisition.instrument import Instrument
+from app.acquisition.light_switch import LightSwitch
 from app.acquisition.place import taken_place
 from app.acquisition.remote.connection import reach
 from app.acquisition.remote.frames import NewestFrames
@@ -139,6 +140,41 @@ def test_one_client_has_control_and_the_others_watch(fake_camera: FakeCamera) ->
         second.submit(Instrument.set, "is_light_on", True).result(HANG_S)
         with pytest.raises(WrongState, match="second"):
             first._send("cancel").result(HANG_S)
+
+
+def test_command_that_waits_cannot_light_after_the_light_was_switched_off(
+    camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An instrument whose devices are open executes the first before it reads the second."""
+    may_reach, tried, switched = threading.Event(), threading.Event(), list[bool]()
+    reach_it, switch_off = Connection._reach, LightSwitch.switch_off
+    switch, set_on = camera.light._switch, camera.light.set_on
+
+    def note(*, on: bool) -> None:
+        switched.append(on)
+        switch(on=on)
+
+    def note_try(on: bool) -> None:
+        try:
+            set_on(on)
+        finally:
+            tried.set()
+
+    monkeypatch.setattr(Connection, "_reach", lambda self: may_reach.wait(HANG_S) and reach_it(self))
+    monkeypatch.setattr(LightSwitch, "switch_off", lambda self: tried.wait(HANG_S) and switch_off(self))
+    monkeypatch.setattr(camera.light, "_switch", note)
+    monkeypatch.setattr(camera.light, "set_on", note_try)
+    with served(camera, begin=lambda _: None) as server:
+        wait_until(lambda: server.acquisition.status is not None)
+        with closing(Connection("test", server.place)) as connection:
+            lighting, darkening = connection.submit(Instrument.set, "is_light_on", True), connection.switch_light_off()
+            may_reach.set()
+            with pytest.raises(WrongState, match="switched off meanwhile"):
+                lighting.result(HANG_S)
+            darkening.result(HANG_S)
+            assert True not in switched
+            connection.submit(Instrument.set, "is_light_on", True).result(HANG_S)
+            assert camera.light.shines
 
 
 @pytest.mark.usefixtures("server")
