@@ -20,7 +20,7 @@ from support.served import connected, newest, served
 from app.acquisition.instrument import Instrument
 from app.acquisition.light_switch import LightSwitch
 from app.acquisition.place import taken_place
-from app.acquisition.remote.connection import reach
+from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.frames import NewestFrames
 from app.acquisition.remote.messages import Notice, RingRecord
 from app.acquisition.remote.ring import RingWriter
@@ -143,12 +143,12 @@ def test_one_client_has_control_and_the_others_watch(fake_camera: FakeCamera) ->
 
 
 def test_command_that_waits_cannot_light_after_the_light_was_switched_off(
-    camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
+    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An instrument whose devices are open executes the first before it reads the second."""
     may_reach, tried, switched = threading.Event(), threading.Event(), list[bool]()
     reach_it, switch_off = Connection._reach, LightSwitch.switch_off
-    switch, set_on = camera.light._switch, camera.light.set_on
+    switch, set_on = fake_camera.light._switch, fake_camera.light.set_on
 
     def note(*, on: bool) -> None:
         switched.append(on)
@@ -162,9 +162,9 @@ def test_command_that_waits_cannot_light_after_the_light_was_switched_off(
 
     monkeypatch.setattr(Connection, "_reach", lambda self: may_reach.wait(HANG_S) and reach_it(self))
     monkeypatch.setattr(LightSwitch, "switch_off", lambda self: tried.wait(HANG_S) and switch_off(self))
-    monkeypatch.setattr(camera.light, "_switch", note)
-    monkeypatch.setattr(camera.light, "set_on", note_try)
-    with served(camera, begin=lambda _: None) as server:
+    monkeypatch.setattr(fake_camera.light, "_switch", note)
+    monkeypatch.setattr(fake_camera.light, "set_on", note_try)
+    with served(fake_camera, begin=lambda _: None) as server:
         wait_until(lambda: server.acquisition.status is not None)
         with closing(Connection("test", server.place)) as connection:
             lighting, darkening = connection.submit(Instrument.set, "is_light_on", True), connection.switch_light_off()
@@ -174,7 +174,7 @@ def test_command_that_waits_cannot_light_after_the_light_was_switched_off(
             darkening.result(HANG_S)
             assert True not in switched
             connection.submit(Instrument.set, "is_light_on", True).result(HANG_S)
-            assert camera.light.shines
+            assert fake_camera.light.shines
 
 
 @pytest.mark.usefixtures("server")
