@@ -34,6 +34,7 @@ class FramePath:
         """`must_stop_waiting` is polled every 5 ms in a wait for a frame; `on_show` receives the frames of `show`."""
         self.sinks, self._timings, self._must_stop_waiting = sinks, timings, must_stop_waiting
         self._on_show = on_show
+        self.measured_in_s = 0.0  # time that the last frame took
         self.newest: Measurement | None = None  # the mailbox: written by one thread, read by all
         self.counts = FrameTotals()  # immutable: other threads read it
         self._next_index = 0
@@ -56,7 +57,9 @@ class FramePath:
 
     def process(self, frame: Frame, instrument: Instrument, light: LightState | None, file: str = "") -> None:
         """Reconstruct a frame and pass it on."""
+        begin_s = time.perf_counter()
         made = instrument.measure(frame)
+        self.measured_in_s = time.perf_counter() - begin_s
         if made.wavefront is not None:
             self.counts = replace(self.counts, reconstructed=self.counts.reconstructed + 1)
         measurement = self._completed(made, light, file)

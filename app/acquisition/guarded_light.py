@@ -152,7 +152,10 @@ class _Guardian:
         with cast("IO[bytes]", self._process.stdout) as lines:
             for line in lines:
                 self._has_pulse = True
-                answer = json.loads(line)
+                try:
+                    answer = dict(json.loads(line))
+                except (TypeError, ValueError):  # printed by a library
+                    continue
                 is_over |= "is_last" in answer
                 if "alive" in answer:
                     self.send("alive")

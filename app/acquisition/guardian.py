@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, TextIO
 
 from app.acquisition.place import DYING_S, clear_abandoned
@@ -27,7 +28,7 @@ from drivers.light_source import MAY_BE_ON, LightSource
 
 PULSE_S = 0.25  # between two signs of life of the guardian
 STARTING_PULSES = 240  # before the first one is heard: a cold disk takes long to import
-_SILENT_PULSES = 6  # without an answer, and the instrument counts as frozen: compiling delays one by 0.7 s
+_SILENT_PULSES = 6  # without an answer or any work, and the instrument counts as frozen
 _POLL_S = 0.05  # how late the end of a process whose pipe stays open is noticed
 _ATTEMPTS = 3  # to reach a light that could not be switched off
 
@@ -79,12 +80,23 @@ class _Pipe:
         self._lines.put("")
 
     def _pulse(self) -> None:
+        worked = ""
         while True:
             self.send({"alive": True})
             self._unanswered += 1
             time.sleep(PULSE_S)
+            before, worked = worked, _work_of(self._parent)
+            if worked != before:  # a thread that computes may let no other one answer: this is no freeze
+                self._unanswered = min(self._unanswered, 0)
             if self._unanswered == _SILENT_PULSES:
                 self._lines.put('["frozen"]')
+
+
+def _work_of(process: int) -> str:
+    """Processor time that a process has used, as Linux writes it; empty elsewhere, and if the process is gone."""
+    with suppress(OSError):
+        return " ".join(Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[11:13])
+    return ""
 
 
 def _serve(light: LightSource, pipe: _Pipe) -> None:

@@ -40,7 +40,8 @@ _IDLE_S = 0.1  # longest wait for a command while no frames are taken
 _STATUS_INTERVAL_S = 1.0  # polling also detects an unplugged light or a turned knob
 _LIGHT_OFF_S = 3.0  # for a light that does not answer
 # Without a sign of life in these times, the guardian switches the light off.
-_ALIVE_S = 1.5  # while the worker waits, and takes frames
+_ALIVE_S = 1.5  # while the worker waits, and takes frames, ...
+_ALIVE_FRAMES = 5  # ... or the time of so many frames, if they take longer
 _COMMAND_S = 10.0  # a command, and each step of a routine: cameras change some settings slowly
 _PREPARATION_S = 120.0  # of the reconstruction, and each of the first frames, which may compile
 _FIRST_FRAMES = 5
@@ -319,7 +320,8 @@ class Acquisition:
             execute = self._commands.next()
 
     def _show_alive(self) -> None:
-        self._keep_alive(_PREPARATION_S if self._first_frames else _ALIVE_S)
+        frames_s = min(_ALIVE_FRAMES * self._path.measured_in_s, _PREPARATION_S)
+        self._keep_alive(_PREPARATION_S if self._first_frames else max(_ALIVE_S, frames_s))
 
     def _finish_command(self, instrument: Instrument) -> None:
         self._update_status(instrument)

@@ -67,6 +67,11 @@ with taken_place() as place:
     light.keep_alive(1000)  # as before long work
     light.set_on(True)
     print("holds", flush=True)
+    sys.stdin.readline()
+    begin_s = time.monotonic()
+    sum(range(10**6))
+    sum(range(int(3.0 / (time.monotonic() - begin_s)) * 10**6))  # no other thread runs meanwhile
+    print("has computed", flush=True)
     time.sleep(600)
 """
 
@@ -236,11 +241,12 @@ def test_calls_renew_the_promise(light: LightSource, lamp: DC4100Wire) -> None:
     wait_until(lambda: not lamp.is_lit)
 
 
-def test_guardian_may_start_slowly(
-    reopen: Callable[[], LightSource], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("start", ["import time; time.sleep(2)", "print('a library says hello')"])
+def test_guardian_may_start_slowly_and_say_what_is_no_answer(
+    reopen: Callable[[], LightSource], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, start: str
 ) -> None:
     """It counts as frozen 1.25 s after its first sign of life, not after its start."""
-    (tmp_path / "sitecustomize.py").write_text("import time; time.sleep(2)")
+    (tmp_path / "sitecustomize.py").write_text(start)
     monkeypatch.syspath_prepend(tmp_path)
     with reopen() as light:
         assert "DC4100" in light.name
@@ -331,7 +337,11 @@ def test_light_off_without_a_light(
 @contextmanager
 def holder(port: PtyServer) -> Iterator[subprocess.Popen[str]]:
     with subprocess.Popen(  # noqa: S603 - this interpreter
-        [sys.executable, "-c", HOLDER, port.port], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", HOLDER, port.port],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as program:
         assert program.stdout is not None
         assert program.stdout.readline() == "holds\n"
@@ -358,6 +368,18 @@ def test_light_goes_off_if_the_process_freezes_amid_long_work(
         program.kill()
         _, errors = program.communicate()
     assert errors == "svwfs: the light went off because the acquisition gave no sign of life for 1.5 s\n"
+
+
+@pytest.mark.slow
+def test_light_stays_on_while_one_thread_lets_no_other_run(port: PtyServer, lamp: DC4100Wire) -> None:
+    """As a library that compiles, or that holds Python's lock while it computes."""
+    with holder(port) as program:
+        assert program.stdin is not None
+        assert program.stdout is not None
+        program.stdin.write("\n")
+        program.stdin.flush()
+        assert program.stdout.readline() == "has computed\n"
+        assert lamp.is_lit
 
 
 @pytest.mark.slow

@@ -93,6 +93,21 @@ def test_start_up_yields_wavefronts(running: Running) -> None:
     assert running.acquisition.failure == ""
 
 
+def test_slow_frames_announce_themselves(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else the guardian would take each for a hang, and switch the light off."""
+    promised, measure = list[float](), Instrument.measure
+
+    def measure_slowly(instrument: Instrument, frame: Frame) -> Measurement:
+        time.sleep(0.35)
+        return measure(instrument, frame)
+
+    monkeypatch.setattr(SimulatedLight, "keep_alive", lambda _, within_s: promised.append(within_s))
+    monkeypatch.setattr(Instrument, "measure", measure_slowly)
+    running.begin()
+    wait_until(lambda: any(5 * 0.35 < within_s < 10 for within_s in promised))
+    assert min(promised) == 1.5
+
+
 def test_status_does_not_say_on_when_the_light_went_off_meanwhile(
     running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
