@@ -42,6 +42,7 @@ UNWATCHED = Watch()
 
 _SLICE_S = 0.005  # longest wait for a frame: commands and a stop take effect at once even in a long exposure
 _MARGIN_S = 3.0  # timeout beyond the exposure
+_LONGEST_TURN_S = 0.1  # that counts of one slice: in a longer one this process was stopped
 _SAME_EXPOSURE = 1e-3  # relative
 
 
@@ -56,20 +57,23 @@ class RoutineError(RunError):
 def next_frame(camera: Camera, should_stop: ShouldStop) -> Frame:
     """Wait for the next frame in slices; raise `Cancelled` on a stop, `DeviceTimeout` if none arrives.
 
-    Lost frames are skipped; they show as a gap in the frame index.
+    Lost frames are skipped; they show as a gap in the frame index. Time in which this process was stopped does not
+    count.
     """
-    deadline_s = time.monotonic() + camera.exposure_s + _MARGIN_S
+    left_s, before_s = camera.exposure_s + _MARGIN_S, time.monotonic()
     while True:
         if should_stop():
             raise Cancelled
         try:
             return camera.read(_SLICE_S)
-        except DeviceTimeout:
-            if time.monotonic() > deadline_s:
-                raise
-        except FrameLost as error:
-            if time.monotonic() > deadline_s:
+        except (DeviceTimeout, FrameLost) as error:
+            now_s = time.monotonic()
+            left_s -= min(now_s - before_s, _LONGEST_TURN_S)
+            before_s = now_s
+            if left_s < 0 and isinstance(error, FrameLost):
                 raise DeviceTimeout(f"no complete frame has arrived for too long: {error}") from error
+            if left_s < 0:
+                raise
 
 
 @dataclass(slots=True)

@@ -13,6 +13,7 @@ from scipy import special
 
 from app.acquisition.devices import simulated_bench
 from app.bench.config import load_bench
+from app.measurement import routines
 from app.measurement.auto_exposure import auto_expose
 from app.measurement.averages import (
     Average,
@@ -33,6 +34,7 @@ from drivers.interface import (
     DeviceTimeout,
     Disconnected,
     Frame,
+    FrameLost,
     LightSource,
     Stage,
     WrongState,
@@ -224,6 +226,36 @@ def test_wait_for_a_frame_looks_for_commands_often(devices: Devices, monkeypatch
         next_frame(devices.camera, lambda: len(waits_s) == 3)
     assert len(waits_s) == 3
     assert 0 < max(waits_s) <= 0.01
+
+
+class Clock:
+    """Monotonic clock that the test moves."""
+
+    now_s = 0.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+
+@pytest.mark.parametrize("error", [DeviceTimeout, FrameLost])
+def test_wait_for_a_frame_ends_but_a_stop_of_the_process_does_not_count(
+    devices: Devices, monkeypatch: pytest.MonkeyPatch, error: type[DeviceError]
+) -> None:
+    clock, stops = Clock(), [1, 1000]
+    reads = 0
+
+    def read(timeout_s: float) -> Frame:
+        nonlocal reads
+        reads += 1
+        clock.now_s += 60.0 if reads in stops else timeout_s
+        raise error("no frame")
+
+    monkeypatch.setattr(routines, "time", clock)
+    monkeypatch.setattr(devices.camera, "read", read)
+    with pytest.raises(DeviceTimeout):
+        next_frame(devices.camera, never)
+    waited_s = clock.now_s - 60.0 * sum(stop <= reads for stop in stops)
+    assert devices.camera.exposure_s + 2.5 < waited_s < devices.camera.exposure_s + 3.5
 
 
 @pytest.mark.parametrize("state", [LIVE, AT_REST], ids=["live", "at rest"])
