@@ -200,7 +200,8 @@ class LightSource(Device):
 
     def _check_may_shine(self) -> None:
         if not self.may_shine():
-            raise LightHeldOff("the light was switched off meanwhile: switch it on (L) and repeat")
+            reason = self.off_reason or "the light was switched off meanwhile"
+            raise LightHeldOff(f"{reason}: switch it on (L) and repeat")
 
     def _note(self, *, on: bool) -> None:
         """Start or stop the timer of `lit_s`."""

@@ -10,24 +10,29 @@ from drivers.interface import LightSource
 class LightSwitch:
     """Switches the light off on a thread of its own, and keeps it off against commands that were sent before.
 
-    The worker calls `attach` and `begin_command`; any thread may call `switch_off`. A light serialises its calls, so
-    that `switch_off` waits for one of them at most.
+    They cannot light it either if it went off on its own, as after a freeze. The worker calls `attach` and
+    `begin_command`; any thread may call `known` and `switch_off`. A light serialises its calls, so that `switch_off`
+    waits for one of them at most.
     """
 
     def __init__(self) -> None:
         self._light: LightSource | None = None
         self.requests = 0  # to switch off, so far
         self.served = 0  # requests that have been carried out
-        self._known = 0  # requests that were made before the present command was sent
+        self._known = (0, "")  # when the present command was sent
         self._threads: list[threading.Thread] = []
 
     def attach(self, light: LightSource) -> None:
         """Use this light from now on."""
         self._light = light
-        light.may_shine = lambda: self._known == self.requests
+        light.may_shine = self._may_shine
 
-    def begin_command(self, known: int) -> None:
-        """Note how many requests had been made when the command was sent that begins now."""
+    def known(self) -> tuple[int, str]:
+        """Return the number of requests so far, and why the light went off on its own; to call as a command is sent."""
+        return self.requests, "" if self._light is None else self._light.off_reason
+
+    def begin_command(self, known: tuple[int, str]) -> None:
+        """Note what was known when the command was sent that begins now."""
         self._known = known
 
     def switch_off(self) -> Future[None]:
@@ -41,6 +46,10 @@ class LightSwitch:
         """Wait for requests under way."""
         for thread in self._threads:
             thread.join(timeout_s)
+
+    def _may_shine(self) -> bool:
+        (requests, off_reason), (known_requests, known_reason) = self.known(), self._known
+        return requests == known_requests and off_reason in ("", known_reason)
 
     def _switch_off(self) -> None:
         if self._light is not None:  # else no device is open yet, and `may_shine` keeps the light off

@@ -92,7 +92,7 @@ class Acquisition:
 
         The future resolves after `status` is updated. A routine shows its progress as `activity`.
         """
-        known = self._light_switch.requests
+        known = self._light_switch.known()
 
         def execute(instrument: Instrument) -> T:
             self._light_switch.begin_command(known)
@@ -117,7 +117,7 @@ class Acquisition:
 
     def keep_light_off(self) -> None:
         """Let the present command, which calls this, not light: the light was switched off after it was made."""
-        self._light_switch.begin_command(known=-1)
+        self._light_switch.begin_command(known=(-1, ""))
 
     def set_area(self, area: SensorArea) -> Future[SensorArea]:
         """Read out another area of the sensor; see `Instrument.set_area`.

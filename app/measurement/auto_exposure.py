@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from app.measurement.routines import RoutineError, Watch, next_frame, restored
+from app.measurement.routines import RoutineError, Watch, check_lit, next_frame, restored
 from drivers.interface import BadValue, Devices, Range
 from drivers.light_source import ManualLight
 from reconstruction.arrays import SIGMA_OF_MEDIAN
@@ -91,6 +91,7 @@ def auto_expose(devices: Devices, cell_px: float, watch: Watch, *, fill: float =
             camera.start()
             frame = next_frame(camera, watch.should_stop)
             camera.stop()
+            check_lit(devices.light)
             full_scale = camera.capabilities.full_scale  # some cameras show it only by their frames
             seen = brightness(frame.pixels, cell_px)
             is_reached = abs(seen.level / full_scale - fill) <= TOLERANCE

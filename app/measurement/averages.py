@@ -6,7 +6,7 @@ from typing import Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from app.measurement.routines import Watch, next_frame, restored
+from app.measurement.routines import Watch, check_lit, next_frame, restored
 from app.progress import counted
 from drivers.interface import BadValue, Camera, Devices, Frame
 from reconstruction.arrays import SIGMA_OF_MEDIAN, Counts
@@ -75,7 +75,9 @@ def take_reference(devices: Devices, frames: int, watch: Watch) -> Average:
     with restored(devices):
         devices.stage.set_sample_in(False)
         devices.light.set_on(True)
-        return average(devices.camera, frames, watch)
+        averaged = average(devices.camera, frames, watch)
+        check_lit(devices.light)
+        return averaged
 
 
 def _check(frames: int) -> None:

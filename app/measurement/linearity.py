@@ -8,7 +8,7 @@ import numpy as np
 
 from app.measurement.auto_exposure import auto_expose
 from app.measurement.averages import Average, average
-from app.measurement.routines import RoutineError, Watch, restored
+from app.measurement.routines import RoutineError, Watch, check_lit, restored
 from drivers.interface import Devices
 from drivers.light_source import ManualLight
 from reconstruction.arrays import Image
@@ -50,6 +50,7 @@ def measure_linearity(devices: Devices, cell_px: float, frames: int, watch: Watc
 
         def signal(exposure_s: float) -> tuple[Image, Image]:
             lit, dark = averaged(exposure_s), darks[exposure_s]
+            check_lit(light)
             variance = (lit.variance + dark.variance) / np.float32(frames)
             return np.subtract(lit.mean, dark.mean), np.asarray(variance, np.float32)
 

@@ -23,6 +23,7 @@ from drivers.interface import (
     Frame,
     FrameLost,
     LightHeldOff,
+    LightSource,
     Region,
 )
 
@@ -74,6 +75,12 @@ def next_frame(camera: Camera, should_stop: ShouldStop) -> Frame:
                 raise DeviceTimeout(f"no complete frame has arrived for too long: {error}") from error
             if left_s < 0:
                 raise
+
+
+def check_lit(light: LightSource) -> None:
+    """Raise `RoutineError` if the light went off during a routine that needs it: the frames are dark."""
+    if not light.is_on:
+        raise RoutineError(f"{light.off_reason or 'the light is off'}: switch it on (L) and repeat")
 
 
 @dataclass(slots=True)

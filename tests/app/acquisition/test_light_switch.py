@@ -11,6 +11,7 @@ from support.patience import HANG_S, own_time, wait_until
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
+from app.measurement.routines import RoutineError
 from drivers.interface import LightHeldOff
 
 
@@ -74,6 +75,35 @@ def test_light_is_not_lit_if_switched_off_while_it_lights_up(acquisition: Acquis
     assert len(steps) == 2
     assert camera.light.current_a == 1.0  # as set before
     wait_until(lambda: not camera.light.shines)
+
+
+@pytest.mark.parametrize("moment", ["amid the frames", "before the light is lit"])
+def test_light_that_goes_off_in_a_routine_is_lit_by_no_command_sent_before(
+    acquisition: Acquisition, camera: FakeCamera, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    device, method = (camera, "_read") if moment == "amid the frames" else (camera.stage, "_set_sample_in")
+    go_on = getattr(device, method)
+
+    def freeze(*arguments: object, **named: object) -> object:
+        camera.light.shines, camera.light.off_reason = False, "the light went off"
+        return go_on(*arguments, **named)
+
+    acquisition.submit(lambda instrument: instrument.devices.stage.set_sample_in(True)).result(HANG_S)
+    release = threading.Event()
+    acquisition.submit(lambda _: release.wait())
+    reference = acquisition.submit(Instrument.take_reference, 2)
+    next_command = acquisition.submit(_turn_on)
+    monkeypatch.setattr(device, method, freeze)
+    release.set()
+    with pytest.raises((RoutineError, LightHeldOff), match=r"the light went off: switch it on \(L\) and repeat"):
+        reference.result(HANG_S)
+    with pytest.raises(LightHeldOff):
+        next_command.result(HANG_S)
+    assert not camera.light.shines
+    assert acquisition.status is not None
+    assert acquisition.status.reference.doubt.startswith("no reference yet")
+    acquisition.submit(_turn_on).result(HANG_S)
+    assert camera.light.shines
 
 
 def test_closing_turns_the_light_off_before_the_worker_ends(acquisition: Acquisition, camera: FakeCamera) -> None:

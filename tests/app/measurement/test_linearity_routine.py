@@ -65,6 +65,17 @@ def test_short_exposures_are_made_longer_by_less_current() -> None:
     assert camera.exposure_s == pytest.approx(0.0139)
 
 
+def test_light_that_goes_off_amid_the_exposures_ends_the_routine() -> None:
+    devices, _, lamp = exposure_bench(scene_of(LOSS), exposure_s=0.1)
+
+    def go_off(_: object, fraction: float) -> None:
+        if fraction > 0.9:
+            lamp._shines = False
+
+    with pytest.raises(RoutineError, match="the light is off: switch it on"):
+        measure_linearity(devices, PITCH_PX, 2, Watch(go_off))
+
+
 def test_devices_are_restored_also_after_a_stop() -> None:
     for most in (3, 1000):
         devices, camera, lamp = exposure_bench(scene_of(LOSS), exposure_s=0.2, is_on=True)

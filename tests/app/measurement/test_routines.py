@@ -24,7 +24,7 @@ from app.measurement.averages import (
     take_dark,
     take_reference,
 )
-from app.measurement.routines import UNWATCHED, Cancelled, Watch, next_frame
+from app.measurement.routines import UNWATCHED, Cancelled, RoutineError, Watch, next_frame
 from drivers.interface import (
     BadValue,
     Camera,
@@ -256,6 +256,20 @@ def test_wait_for_a_frame_ends_but_a_stop_of_the_process_does_not_count(
         next_frame(devices.camera, never)
     waited_s = clock.now_s - 60.0 * sum(stop <= reads for stop in stops)
     assert devices.camera.exposure_s + 2.5 < waited_s < devices.camera.exposure_s + 3.5
+
+
+@pytest.mark.parametrize("name", ["reference", "exposure"])
+def test_light_that_goes_off_amid_a_routine_ends_it(
+    devices: Devices, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    def go_off() -> bool:
+        devices.light._switch(on=False)
+        return False
+
+    LIVE.set(devices)
+    monkeypatch.setattr(devices.light, "off_reason", "the light went off")
+    with pytest.raises(RoutineError, match=r"the light went off: switch it on \(L\) and repeat"):
+        ROUTINES[name](devices, go_off)
 
 
 @pytest.mark.parametrize("state", [LIVE, AT_REST], ids=["live", "at rest"])
