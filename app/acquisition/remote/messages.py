@@ -59,6 +59,7 @@ class Command:
     arguments: tuple[Any, ...] = ()
     named: Mapping[str, Any] = field(default_factory=dict)
     may_light: bool = True  # False if the light was switched off after it, but before it was sent
+    until_s: float = math.inf  # the latest begin, of `time.monotonic()`: soon after, its client gives it up
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from app.errors import RunError
 from drivers.errors import BadValue
 
 ANSWER_S = 5.0  # for a command to be accepted, and for the first state
+_ON_ITS_WAY_S = 1.0  # for the news that it was accepted
 
 
 class Outbox:
@@ -59,13 +60,16 @@ class Outbox:
         return future
 
     def take(self) -> list[bytearray]:
-        """Return the messages that are sent now."""
+        """Return the messages that are sent now; a command must begin before it is given up here."""
         with self._lock:
             taken, self._waiting = self._waiting, []
+        now_s = time.monotonic()
         for message in taken:
             if isinstance(message, Command) and message.number in self._unanswered:
-                self._unanswered[message.number] = self._unanswered[message.number][0], time.monotonic()
-        return [Packed(message).message() for message in taken]
+                self._unanswered[message.number] = self._unanswered[message.number][0], now_s
+        until_s = now_s + ANSWER_S - _ON_ITS_WAY_S
+        timed = [replace(one, until_s=until_s) if isinstance(one, Command) else one for one in taken]
+        return [Packed(message).message() for message in timed]
 
     def note_accepted(self, number: int) -> None:
         """Note that a command has arrived, and may take its time."""

@@ -75,6 +75,7 @@ _OF_ACQUISITION: dict[str, Callable[..., Any]] = {
     )
 }
 _FOR_ALL = {"take_control", "switch_light_off", "free_minutes"}
+_NEVER_TOO_LATE = {"switch_light_off", "shut_down"}  # they make the instrument safe
 
 
 @dataclass(slots=True)
@@ -270,6 +271,8 @@ class Server:
 
     def _begin(self, identity: bytes, command: Command) -> Future[Any]:
         name = command.request
+        if time.monotonic() > command.until_s and name not in _NEVER_TOO_LATE:
+            raise WrongState("this command came too late and was not executed: send it again")
         if identity != self._controller and name not in _FOR_ALL:
             holder = self._clients.get(self._controller)
             raise WrongState(watching("" if holder is None else holder.name))

@@ -6,9 +6,12 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +25,7 @@ from app.acquisition.light_switch import LightSwitch
 from app.acquisition.place import taken_place
 from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.frames import NewestFrames
-from app.acquisition.remote.messages import Notice, RingRecord
+from app.acquisition.remote.messages import Command, Notice, RingRecord
 from app.acquisition.remote.ring import RingWriter
 from app.acquisition.remote.server import Server
 from app.acquisition.remote.wire import Packed
@@ -175,6 +178,39 @@ def test_command_that_waits_cannot_light_after_the_light_was_switched_off(
             assert True not in switched
             connection.submit(Instrument.set, "is_light_on", True).result(HANG_S)
             assert fake_camera.light.shines
+
+
+def test_command_that_its_client_gave_up_is_not_executed_unless_it_switches_off(
+    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A frozen instrument reads the commands when it goes on."""
+    hear = Server._hear
+
+    def give_up(send: Callable[[], Future[Any]]) -> None:
+        goes_on = threading.Event()
+
+        def hear_late(server: Server, identity: bytes, message: object, now_s: float) -> None:
+            assert not isinstance(message, Command) or goes_on.wait(HANG_S)
+            hear(server, identity, message, now_s)
+
+        with monkeypatch.context() as frozen:
+            frozen.setattr("app.acquisition.remote.outbox.ANSWER_S", 1.2)
+            frozen.setattr(Server, "_hear", hear_late)
+            with pytest.raises(RunError, match="does not answer"):
+                send().result(HANG_S)
+            goes_on.set()
+
+    with served(fake_camera, begin=lambda _: None), connected() as connection:
+        wait_until(lambda: connection.status is not None)
+        give_up(lambda: connection.submit(Instrument.set, "is_light_on", True))
+        connection.submit(Instrument.set, "exposure_s", 0.03).result(HANG_S)
+        assert not fake_camera.light.shines
+        connection.submit(Instrument.set, "is_light_on", True).result(HANG_S)
+        assert fake_camera.light.shines
+        give_up(connection.switch_light_off)
+        wait_until(lambda: not fake_camera.light.shines)
+        give_up(connection.shut_down)
+        wait_until(lambda: not connection.is_alive)
 
 
 @pytest.mark.usefixtures("server")
