@@ -173,14 +173,12 @@ class Acquisition:
         )
 
     def limit_recording(self, limit: RecordingLimit) -> Future[None]:
-        """Replace the limit of the current recording, if any."""
-        self._recorder.limit(limit)
-        return done()
+        """Replace the limit of the current recording, if any, and of one that waits for its start."""
+        return self._now_and_in_turn(partial(self._recorder.limit, limit))
 
     def stop_recording(self) -> Future[None]:
-        """End the current recording, if any; it is finished soon after."""
-        self._recorder.stop()
-        return done()
+        """End the current recording, if any, and one that waits for its start; it is finished soon after."""
+        return self._now_and_in_turn(self._recorder.stop)
 
     def keep_recent(self, folder: Path, *, may_rename: bool = False) -> Future[None]:
         """Write the last ten seconds as a recording, even during another one; see `start_recording`."""
@@ -241,6 +239,12 @@ class Acquisition:
         if self._thread.is_alive():
             self._thread.join(timeout_s)
         self._light_switch.close(_LIGHT_OFF_S if timeout_s is None else timeout_s)
+
+    def _now_and_in_turn(self, act: Callable[[], None]) -> Future[None]:
+        """Act at once, and again behind the commands that wait: one of them may start a recording."""
+        act()
+        self._commands.submit(lambda _: act())  # refused at the end, when no recording can start
+        return done()
 
     def _work(self) -> None:
         try:

@@ -250,10 +250,8 @@ class RecordingBar(QFrame):
             self._starting = self._controller.send(lambda to: to.start_recording(folder, limit=limit, may_rename=True))
             if acquisition.status is not None and not acquisition.status.is_light_on:
                 self._messages.warn("recording with the light off: L switches it on, W ends the recording")
-        elif self._starting is None or self._starting.done():  # begun elsewhere, or here
+        elif self._starting is None or self._starting.done() or not self._starting.cancel():  # it starts, or is on
             self._controller.send(lambda to: to.stop_recording())
-        elif not self._starting.cancel():
-            self._starting.add_done_callback(lambda _: acquisition.stop_recording())
 
     def _new_folder(self, suffix: str = "") -> Path:
         return self.recordings_folder / f"{datetime.now().astimezone():%Y%m%d-%H%M%S}{suffix}"

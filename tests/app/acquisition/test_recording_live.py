@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S, wait_until
 from support.recording_crash import kill_one
 from support.simulated_faults import lose_frames, unplug
@@ -20,7 +23,7 @@ from app.bench.config import Bench, load_bench
 from app.errors import InputError
 from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.reader import Recording
-from app.recording.recorder import RecordingState
+from app.recording.recorder import RecordingLimit, RecordingState
 from app.recording.recover import recover
 from app.recording.reprocess import reprocess
 from drivers.interface import Devices, Frame
@@ -80,6 +83,54 @@ def assert_made_again(recording: Recording) -> None:
         assert made.wavefront is not None
         np.testing.assert_array_equal(made.registered.coefficients, recording.displacement(index))
         np.testing.assert_array_equal(made.wavefront.solution.coefficients, recording.coefficients(index))  # type: ignore[union-attr] # modal
+
+
+@pytest.fixture
+def acquisition() -> Iterator[Acquisition]:
+    """A running fake camera."""
+    acquisition = Acquisition(BENCH, opener(FakeCamera()))
+    acquisition.start()
+    acquisition.submit(Instrument.set, "is_running", True).result(HANG_S)
+    yield acquisition
+    acquisition.close()
+
+
+@contextmanager
+def busy(acquisition: Acquisition) -> Iterator[None]:
+    """Let commands wait until the end of the block."""
+    is_free = threading.Event()
+    waiting = acquisition.submit(lambda _: is_free.wait(HANG_S))
+    yield
+    is_free.set()
+    assert waiting.result(HANG_S)
+
+
+def test_stop_and_limit_hold_for_a_recording_that_waits_for_its_start(acquisition: Acquisition, tmp_path: Path) -> None:
+    def is_finished() -> bool:
+        return acquisition.recording is not None and acquisition.recording.stage == "finished"
+
+    with busy(acquisition):
+        start, stop = acquisition.start_recording(tmp_path / "stopped"), acquisition.stop_recording()
+        assert stop.done()
+    start.result(HANG_S)
+    wait_until(is_finished)
+    with busy(acquisition):
+        start = acquisition.start_recording(tmp_path / "limited")
+        assert acquisition.limit_recording(RecordingLimit(frames=2)).done()
+    start.result(HANG_S)
+    wait_until(is_finished)
+    assert len(Recording(tmp_path / "limited")) == 2
+
+
+def test_stop_does_not_hold_for_a_later_recording(acquisition: Acquisition, tmp_path: Path) -> None:
+    with busy(acquisition):
+        acquisition.stop_recording()
+        start = acquisition.start_recording(tmp_path / "later", limit=RecordingLimit(frames=3))
+    start.result(HANG_S)
+    wait_until(lambda: acquisition.recording is not None and acquisition.recording.is_over)
+    assert len(Recording(tmp_path / "later")) == 3
+    acquisition.close()
+    assert acquisition.stop_recording().result(HANG_S) is None  # nothing is left to stop
 
 
 @pytest.mark.slow
