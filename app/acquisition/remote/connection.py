@@ -303,7 +303,8 @@ class Connection:
         if is_gone and self._ended is None:
             clear_abandoned(self.place.name, DYING_S)
             process = f"the instrument's process {self.place.process}"
-            self._ended = RunError(f"{process} {self._how_it_ended()}: its light is off, unless that is manual")
+            advice = "its light should be off; if it shines, switch it off by hand or with svwfs light-off"
+            self._ended = RunError(f"{process} {self._how_it_ended()}: {advice}")
         if self._frames.error is not None and self._ended is None:
             self._ended = RunError(f"frames of the instrument cannot be shown: {self._frames.error}")
         now_s = time.monotonic()

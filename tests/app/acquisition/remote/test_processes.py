@@ -97,7 +97,8 @@ def test_clients_notice_the_death_of_the_instrument_and_nothing_is_left(how: sig
             died_s = time.monotonic()
             wait_until(lambda: not connection.is_alive)
             assert time.monotonic() - died_s < 3.0
-            assert connection.failure.startswith(f"the instrument's process {running.pid} has ended")
+            ended = f"the instrument's process {running.pid} has ended: its light should be off; if it shines, switch"
+            assert connection.failure.startswith(ended)
             assert connection.newest is not None  # the last one stays
             wait_until(nothing_is_left)
         with pytest.raises(RunError, match="no instrument runs"):
