@@ -3,6 +3,8 @@
 import gc
 import math
 import weakref
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -24,8 +26,9 @@ from reconstruction.arrays import Floats
 from reconstruction.displacement import SYSTEMATIC_PX
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layer_search import FARTHEST_RATIO, find_layers
-from reconstruction.layers.layer_solver import FrameEquations
+from reconstruction.layers.layer_solver import FrameEquations, Layer, LayerFit
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
+from reconstruction.solve.evidence import FitQuality
 
 SOLVER = solver()
 
@@ -51,6 +54,23 @@ def test_wavefront_of_a_layer_at_any_field_position() -> None:
     fit = equations(displacements_px(PHASE, -0.8)).fit(-0.8)
     true = wavefront(PHASE, -0.8, 0.3e-3, -0.5e-3)
     np.testing.assert_allclose(fit.wavefront(SENSOR, 0.3e-3, -0.5e-3), true, atol=5e-3 * float(np.std(true)), rtol=0)
+
+
+def test_error_bar_of_the_distance_is_the_width_of_the_evidence() -> None:
+    """The evidence is a normal distribution of the ratio, and there is no systematic error."""
+    ratio, sigma = -1.5, 0.02
+
+    def quality(tried: float, **_: int) -> FitQuality:
+        return FitQuality(-(((tried - ratio) / sigma) ** 2) / 2, chi_square=1.0, misfit=0.0)
+
+    def fit(tried: float) -> LayerFit:
+        layer = Layer(tried, math.nan, np.ones(2), np.zeros(2), np.zeros((2, 1)), 1)
+        return LayerFit((layer,), quality(tried), np.zeros((1, 1)))
+
+    frame = SimpleNamespace(quality=quality, fit=fit, any_wavefront=lambda: quality(ratio))
+    frame.distance_covariance = lambda *_: np.zeros((1, 1))
+    (layer,) = find_layers(cast("FrameEquations", frame)).fit.layers
+    assert layer.ratio_sigma == pytest.approx(sigma, rel=0.01)
 
 
 @pytest.mark.slow
