@@ -131,6 +131,13 @@ class Displacement:
         return np.asarray(np.einsum("rcqdqd->rcqd", self.covariance))
 
     @property
+    def summary(self) -> list[str]:
+        """Number of lenslets lost for each reason, and the share of the dynamic range that is used, in words."""
+        counts = [(np.count_nonzero(self.outcome == outcome), outcome.reason) for outcome in Outcome if outcome.reason]
+        used = f"{100 * np.nanmax(self.range_used, initial=0.0):.0f} % of the dynamic range used"
+        return [*(f"{count} lost: {why}" for count, why in counts if count), used]
+
+    @property
     def mean(self) -> Floats:
         """Mean displacement over the field, px, (lenslet_row, lenslet_column, xy)."""
         return np.tensordot(field_means(self.modes), self.coefficients, axes=([0], [2]))

@@ -150,25 +150,10 @@ def print_views(wavefront: Wavefront) -> None:
     terminal.print_by_view(
         wavefront.field, "RMS +- error bar and PV (rad) of the wavefront at each field position", cells
     )
-    terminal.print_sentence(lenslet_sentence(wavefront))
+    displacement = wavefront.displacement
+    valid = f"{displacement.valid.sum()} of {displacement.valid.size} lenslets valid"
+    terminal.print_sentence("; ".join([valid, *displacement.summary]))
     terminal.print_sentence(f"assumed: {sample_sentence(wavefront.sample, wavefront.field)}")
     rotation = rotation_of(wavefront)
     if rotation is not None:
         terminal.print_rotation(rotation, rotates=rotation.contradicts_layers)
-
-
-def lenslet_sentence(wavefront: Wavefront) -> str:
-    """Summarise the lenslets, as "223 of 225 lenslets valid; 2 dark; 40 % of the dynamic range used"."""
-    import numpy as np
-
-    from reconstruction.displacement import Outcome
-
-    outcome = wavefront.displacement.outcome
-    lost = (
-        f"{count} {Outcome(code).name.lower().replace('_', ' ')}"
-        for code, count in zip(*np.unique(outcome, return_counts=True), strict=True)
-        if code != Outcome.CONVERGED
-    )
-    valid = f"{np.count_nonzero(wavefront.displacement.valid)} of {outcome.size} lenslets valid"
-    used = np.nanmax(wavefront.displacement.range_used, initial=0.0)
-    return "; ".join([valid, *lost, f"{100 * used:.0f} % of the dynamic range used"])

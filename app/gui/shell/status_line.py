@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QGridLayout, QLabel, QWidget
 
 from app.acquisition.instrument import Status
 from app.gui.panels.panel import Verdict
-from app.gui.shell.wording import as_sentence, lenslet_summary
+from app.gui.shell.wording import as_sentence
 from app.gui.widgets import theme
 from app.gui.widgets.layouts import column, row, row_of
 from app.gui.widgets.presentation import NOTHING
@@ -23,6 +23,7 @@ from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE
 
 _VALID = "Lenslets whose subimage matches the reference"
+_RANGE = "; at 100 % light reaches the edge of its cell"  # of the dynamic range
 _CORRECTION = "Age of the correction of systematic errors by the model of the bench"
 _ASSUMED = "What is assumed of the sample, and what the mask shows"
 _LIMITS = "Whether the newest frame is within the limits of the history (View > Limits of the history)"
@@ -141,7 +142,7 @@ class StatusLine(QWidget):
         if displacement is not None:
             valid, count = np.count_nonzero(displacement.valid), displacement.valid.size
             text = f"{valid} of {count}"
-            tool_tip = "\n".join([_VALID, *lenslet_summary(displacement)])
+            tool_tip = "\n".join([_VALID, *displacement.summary]) + _RANGE
             if valid < count:
                 colour = theme.AMBER if valid >= count / 2 else theme.RED
         _write(self.valid, text)

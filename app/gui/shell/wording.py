@@ -3,8 +3,6 @@
 import math
 import time
 
-import numpy as np
-
 from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Status
 from app.gui.panels.panel import Liveness
@@ -16,7 +14,6 @@ from app.progress import counted
 from app.recording.recorder import RecordingState
 from app.results.dataset import rotation_of
 from app.results.frame_tallies import ROTATES
-from reconstruction.displacement import Displacement, Outcome
 from reconstruction.frame.linearity import MeasuredLinearity
 from reconstruction.lattice.search import Survey
 from reconstruction.quality.verdict import Quality
@@ -208,18 +205,6 @@ def recording_ended(state: RecordingState) -> str:
 def gaps_in_words(gaps: tuple[Gap, ...]) -> str:
     """Return number and total time of the gaps of a recording."""
     return f"{counted(len(gaps), 'gap')} of {sum(gap.seconds for gap in gaps):.1f} s"
-
-
-def lenslet_summary(displacement: Displacement) -> list[str]:
-    """Return one line for each reason why lenslets are lost, and one for the used dynamic range."""
-    counts = [
-        (np.count_nonzero(displacement.outcome == outcome), outcome.reason) for outcome in Outcome if outcome.reason
-    ]
-    used = percent(float(np.nanmax(displacement.range_used, initial=0.0)))
-    return [
-        *(f"{count} lost: {why}" for count, why in counts if count),
-        f"{used} of the dynamic range used; at 100 % light reaches the edge of its cell",
-    ]
 
 
 def as_sentence(text: str) -> str:

@@ -63,7 +63,9 @@ def test_reconstructing_simulated_frame_gives_truth(
     assert tifffile.imread(tmp_path / "frame.tif").dtype == np.uint16
     assert "light at the lenslets: " in capsys.readouterr().out
     files = ("--reference", tmp_path / "reference.tif", "--dark", tmp_path / "dark.tif", "--bench", small_toml)
-    assert run(monkeypatch, "reconstruct", tmp_path / "frame.tif", *files, "--out", tmp_path / "r.nc") == 0
+    changed = ("--set", "registration.excluded=[[0,0]]", "--out", tmp_path / "r.nc")
+    assert run(monkeypatch, "reconstruct", tmp_path / "frame.tif", *files, *changed) == 0
+    assert " lenslets valid; 1 lost: excluded by hand; " in capsys.readouterr().out
     with xr.open_dataset(tmp_path / "r.nc") as result, xr.open_dataset(tmp_path / "truth.nc") as truth:
         assert result["wavefront"].dims == truth["wavefront"].dims == truth["light"].dims
         assert 0.001 < float(abs(truth["light"] - 1).mean()) < 0.2  # the screen gathers and spreads it
