@@ -1,24 +1,19 @@
 """`svwfs export`: a recording in the formats of other programs."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from app.commands import options, terminal
 from app.progress import counted
+from app.results.export_formats import FORMATS, Format
 
 
 def export(
     recording: options.Recording,
     *,
-    to: Annotated[
-        Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"],
-        typer.Option(
-            help="tiff: frames; csv: RMS and coefficients; netcdf: all results; psf: point-spread functions;"
-            " double-zernike: for GalSim; zernike-table: Zernike coefficients of each view."
-        ),
-    ],
+    to: Annotated[Format, typer.Option(help="; ".join(f"{to}: {what}" for to, (what, _) in FORMATS.items()) + ".")],
     out: Annotated[Path, typer.Option(help="File to write.")],
     frames: options.Frames = None,
     overwrite: options.Overwrite = False,

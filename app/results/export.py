@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import tifffile
@@ -23,6 +23,7 @@ from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
 from app.results.coefficients import double_zernikes, table_of, zernikes_of_views
 from app.results.dataset import result_dataset, results_in_pieces
+from app.results.export_formats import FORMATS, Format
 from app.results.replay import first_bench
 from app.results.result_file import write_pieces
 from reconstruction.arrays import Floats
@@ -32,8 +33,6 @@ from reconstruction.quality.verdict import Quality
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
-
-Format = Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"]
 
 _REACH_FRAMES = 50  # evenly spaced frames that set the angular range of the point-spread functions
 
@@ -129,13 +128,12 @@ def write_psf_grid(path: Path, grid: PsfGrid, field: Field, about: dict[str, Any
 
 def export(folder: Path, to: Format, out: Path, *, frames: str | None, overwrite: bool, progress: Progress) -> int:
     """Write the frames FIRST:END of a recording, or their results, to a file; return their number."""
-    write, *suffixes = _FORMATS[to]
     check_outputs([out], inputs=parts_of(folder), overwrite=overwrite)
-    check_suffix(out, *suffixes)
+    check_suffix(out, *FORMATS[to][1])
     recording = Recording(folder)
     chosen = recording.select(frames)
     with one_blas_thread():
-        write(recording, chosen, out, progress)
+        _WRITERS[to](recording, chosen, out, progress)
     return len(chosen)
 
 
@@ -247,11 +245,11 @@ def _reconstructed(
     return counting(reprocess(recording, chosen), len(chosen), progress, text)
 
 
-_FORMATS: dict[str, tuple[Any, ...]] = {  # what writes each, and its suffixes
-    "tiff": (_write_tiff, ".tif", ".tiff"),
-    "csv": (_write_csv, ".csv"),
-    "netcdf": (_write_results, ".nc"),
-    "psf": (_write_psf, ".tif", ".tiff"),
-    "double-zernike": (partial(_write_results, results_of=double_zernikes), ".nc"),
-    "zernike-table": (_write_zernike_table, ".csv"),
+_WRITERS: dict[Format, Callable[[Recording, range, Path, Progress], None]] = {
+    "tiff": _write_tiff,
+    "csv": _write_csv,
+    "netcdf": _write_results,
+    "psf": _write_psf,
+    "double-zernike": partial(_write_results, results_of=double_zernikes),
+    "zernike-table": _write_zernike_table,
 }

@@ -26,6 +26,7 @@ from app.gui.widgets.texts import ElidedLabel, label, mark_refused
 from app.progress import counted
 from app.recording.folder import describe, name_problem
 from app.recording.recorder import RECENT_S, RecordingLimit, RecordingState
+from app.results.export_formats import FORMATS, Format
 from drivers.interface import Range
 
 _WIDEST = "000000 frames   00:00   disk space for 000 min"  # of more, only the tool tip has the disk space
@@ -34,14 +35,6 @@ _BEHIND = 70  # waiting frames from which the number is shown
 _DISK_INTERVAL_S = 2.0  # between two queries of the free disk space
 _NAME_TIP = "Appended to the name of the folder when the recording is finished"
 _FOLDER = "folders/recordings"  # key of the settings
-_EXPORTS = {  # suffix and what is written
-    "tiff": ("tif", "Frames as TIFF"),
-    "csv": ("csv", "RMS and coefficients as CSV"),
-    "netcdf": ("nc", "All results as NetCDF"),
-    "psf": ("tif", "Point-spread functions as TIFF"),
-    "zernike-table": ("csv", "Zernike coefficients as CSV"),
-    "double-zernike": ("nc", "Double Zernikes as NetCDF"),
-}
 
 
 class RecordingPanel(QWidget):
@@ -137,7 +130,7 @@ class RecordingBar(QFrame):
         self.report = Button("Report", "Write report.pdf into the folder and open it", self._report)
         self.export = Button("Export", "Write it for other programs")
         self.exports = QMenu(self)
-        for to, (_, text) in _EXPORTS.items():
+        for to, (text, _) in FORMATS.items():
             self.exports.addAction(text, lambda _=False, to=to: self._export(to))
         self.export.setMenu(self.exports)
         self.done = Button("Close", "Hide this bar", self.hide)
@@ -325,12 +318,12 @@ class RecordingBar(QFrame):
                 then=lambda: self._show(out),
             )
 
-    def _export(self, to: str) -> None:
+    def _export(self, to: Format) -> None:
         if self.folder is None:
             return
-        suffix, what = _EXPORTS[to]
-        proposed = self.folder.with_name(f"{self.folder.name}.{suffix}")
-        name = ask_file(self, what, str(proposed), f"*.{suffix}")
+        what, (suffix, *_) = FORMATS[to]
+        proposed = self.folder.with_name(f"{self.folder.name}{suffix}")
+        name = ask_file(self, what, str(proposed), f"*{suffix}")
         if name is not None:  # the dialog has asked whether to replace it
             self.commands.start(
                 self.export,

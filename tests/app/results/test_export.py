@@ -23,7 +23,8 @@ from app.bench.config import parse_bench
 from app.errors import InputError, Interrupted, RunError
 from app.recording.reader import Recording
 from app.results import dataset
-from app.results.export import Format, export, psf_grid, psf_reach, write_psf_grid, write_stack
+from app.results.export import export, psf_grid, psf_reach, write_psf_grid, write_stack
+from app.results.export_formats import Format
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import diffraction_rad
 from reconstruction.solve.modal import ModalSolution
