@@ -169,7 +169,7 @@ class LiveBench:
     @property
     def bench(self) -> Bench:
         """The bench with the lattice, exposure, gain and current now in force."""
-        status = self._acquisition.status
+        status = None if self._entered is None else self._entered.status
         return self._bench if status is None else status.bench_in_force
 
     @property
@@ -372,12 +372,6 @@ class ConnectedBench(LiveBench):
 
     def _open(self) -> Carrier:
         return self._connection
-
-    @property
-    def bench(self) -> Bench:
-        """The bench with the lattice, exposure, gain and current now in force."""
-        status = self._connection.status
-        return self._bench if status is None else status.bench_in_force
 
     def set_light(self, on: bool) -> None:
         """Switch the light, or note that you switched it by hand. Off works at once, for watching clients, too."""

@@ -94,7 +94,7 @@ def measure_attached(name: str, frames: int, out: Path, progress: Progress, *, t
             raise RunError(f"{watching(live.controller)}, with --take-control")
         live.require_ready()
 
-    return _measured(live, live.bench, frames, out, progress, begin)
+    return _measured(live, frames, out, progress, begin)
 
 
 def measure_bench(
@@ -115,15 +115,13 @@ def measure_bench(
         live.calibrate(terminal.ask, average or FRAMES, auto_expose=auto_expose)
 
     try:
-        return _measured(live, bench, frames, out, progress, calibrate)
+        return _measured(live, frames, out, progress, calibrate)
     finally:
         if bench.has_manual_light:
             terminal.remind(terminal.LIGHT_BY_HAND)
 
 
-def _measured(
-    live: LiveBench, bench: Bench, frames: int, out: Path, progress: Progress, begin: Callable[[], object]
-) -> Measured:
+def _measured(live: LiveBench, frames: int, out: Path, progress: Progress, begin: Callable[[], object]) -> Measured:
     """Record with a live bench, and write the results."""
     from app.recording.folder import RUN, remove_empty
     from app.recording.reader import Recording
@@ -137,7 +135,7 @@ def _measured(
             Interrupted("stopped before the first frame") if is_stopped else RunError(fault or "no frame was recorded")
         )
     try:
-        measured = write_measured(recording, bench, progress)
+        measured = write_measured(recording, live.bench, progress)
     except (Interrupted, RunError) as error:
         why = "stopped before the results were written" if isinstance(error, Interrupted) else fault or str(error)
         raise type(error)(

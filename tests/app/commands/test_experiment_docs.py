@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import xarray as xr
 from conftest import SMALL_TOML
 from matplotlib.figure import Figure
 from support.command_line import run
@@ -150,6 +151,9 @@ def test_measure_applies_mask_average_and_auto_expose(
     assert reference.frames == 5
     assert 0.65 < reference.mean.max() / 65535 < 0.75  # auto-exposure: 70 % +- 5 % of full scale
     assert Recording(tmp_path / "b").line(0).exposure_s == pytest.approx(reference.exposure_s)
+    with xr.open_dataset(tmp_path / "b" / "results.nc") as results:
+        in_force = parse_bench(results.attrs["bench"], "results.nc")
+    assert in_force.camera_model.exposure_s == pytest.approx(reference.exposure_s)
     hopeless = (
         "--auto-expose",
         "--set",
