@@ -12,6 +12,7 @@ from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import DeviceSetting, Instrument, Status
 from app.bench.config import Bench
 from app.errors import RunError
+from app.measurement.auto_exposure import FILL
 from app.measurement.measurement import SKIPPED, Measurement
 from reconstruction.geometry import Lattice
 
@@ -108,7 +109,8 @@ LATTICE = CalibrationStep(
 )
 EXPOSURE = CalibrationStep(
     "Exposure",
-    "Sets the exposure, and if needed the light's current, so that the brightest lenslets fill 70 % of the range.",
+    "Sets the exposure, and if needed the light's current, so that the brightest lenslets fill"
+    f" {100 * FILL:.0f} % of the range.",
     is_lit=True,
     request=Instrument.expose_without_sample,
 )

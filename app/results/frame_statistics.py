@@ -30,7 +30,7 @@ class FrameStatistics:
 
     @property
     def is_nearly_full(self) -> bool:
-        """True from 95 % of the level at which pixels clip."""
+        """True from `NEARLY_FULL` of the level at which pixels clip."""
         return self.peak >= NEARLY_FULL * self.clip_level
 
 

@@ -18,6 +18,7 @@ from app.gui.widgets.fields import InputField, NumberField
 from app.gui.widgets.layouts import Item, column, row
 from app.gui.widgets.presentation import percent
 from app.gui.widgets.texts import label, mark_wanted
+from app.measurement.auto_exposure import FILL
 from app.measurement.averages import AVERAGED_FRAMES
 from drivers.interface import Range
 from reconstruction.annotated_settings import settings_of
@@ -243,7 +244,8 @@ class ControlsPanel(Panel):
             return
         share = statistics.peak / statistics.clip_level
         state: Validity = "good" if share > _DIM and not statistics.is_nearly_full else "doubtful"
-        self.auto_exposure.show_step(state, percent(share), "brightest pixel beside full scale; 70 % is best")
+        about = f"brightest pixel beside full scale; {percent(FILL)} is best"
+        self.auto_exposure.show_step(state, percent(share), about)
         wavefront, chosen_warp, chosen_modes = measurement.wavefront, "", ""
         if wavefront is not None and self.warp.isEnabled() and self.warp.currentText() == AUTOMATIC:
             fields = wavefront.displacement.modes.count

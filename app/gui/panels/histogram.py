@@ -14,7 +14,7 @@ from app.results.frame_statistics import NEARLY_FULL
 
 
 class HistogramPanel(Panel):
-    """Number of pixels over their counts, on a logarithmic scale; dashed lines at 95 % and where pixels clip.
+    """Number of pixels over their counts, on a logarithmic scale; dashed lines where pixels are full, or nearly.
 
     Two handles set which counts are black and white in the camera picture.
     """
@@ -24,10 +24,10 @@ class HistogramPanel(Panel):
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
-        keys = (("95 %", theme.AMBER), ("clipped", theme.RED))
+        keys = ((percent(NEARLY_FULL), theme.AMBER), ("clipped", theme.RED))
         self.plot = Plot("Histogram", "counts", keys, widest="10000")
         self.plot.setToolTip(
-            "Number of pixels over their counts. Keep the brightest below 95 % of the level that clips.\n"
+            f"Number of pixels over their counts. Keep the brightest below {keys[0][0]} of the level that clips.\n"
             "Drag the handles to choose which counts are black and white in the camera picture."
         )
         self.curve = pg.PlotCurveItem(x=[0, 1], y=[0], stepMode="center", fillLevel=0)
