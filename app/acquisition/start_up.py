@@ -105,25 +105,25 @@ class CalibrationStep:
 
 
 LATTICE = CalibrationStep(
-    "Lattice", "Finds the lenslets in a few frames without the sample.", is_lit=True, request=Instrument.find_lattice
+    "Lattice", "Finds the lenslets in a few frames without the sample", is_lit=True, request=Instrument.find_lattice
 )
 EXPOSURE = CalibrationStep(
     "Exposure",
     "Sets the exposure, and if needed the light's current, so that the brightest lenslets fill"
-    f" {100 * FILL:.0f} % of the range.",
+    f" {100 * FILL:.0f} % of the range",
     is_lit=True,
     request=Instrument.expose_without_sample,
 )
 DARK = CalibrationStep(
     "Dark",
-    "Averages frames with the light off: the background of all frames.",
+    "Averages frames with the light off: the background of all frames",
     is_lit=False,
     request=Instrument.take_dark,
     takes_frames=True,
 )
 REFERENCE = CalibrationStep(
     "Reference",
-    "Averages frames with the light on and without the sample: the zero point of the displacements.",
+    "Averages frames with the light on and without the sample: the zero point of the displacements",
     is_lit=True,
     request=Instrument.take_reference,
     takes_frames=True,

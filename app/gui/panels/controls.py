@@ -124,11 +124,10 @@ class ControlsPanel(Panel):
         self.frames.show_value(FRAMES, Range(AVERAGED_FRAMES.start, AVERAGED_FRAMES[-1]))
         about = "Find the lenslets in the reference and propose a lattice (N)"
         self.lattice = StepButton(f"1 {LATTICE.title}", about, self._ask("lattice"), widest="")
-        about = "Find the exposure, and if needed the current, that fills 70 % of the camera's range (X)"
+        about = f"{EXPOSURE.explanation} (X)"
         self.auto_exposure = StepButton(f"2 {EXPOSURE.title}", about, self._ask("auto_exposure"))
-        about = "Average frames with the light off: the background of all frames (D)"
-        self.dark = StepButton(f"3 {DARK.title}", about, lambda: self._ask_average("dark"))
-        about = "Average frames without the sample: spot positions that count as zero (R)"
+        self.dark = StepButton(f"3 {DARK.title}", f"{DARK.explanation} (D)", lambda: self._ask_average("dark"))
+        about = f"{REFERENCE.explanation} (R)"
         self.reference = StepButton(f"4 {REFERENCE.title}", about, lambda: self._ask_average("reference"))
         about = "Find lattice and exposure, take dark and reference, with an explanation of each step (Ctrl+K)"
         self.calibrate = Button("Calibrate", about, lambda: self._ask_average("calibration"))

@@ -97,7 +97,7 @@ class CalibrationGuide(QDialog):
             result.setMinimumHeight(2 * result.fontMetrics().lineSpacing() + 8)  # the lattice takes two lines
             grid.addWidget(self.lamps[step], 3 * index, 0)
             grid.addWidget(label(f"{index + 1}  {step.title}", "title"), 3 * index, 1)
-            grid.addWidget(label(step.explanation, "dim", wraps=True), 3 * index + 1, 1)
+            grid.addWidget(label(f"{step.explanation}.", "dim", wraps=True), 3 * index + 1, 1)
             grid.addWidget(result, 3 * index + 2, 1)
         self.question = label("", wraps=True)
         self.yes = Button("", "Return", lambda _: self._answers[True]())
