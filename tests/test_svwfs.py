@@ -24,9 +24,8 @@ from support.patience import HANG_S, wait_until
 from support.python_examples import run_examples
 
 import svwfs
-from app.acquisition.start_up import FRAMES, knows_sample
+from app.acquisition.start_up import knows_sample
 from app.bench.config import Bench
-from app.evaluation.benchmark import timed_frames
 from app.evaluation.frames import SimulatedFrames
 from app.images import read_image
 from app.results.coefficients import FieldMaps
@@ -488,7 +487,7 @@ def test_open_result_names_an_unusable_file(path: str, tmp_path: Path) -> None:
 
 
 def test_defaults_agree_where_they_must_be_told_again() -> None:
-    """Python loads nothing to know them, and the benchmark nothing that would add to the measured memory."""
+    """Python loads nothing to know them."""
 
     def default(function: Callable[..., Any], name: str) -> Any:
         return inspect.signature(function).parameters[name].default
@@ -500,4 +499,3 @@ def test_defaults_agree_where_they_must_be_told_again() -> None:
     ):
         for name in names:
             assert default(python, name) == default(command, name), name
-    assert timed_frames._REFERENCE_FRAMES == FRAMES

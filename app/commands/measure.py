@@ -102,7 +102,7 @@ def measure_bench(
 ) -> Measured:
     """Record `frames` frames into the folder `out`, with the results, the dark and the reference.
 
-    Dark and reference are means of `average` frames each, by default 20; with `auto_expose` the exposure is found
+    Dark and reference are means of `average` frames each, by default `FRAMES`; with `auto_expose` the exposure is found
     first. If it ends early, also by Ctrl-C, the results so far are written. `RunError` for a failed device or an
     unusable reference, `InputError` for an impossible bench.
     """

@@ -112,8 +112,8 @@ def exposure_of(camera: SimulatedCameraSettings, index: int) -> Exposure:
 class SimulatedFrames:
     """Images of a simulated bench, in counts, or in mean photons where noise-free."""
 
-    reference: Image  # mean of 20 frames without the sample, (row, column)
-    dark: Image  # mean of 20 frames without light, (row, column)
+    reference: Image  # mean of `FRAMES` frames without the sample, (row, column)
+    dark: Image  # mean of `FRAMES` frames without light, (row, column)
     frames: Counts  # with the sample, (frame, row, column)
     truth: Floats
     """True wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column); with a leading frame axis where the

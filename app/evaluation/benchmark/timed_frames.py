@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from app.acquisition.start_up import FRAMES
 from app.bench.config import Bench
 from app.evaluation.frames import NoiseFreeFrames
 from app.measurement.calibration import Calibration
@@ -21,7 +22,6 @@ from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 _DRIFT_M = 5e-6  # of the screen between the two frames: 0.03 rad, more than a live frame changes
 _BRIGHTEST = 2000.0  # counts of the noisy reference's brightest pixel
 _OFFSET, _READ_NOISE = 100.0, 8.0  # counts
-_REFERENCE_FRAMES = 20  # as start_up.FRAMES, whose import would add to the measured memory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,7 +43,7 @@ class TimedFrames:
         """Prepare for the reference; `reconstruction` has its defaults if omitted."""
         reconstruction = reconstruction or ReconstructionSettings()
         bench = replace(self.bench, registration=registration, reconstruction=reconstruction)
-        known = KnownNoise(self.noise, _REFERENCE_FRAMES if self.noise is not None else np.inf)
+        known = KnownNoise(self.noise, FRAMES if self.noise is not None else np.inf)
         given = Calibration.of_images(bench, self.reference, dark=self.dark, lattice=self.lattice)
         return replace(given, known=known).reconstructor()
 
@@ -74,7 +74,7 @@ def noisy(frames: TimedFrames, rng: np.random.Generator) -> TimedFrames:
         electrons = rng.poisson(np.maximum(light * scale, 0)) + rng.normal(_OFFSET, _READ_NOISE, light.shape)
         return np.asarray(np.clip(np.rint(electrons), 0, np.iinfo(np.uint16).max), np.uint16)
 
-    references = [photograph(frames.reference) for _ in range(_REFERENCE_FRAMES)]
+    references = [photograph(frames.reference) for _ in range(FRAMES)]
     return replace(
         frames,
         dark=np.full_like(frames.dark, _OFFSET),
