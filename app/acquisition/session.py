@@ -15,11 +15,12 @@ from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import DeviceSetting, Instrument, Status
 from app.acquisition.place import NAME
 from app.acquisition.remote.connection import reach
-from app.acquisition.start_up import FRAMES, calibrate, knows_sample, start_up, without_sample
+from app.acquisition.start_up import calibrate, knows_sample, start_up, without_sample
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
 from app.bench.device_kinds import RecordingSettings
 from app.errors import RunError
+from app.measurement.averages import FRAMES
 from app.measurement.bench_reconstructor import whole_number
 from app.measurement.linearity import EXPOSURE_FRAMES
 from app.measurement.measurement import SKIPPED, Measurement

@@ -13,10 +13,10 @@ from app.acquisition.instrument import DeviceSetting, Instrument, Status
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.auto_exposure import FILL
+from app.measurement.averages import FRAMES
 from app.measurement.measurement import SKIPPED, Measurement
 from reconstruction.geometry import Lattice
 
-FRAMES = 20  # default number averaged into the dark, and into the reference
 _HOPELESS_FRAMES = 20  # without a wavefront, when the bench is calibrated
 _SAME_LATTICE = 0.05  # of the pitch; frames are doubted beyond
 

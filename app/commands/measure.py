@@ -11,6 +11,7 @@ from app.acquisition.place import NAME
 from app.commands import options, terminal
 from app.errors import InputError, Interrupted, RunError
 from app.files import MEASURED, check_outputs
+from app.measurement.averages import AVERAGED_FRAMES, FRAMES
 from app.progress import Progress, counted
 
 if TYPE_CHECKING:
@@ -31,7 +32,11 @@ def measure(
     ] = None,
     average: Annotated[
         int | None,
-        typer.Option(min=1, max=10_000, help="Number of frames averaged into dark and reference [default: 20]."),
+        typer.Option(
+            min=AVERAGED_FRAMES.start,
+            max=AVERAGED_FRAMES[-1],
+            help=f"Number of frames averaged into dark and reference [default: {FRAMES}].",
+        ),
     ] = None,
     auto_expose: Annotated[
         bool, typer.Option("--auto-expose", help="Find the exposure first, without the sample: bright, not saturated.")
@@ -107,7 +112,6 @@ def measure_bench(
     unusable reference, `InputError` for an impossible bench.
     """
     from app.acquisition.session import LiveBench
-    from app.acquisition.start_up import FRAMES
 
     live = LiveBench(bench, average=0, progress=progress)
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.acquisition.devices import scene_of
-from app.acquisition.start_up import FRAMES
 from app.bench.config import Bench, as_bench
 from app.cache import Arrays, cached
 from app.errors import InputError
+from app.measurement.averages import FRAMES
 from app.measurement.bench_reconstructor import whole_number
 from reconstruction.arrays import Counts, Floats, Image
 from simulated_devices.bench import PHOTONS_PER_S_M2_A

@@ -11,6 +11,7 @@ from app.progress import counted
 from drivers.interface import BadValue, Camera, Devices, Frame
 from reconstruction.arrays import SIGMA_OF_MEDIAN, Counts
 
+FRAMES = 20  # default number averaged into the dark, and into the reference
 AVERAGED_FRAMES = range(1, 10_001)  # allowed numbers
 
 _SIGNIFICANT = 5.0  # standard errors

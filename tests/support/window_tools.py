@@ -17,11 +17,12 @@ from PyQt6.QtGui import QFont, QFontDatabase, QImage
 from PyQt6.QtWidgets import QApplication, QMessageBox, QTabBar, QWidget
 from pytestqt.qtbot import QtBot
 
-from app.acquisition.start_up import FRAMES, start_up
+from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.gui.panels.panel import Panel
 from app.gui.shell.access import Access
 from app.gui.shell.main_window import MainWindow
+from app.measurement.averages import FRAMES
 from reconstruction.arrays import Floats
 from support.gui_bench import BENCH, SENSOR, FakeCamera, opener
 from support.patience import HANG_S

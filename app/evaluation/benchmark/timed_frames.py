@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.acquisition.start_up import FRAMES
 from app.bench.config import Bench
 from app.evaluation.frames import NoiseFreeFrames
+from app.measurement.averages import FRAMES
 from app.measurement.calibration import Calibration
 from app.progress import Progress
 from reconstruction.arrays import Counts, Floats, Image

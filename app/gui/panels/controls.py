@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QCo
 
 from app.acquisition.instrument import Status
 from app.acquisition.kept_averages import Validity
-from app.acquisition.start_up import DARK, EXPOSURE, FRAMES, LATTICE, REFERENCE
+from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.bench.config import AUTOMATIC, Bench
 from app.gui.panels.panel import Entries, Panel, Shown
 from app.gui.widgets import theme
@@ -19,7 +19,7 @@ from app.gui.widgets.layouts import Item, column, row
 from app.gui.widgets.presentation import percent
 from app.gui.widgets.texts import label, mark_wanted
 from app.measurement.auto_exposure import FILL
-from app.measurement.averages import AVERAGED_FRAMES
+from app.measurement.averages import AVERAGED_FRAMES, FRAMES
 from drivers.interface import Range
 from reconstruction.annotated_settings import settings_of
 from reconstruction.settings import (

@@ -18,10 +18,10 @@ from support.paths import DOCS
 from support.pictures import assert_drawn
 
 import app.bench.presets
-from app.acquisition.start_up import FRAMES
 from app.bench.config import load_bench, parse_bench
 from app.commands.measure import measure_bench
 from app.errors import Interrupted
+from app.measurement.averages import FRAMES
 from app.recording.reader import Recording
 from drivers.stage import ManualStage
 from simulated_devices.settings import exposure_range_s

@@ -22,12 +22,12 @@ from support.command_line import run
 from support.patience import HANG_S, wait_until
 from support.simulated_faults import unplug
 
-from app.acquisition import start_up
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import Interrupted, RunError
+from app.measurement.averages import FRAMES
 from app.recording.writer import Record, RecordingWriter
 from drivers.interface import Devices, Disconnected, Frame
 from simulated_devices.camera import SimulatedCamera
@@ -195,7 +195,7 @@ def test_unplugged_camera_keeps_measured_frames(
         devices = open_devices(bench, progress)
         camera, read = devices.camera, devices.camera.read
         assert isinstance(camera, SimulatedCamera)
-        left = itertools.count(2 * start_up.FRAMES + 5, -1)  # frames until it is unplugged
+        left = itertools.count(2 * FRAMES + 5, -1)  # frames until it is unplugged
 
         def read_while_plugged(timeout_s: float) -> Frame:
             frame = read(timeout_s)
