@@ -76,7 +76,10 @@ def reconstructed(window: MainWindow) -> int:
 @pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc, and trims the memory of its C library")
 def test_memory_does_not_grow_over_twenty_openings(make_window: MakeWindow, qtbot: QtBot, small_toml: Path) -> None:
-    """What was freed but is kept for later, half a gigabyte after twenty openings, does not count."""
+    """What was freed but is kept for later, half a gigabyte after twenty openings, does not count.
+
+    A search for layers that goes on while it is measured adds a hundred megabytes: the least of some sizes counts.
+    """
     window, sizes = make_window(), list[float]()
     for index in range(22):
         bench = load_bench("live_demo", COARSE) if index % 2 else load_bench(small_toml)
@@ -85,4 +88,4 @@ def test_memory_does_not_grow_over_twenty_openings(make_window: MakeWindow, qtbo
         qtbot.waitUntil(lambda: window.controller.is_settled)
         ctypes.CDLL(None).malloc_trim(0)
         sizes.append(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
-    assert max(sizes[-2:]) < 1.1 * max(sizes[2:4])
+    assert min(sizes[-4:]) < 1.1 * min(sizes[2:6])
