@@ -142,7 +142,9 @@ def by_hand(step: CalibrationStep, status: Status) -> tuple[str, DeviceSetting, 
 
 def without_sample(bench: Bench) -> str:
     """Return what a person must do before light without the sample is measured; empty if motors do it."""
-    return f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in" * bench.has_manual_stage
+    if not bench.has_manual_stage:
+        return ""
+    return f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in"
 
 
 def differs(found: Lattice, status: Status) -> bool:

@@ -94,7 +94,7 @@ class Recording:
 
     @property
     def lost_lines(self) -> str:
-        """How many frames of a complete recording have no line, as a sentence; empty if all have one."""
+        """A sentence on the frames of a complete recording that have no line; empty if all have one."""
         lost = (self.recorded_frames or 0) - len(self)
         if not self.is_complete or lost <= 0:
             return ""
@@ -280,7 +280,7 @@ class Recording:
         return None if calibration is None else self._found(calibration, name, index)
 
     def _found(self, calibration: int, name: str, index: int) -> Floats | None:
-        """What was found live; None if it is missing or damaged: svwfs replay finds it again."""
+        """Live result of a frame; None if it is missing or damaged: svwfs replay finds it again."""
         with suppress(DamagedFrame):
             return self._read(f"{RESULTS.format(calibration)}/{name}", index)
         return None

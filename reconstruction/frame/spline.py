@@ -90,7 +90,9 @@ def _sample(coefficients: Image, position_px: Floats, values: Floats, gradients:
 
 
 def sample_evenly(coefficients: Image, start_px: Floats, steps_px: Floats, shape: tuple[int, int]) -> Image:
-    """Interpolate on a turned grid, three times as fast as `sample`; beyond its borders the image is mirrored.
+    """Interpolate on a turned grid, without gradients; beyond its borders the image is mirrored.
+
+    It takes a third of the time of SciPy's affine transform: taking a reference repeats it up to twenty times.
 
     Parameters
     ----------

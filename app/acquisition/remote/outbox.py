@@ -1,4 +1,4 @@
-"""What a client sends: messages that wait for their turn, and commands until they are answered."""
+"""Messages of a client that wait to be sent, and its commands that wait for an answer."""
 
 import itertools
 import math
@@ -61,12 +61,12 @@ class Outbox:
 
     def take(self) -> list[bytearray]:
         """Return the messages that are sent now; a command must begin before it is given up here."""
+        now_s = time.monotonic()
         with self._lock:
             taken, self._waiting = self._waiting, []
-        now_s = time.monotonic()
-        for message in taken:
-            if isinstance(message, Command) and message.number in self._unanswered:
-                self._unanswered[message.number] = self._unanswered[message.number][0], now_s
+            for message in taken:
+                if isinstance(message, Command) and message.number in self._unanswered:
+                    self._unanswered[message.number] = self._unanswered[message.number][0], now_s
         until_s = now_s + ANSWER_S - _ON_ITS_WAY_S
         timed = [replace(one, until_s=until_s) if isinstance(one, Command) else one for one in taken]
         return [Packed(message).message() for message in timed]

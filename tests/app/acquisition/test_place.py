@@ -1,4 +1,4 @@
-"""Where an instrument and its clients meet: a folder for each user, and one instrument for each name."""
+"""The meeting place of an instrument and its clients: one folder for each user, one instrument for each name."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def reconstructed(window: MainWindow) -> int:
 @pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc, and trims the memory of its C library")
 def test_memory_does_not_grow_over_twenty_openings(make_window: MakeWindow, qtbot: QtBot, small_toml: Path) -> None:
-    """What was freed but is kept for later, half a gigabyte after twenty openings, does not count.
+    """Freed memory that the C library keeps does not count: it is half a gigabyte after twenty openings.
 
     A search for layers that goes on while it is measured adds a hundred megabytes: the least of some sizes counts.
     """
