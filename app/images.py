@@ -89,10 +89,14 @@ def _read_tiff(path: Path) -> NDArray[Any]:
             raise ValueError(f"{' x '.join(map(str, series.shape))} pixels are too many")
         if series.keyframe.photometric == _WHITE_IS_ZERO:
             raise ValueError("it is a negative, in which 0 is white; save it with 0 as black")
-        if series.keyframe.compression not in tifffile.TIFF.DECOMPRESSORS:
-            raise ValueError(f"it is compressed ({series.keyframe.compression.name}); save it without compression")
-        tag = series.keyframe.tags.get(_ORIENTATION)
-        image = series.asarray()
+        tag, compression = series.keyframe.tags.get(_ORIENTATION), series.keyframe.compression
+        refusal = ValueError(f"it is compressed ({compression.name}); save it without compression")
+        if compression not in tifffile.TIFF.DECOMPRESSORS:
+            raise refusal
+        try:
+            image = series.asarray()
+        except ImportError as error:  # a newer Python would undo it
+            raise refusal from error
         if series.axes == "SYX":  # its channels are stored one after the other
             image = np.moveaxis(image, 0, -1)
         return image if tag is None or image.ndim != 2 else _upright(image, int(tag.value))
