@@ -47,8 +47,12 @@ test: setup c-compiler $(NUMBA_CACHE_DIR) ## the quick tests, seven minutes; ROO
 test-slow: setup c-compiler $(NUMBA_CACHE_DIR) ## the tests that take one to four seconds, eight minutes; ROOM, ONLY as above
 	$(PYTEST) -m 'slow and not long' $(CHOSEN)
 
-test-long: setup c-compiler $(NUMBA_CACHE_DIR) ## those that take four seconds or more, twenty minutes; ROOM, ONLY as above
-	$(PYTEST) -m long $(CHOSEN)
+# CI runs a seventh of the long tests on each day of the week, 0 to 6: all in a week.
+DAY ?=
+OF_DAY = $(if $(DAY),$(shell grep -rl 'mark[.]long' tests --include='test_*.py' | LC_ALL=C sort | awk 'NR % 7 == $(DAY)'))
+
+test-long: setup c-compiler $(NUMBA_CACHE_DIR) ## those that take four seconds or more, twenty minutes; ROOM, ONLY as above; DAY=0 to 6 for a part
+	$(PYTEST) -m long $(CHOSEN) $(OF_DAY)
 
 # Else every process of the tests would compile the same code at the same time; so would each the tests' own bytecode.
 COMPILING := tests/reconstruction/test_round_trips.py tests/simulated_devices/test_detector.py \
