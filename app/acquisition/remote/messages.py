@@ -21,7 +21,7 @@ from app.recording.recorder import RecordingState
 from app.timing import StageTimes, TimedStage
 from drivers import errors
 from reconstruction.errors import ReconstructionError
-from reconstruction.registration.gauss_newton.template import Propagated
+from reconstruction.registration.gauss_newton import Propagated
 
 MOST_BYTES = 2**28  # of a message to the instrument: a calibration of 2048 x 2048 pixels has a third
 _KEPT = 8  # objects; in use are two or three

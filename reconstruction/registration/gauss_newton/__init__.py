@@ -1,6 +1,7 @@
 """Registration by Gauss-Newton steps: the method of this instrument."""
 
 from reconstruction.registration.gauss_newton._estimator import GaussNewton, prepare
+from reconstruction.registration.gauss_newton._lenslet_fits import Propagated
 from reconstruction.registration.gauss_newton.template import OwnWavefront
 
-__all__ = ["GaussNewton", "OwnWavefront", "prepare"]
+__all__ = ["GaussNewton", "OwnWavefront", "Propagated", "prepare"]

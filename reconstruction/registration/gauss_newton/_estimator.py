@@ -32,15 +32,16 @@ from reconstruction.registration.gauss_newton._alignment import FrameData
 from reconstruction.registration.gauss_newton._lenslet_fits import (
     FitLimits,
     Fits,
+    Propagated,
     Workplace,
     fit_lenslets,
     new_ledger,
     new_workplace,
+    propagate,
 )
 from reconstruction.registration.gauss_newton.template import (
     LINEAR,
     OwnWavefront,
-    Propagated,
     SteepestDescent,
     Template,
     coefficient_covariance,
@@ -51,7 +52,6 @@ from reconstruction.registration.gauss_newton.template import (
     visible_warp,
 )
 from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
-from reconstruction.runtime.compilation import compiled
 from reconstruction.runtime.threads import worker_pool
 from reconstruction.settings import FIELD_MODES, RegistrationSettings
 
@@ -132,45 +132,9 @@ class ErrorPropagation:
         lenslets = len(fits.gain)
         variance, chi_square, unexplained = np.zeros((lenslets, 2)), np.full(lenslets, np.nan), np.empty(lenslets)
         found = variance, chi_square, unexplained
-        _propagate(fits, per_pixel, per_light, *noise, self._of_reference, self._reference_power, found)
+        propagate(fits, per_pixel, per_light, *noise, self._of_reference, self._reference_power, found)
         covariance = FitCovariance(variance.reshape(*self._lattice, 2), per_pixel, per_light, self._basis)
         return covariance, chi_square, unexplained, known
-
-
-@compiled
-def _propagate(  # noqa: PLR0917 - compiled code takes its arguments by their place
-    fits: Fits,
-    per_pixel: Propagated,
-    per_light: Propagated,
-    shot: float,
-    read: float,
-    of_reference: float,
-    reference_power: Floats,
-    found: tuple[Floats, Floats, Floats],
-) -> None:
-    """Find noise variances (L, 2), reduced chi-squares and unexplained squares (L,).
-
-    `shot` (counts^2 per count of light) and `read` (counts^2) are NaN if unknown; the reference has the share
-    `of_reference` of them, reduced by interpolation to `reference_power` (L, 2).
-    """
-    variance, chi_square, unexplained = found
-    for lenslet in range(fits.gain.size):
-        gain, square, power = fits.gain[lenslet], fits.square[lenslet], fits.noise_power[lenslet]
-        still, expected = reference_power[lenslet], 0.0
-        if np.isnan(shot):
-            variance[lenslet, 0] = square / (power[0] * per_pixel.square[lenslet] - per_pixel.fitted[lenslet])
-        else:
-            # Noise of the frame, scaled to the brightness of the reference, and of the reference.
-            shot_frame, read_frame = shot * gain, read * gain * gain
-            shot_reference, read_reference = shot * of_reference, read * of_reference
-            of_pixels, of_light = read_frame + read_reference, shot_frame + shot_reference
-            left_pixels = read_frame * power[0] + read_reference * still[0]
-            left_light = shot_frame * power[1] + shot_reference * still[1]
-            expected = left_pixels * per_pixel.square[lenslet] - of_pixels * per_pixel.fitted[lenslet]
-            expected += left_light * per_light.square[lenslet] - of_light * per_light.fitted[lenslet]
-            chi_square[lenslet] = square / expected
-            variance[lenslet, 0], variance[lenslet, 1] = of_pixels, of_light
-        unexplained[lenslet] = square - expected
 
 
 # Margin of the pixels used beyond the field's edge, in blurs. Further out there is only scattered light, which no warp

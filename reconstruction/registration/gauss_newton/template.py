@@ -25,7 +25,7 @@ from reconstruction.geometry import require
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis
 from reconstruction.registration.correlation import normalised
 from reconstruction.registration.gauss_newton._alignment import Grid
-from reconstruction.registration.gauss_newton._lenslet_fits import WholePixelSearch
+from reconstruction.registration.gauss_newton._lenslet_fits import Propagated, WholePixelSearch
 from reconstruction.registration.gauss_newton._warped_sampling import MONOMIALS, window_of
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
 
@@ -44,22 +44,6 @@ _BLIND = 6.0
 _ROUGHER = 3.0  # weight of a degree over the one below it, in choosing the smoothest of displacements that look alike
 # By which the standard errors may grow for fewer pixels: with 1.01, systematic errors grow by a third.
 _SCATTER = 1.002
-
-
-class Propagated(NamedTuple):
-    """Effect of noise of a given variance per pixel on the fits of L lenslets with Q field modes."""
-
-    covariance: Floats  # of the parameters, (L, P - 2, P - 2)
-    square: Floats  # expected weighted sum of its squares, (L,)
-    fitted: Floats  # part of `square` absorbed by the fit, (L,)
-    trace: Floats  # sum of the parameters' variances, (L,)
-
-    def replaced(self, lenslets: NDArray[np.intp], by: "Propagated") -> "Propagated":
-        """The same with another effect on some lenslets (K,)."""
-        arrays = [array.copy() for array in self]
-        for array, some in zip(arrays, by, strict=True):
-            array[lenslets] = some
-        return Propagated(*arrays)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
