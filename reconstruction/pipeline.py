@@ -21,8 +21,7 @@ from reconstruction.layers.layered_wavefront import FREE, AssumedSample, Layered
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.registration import prepare_registration
-from reconstruction.registration.gauss_newton import GaussNewton
-from reconstruction.registration.response import fitting_model, linear_response
+from reconstruction.registration.response import WarpRegistration, fitting_model, linear_response
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import PupilBasis, ReconstructionSettings, RegistrationSettings, Warp, obstacle_to_layers
@@ -105,15 +104,19 @@ class _Registration(NamedTuple):
     at_rest: Displacement  # of the reference from itself: the certainty of each lenslet and field mode
 
     @property
+    def warps(self) -> WarpRegistration | None:
+        """The method, if it fits warps and has a response."""
+        return self.method if isinstance(self.method, WarpRegistration) else None
+
+    @property
     def parameters(self) -> Floats:
         """Displacement (x modes, y modes) of each parameter that the method finds, (K, 2Q)."""
-        method = self.method
-        return method.parameters if isinstance(method, GaussNewton) else np.eye(2 * self.at_rest.modes.count)
+        return np.eye(2 * self.at_rest.modes.count) if self.warps is None else self.warps.parameters
 
     @property
     def hidden(self) -> int:
         """Number of displacements that the mask does not show lenslet by lenslet."""
-        return self.method.hidden if isinstance(self.method, GaussNewton) else 0
+        return 0 if self.warps is None else self.warps.hidden
 
 
 class Reconstructor:
@@ -281,8 +284,7 @@ class Reconstructor:
     @property
     def brightness_terms(self) -> int:
         """Number of polynomials over the field in which the brightness of a subimage may vary."""
-        method = self._prepared.method
-        return method.brightness_terms if isinstance(method, GaussNewton) else 1
+        return 1 if self._prepared.warps is None else self._prepared.warps.brightness_terms
 
     def weights_of(self, displacement: Displacement) -> Floats:
         """Weights relative to the reference's, (lenslet_row, lenslet_column); all 1 if the noise is unknown."""
@@ -311,7 +313,7 @@ class Reconstructor:
         own = self._own.registration
         if own is None:
             # What more terms of the brightness cost is known from the noise only.
-            needs_model = settings.method == "gauss_newton" and self.noise and not self.field.neglect_propagation
+            needs_model = settings.fits_warps and self.noise and not self.field.neglect_propagation
             return prepare_registration(reference, settings, self.field, self._model[0] if needs_model else None)
         method: RegistrationMethod = _called("an own registration", None, own, reference, self.field)
         return method
@@ -331,7 +333,7 @@ class Reconstructor:
             _require_shape(f"coefficients of {what}", np.shape(found.coefficients)[:2], self.sensor)
             return _Registration(settings, method, found)
 
-        if registration.warp is not None or registration.method != "gauss_newton":
+        if registration.warp is not None or not registration.fits_warps:
             return prepare(registration.warp or "quadratic")
         if self.reconstruction.method == "modal" and not registration.rotation:
             widest = prepare(_CHOSEN_WARPS[-1])
@@ -379,16 +381,14 @@ class Reconstructor:
     def _respond(self) -> Sensitivity:
         """Response of the registration; mean gradients where there is none, or none is wanted."""
         self.response_problem = ""  # why there is none although it is wanted
-        method = self._prepared.method
+        warps = self._prepared.warps
         is_wanted = self.reconstruction.response and not self.registration.rotation  # it holds for gradients only
-        if is_wanted and isinstance(method, GaussNewton):
+        if is_wanted and warps is not None:
             model, problem = self._model
             if model is not None:
-                return Response(self.sensor, linear_response(method, model))
+                return Response(self.sensor, linear_response(warps, model))
             self.response_problem = problem and f"mean gradients replace the response of the registration: {problem}"
-        return MeanGradients(
-            self.sensor, method.alike if isinstance(method, GaussNewton) else self._prepared.parameters
-        )
+        return MeanGradients(self.sensor, self._prepared.parameters if warps is None else warps.alike)
 
     def _solver(self, basis: PupilBasis, count: int | None) -> ModalSolver:
         """Solver with that many pupil modes; if None with all that the lattice carries, and the smoothness prior."""

@@ -12,6 +12,7 @@ PupilBasis = Literal["legendre", "zernike"]
 SampleModel = Literal["automatic", "free", "layers"]
 Warp = Literal["translation", "affine", "quadratic", "cubic", "quartic"]
 Method = Literal["gauss_newton", "correlation", "correlation_fft", "centroids", "itk_affine"]
+WARPING: tuple[Method, ...] = ("gauss_newton",)  # methods that fit the warp of the settings
 PUPIL_MODES = range(3, 1001)  # allowed numbers
 FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "cubic": 10, "quartic": 15}
 
@@ -44,6 +45,11 @@ class RegistrationSettings(Checked):
     star_rows: Annotated[int, Ge(1), Le(99)] = STARS
     star_columns: Annotated[int, Ge(1), Le(99)] = STARS
     star_spacing_m: Annotated[float, Gt(0), Le(0.1)] = STAR_SPACING_M
+
+    @property
+    def fits_warps(self) -> bool:
+        """True if the warp has an effect: the method fits it to each subimage."""
+        return self.method in WARPING
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +85,7 @@ def obstacle_to_layers(reconstruction: ReconstructionSettings, registration: Reg
         'reconstruction.method = "zonal"': reconstruction.method == "zonal",
         f'reconstruction.basis = "{reconstruction.basis}"': reconstruction.basis != "legendre",
         f"reconstruction.pupil_modes = {reconstruction.pupil_modes}": reconstruction.pupil_modes is not None,
-        f'registration.method = "{registration.method}"': registration.method != "gauss_newton",
+        f'registration.method = "{registration.method}"': not registration.fits_warps,
         'registration.warp = "translation"': registration.warp == "translation",
     }
     return next((setting for setting, is_set in obstacles.items() if is_set), "")

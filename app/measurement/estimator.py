@@ -146,7 +146,7 @@ def mask_sentence(reconstructor: Reconstructor, sample: AssumedSample | None = N
     Also say if the bias of mean gradients is left out. Without a `sample`, of frames in general.
     """
     registration, reconstruction = reconstructor.registration, reconstructor.reconstruction
-    knows_response = reconstruction.response and registration.method == "gauss_newton" and not registration.rotation
+    knows_response = reconstruction.response and registration.fits_warps and not registration.rotation
     bias = "displacements count as mean gradients of the wavefront, whose bias the error bars leave out"
     if reconstruction.method == "modal" and knows_response:
         bias = ""

@@ -307,7 +307,7 @@ def _average(average: Average) -> str:
 def _method(bench: Bench, summary: Summary) -> str:
     registration, reconstruction = bench.registration, bench.reconstruction
     parts: list[str] = [registration.method]
-    if registration.method == "gauss_newton":
+    if registration.fits_warps:
         parts.append(f"warp {registration.warp or 'automatic'}")
     parts.append(reconstruction.method)
     if reconstruction.method == "modal":

@@ -129,7 +129,7 @@ def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:
     names = ("coefficients", "coefficients_sigma")
     rad, sigma = (results[name].transpose("pupil_mode", "field_mode").values for name in names)
     views = results["wavefront"].transpose("view_row", "view_column", ...).values
-    if bench.registration.method != "gauss_newton":
+    if not bench.registration.fits_warps:
         raise InputError(f"{source}: its wavefront is known at its views alone: reconstruct with method gauss_newton")
     uncorrelated = np.diag(sigma[1:].ravel()).reshape(*sigma[1:].shape, -1)
     known = np.isfinite(views).any(axis=(0, 1))
@@ -161,7 +161,7 @@ def mean_wavefront(source: Path, bench: Bench, frames: str | None, progress: Pro
         coefficients, views, count = coefficients + of_frame, views + views_of_frame, count + 1
     if not count:
         raise InputError(f"{source}: has no frame with a wavefront")
-    if coefficients.size and bench.registration.method == "gauss_newton":
+    if coefficients.size and bench.registration.fits_warps:
         return _of_modes(bench, coefficients / count, views / count)
     return _between_views(source, bench, views / count)
 

@@ -81,9 +81,8 @@ class FrameJudge:
         """Prepare; `of_reference` is the reference's own quality, which all its frames share."""
         self._sensor, field = reference.sensor, reference.field
         self._linearity, self._noise, self.of_reference = camera.linearity, reference.noise, of_reference
-        is_ours = settings.method == "gauss_newton"
-        self._limits = _LIMITS[settings.warp or "quartic"] if is_ours else _LIMITS["translation"]
-        has_limit = is_ours and settings.warp != "translation"
+        warp = (settings.warp or "quartic") if settings.fits_warps else "translation"
+        self._limits, has_limit = _LIMITS[warp], warp != "translation"
         if has_limit:
             points = _POINTS * max(_sharpness(reference) - _OPENING, 0.0)
             self._limits = self._limits._replace(pixels=self._limits.pixels + points)

@@ -19,6 +19,14 @@ _ALIGNMENTS = 2
 _SQUARE_OVER_MEDIAN = 2.2  # mean square over the median of the squares, if normally distributed
 
 
+class OwnWavefront(NamedTuple):
+    """A small wavefront that the lenslets have of their own, and what a rad of it does to subimages."""
+
+    rad: Floats  # of each lenslet, (L,)
+    image: Floats  # change of a subimage per rad, (row, column)
+    changes: Floats  # change of what a sample changes, per rad of the lenslet and of the sample, (..., row, column)
+
+
 class OwnWavefronts(NamedTuple):
     """Own wavefronts `OWN_WAVEFRONTS` of the lenslets, less their mean."""
 

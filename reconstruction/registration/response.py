@@ -6,21 +6,55 @@ modal reconstruction, like the synthetic interaction matrix of an adaptive optic
 the reference shows, and the coma and trefoil of each lenslet.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import scipy  # which loads its parts when they are used
 
 from reconstruction.arrays import Floats, Image
+from reconstruction.displacement import RegistrationMethod
 from reconstruction.errors import ReconstructionError
-from reconstruction.registration.gauss_newton import GaussNewton, OwnWavefront
-from reconstruction.registration.own_wavefronts import OWN_WAVEFRONTS, own_wavefronts
+from reconstruction.modes.field_modes import PolynomialModes
+from reconstruction.registration.own_wavefronts import OWN_WAVEFRONTS, OwnWavefront, own_wavefronts
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
 
 _DEGREE = 4  # of the local wavefronts
 _SUM = np.add.outer(range(_DEGREE + 1), range(_DEGREE + 1))
 _SHOWS = (_SUM % 2 == 1) & (_SUM <= _DEGREE)  # (n, m) of those that change an image
 _MISFIT = 0.1  # largest difference of modelled and measured reference, over its contrast
+
+
+@runtime_checkable
+class WarpRegistration(RegistrationMethod, Protocol):
+    """A registration that fits warps, and knows what it finds for small changes of a subimage."""
+
+    reference: ReferenceSubimages
+    modes: PolynomialModes
+    alike: Floats  # from any displacement (x modes, y modes) to the parameters of one that looks alike, (K, 2Q)
+
+    @property
+    def parameters(self) -> Floats:
+        """Displacement (x modes, y modes) of each parameter of the warp, (K, 2Q)."""
+        ...
+
+    @property
+    def hidden(self) -> int:
+        """Number of displacements of the warp that the reference hardly shows, and which are left out."""
+        ...
+
+    @property
+    def brightness_terms(self) -> int:
+        """Number of polynomials over the field that are taken out as a brightness."""
+        ...
+
+    def response(self, image: Floats, changes: Floats, own: Sequence[OwnWavefront] = ()) -> Floats:
+        """Parameters found for small changes of a subimage, to first order.
+
+        From a noise-free subimage (row, column) and its changes (..., row, column), in any unit, to (lenslet, ..., K),
+        px. `own` are wavefronts that the lenslets have without a sample.
+        """
+        ...
 
 
 def fitting_model(make: Callable[[ReferenceSubimages], LensletModel], reference: ReferenceSubimages) -> LensletModel:
@@ -34,7 +68,7 @@ def fitting_model(make: Callable[[ReferenceSubimages], LensletModel], reference:
     return model
 
 
-def linear_response(registration: GaussNewton, model: LensletModel) -> Floats:
+def linear_response(registration: WarpRegistration, model: LensletModel) -> Floats:
     """Parameters of each lenslet's warp caused by local wavefronts P_m(xi) P_n(eta) T_q, to first order.
 
     They are px per rad, (lenslet, n, m, field_mode, K).

@@ -38,7 +38,7 @@ from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.registration.gauss_newton import GaussNewton
+from reconstruction.registration.response import WarpRegistration
 from reconstruction.settings import Warp
 from simulated_devices.optics.source import read_grey_image
 from simulated_devices.sample import Sample
@@ -175,8 +175,8 @@ class LinearPass:
         self._bench, self._reconstructor = bench, estimator.reconstructor
         self._at_rest = self._reconstructor.register(reference)
         registration = self._reconstructor.registration_for(reference)
-        if not isinstance(registration, GaussNewton):
-            raise TypeError("only the Gauss-Newton registration has a response")
+        if not isinstance(registration, WarpRegistration):
+            raise TypeError("only a registration that fits warps has a response")
         model = true_lenslet(bench, self._reconstructor.subimages.width)
         self._modes = LegendreModes((_DEGREE + 1) * (_DEGREE + 2) // 2)
         x, y = model.position.T

@@ -215,7 +215,7 @@ class ControlsPanel(Panel):
             self.choices[name].show_choice(values, wanted.get(name, chosen) or AUTOMATIC)
         self.refine.setChecked(wanted.get("reconstruction.refine", reconstruction.refine))
         mark_wanted(self.refine, is_wanted="reconstruction.refine" in wanted)
-        self.warp.setEnabled(registration.method == "gauss_newton")
+        self.warp.setEnabled(registration.fits_warps)
         for control in (self.basis, self.pupil_modes):
             control.setEnabled(reconstruction.method == "modal")
         # Of a manual light only what a person has said is known.

@@ -2,6 +2,5 @@
 
 from reconstruction.registration.gauss_newton._estimator import GaussNewton, prepare
 from reconstruction.registration.gauss_newton._lenslet_fits import Propagated
-from reconstruction.registration.gauss_newton.template import OwnWavefront
 
-__all__ = ["GaussNewton", "OwnWavefront", "Propagated", "prepare"]
+__all__ = ["GaussNewton", "Propagated", "prepare"]

@@ -41,7 +41,6 @@ from reconstruction.registration.gauss_newton._lenslet_fits import (
 )
 from reconstruction.registration.gauss_newton.template import (
     LINEAR,
-    OwnWavefront,
     SteepestDescent,
     Template,
     coefficient_covariance,
@@ -51,6 +50,7 @@ from reconstruction.registration.gauss_newton.template import (
     source_brightness,
     visible_warp,
 )
+from reconstruction.registration.own_wavefronts import OwnWavefront
 from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.runtime.threads import worker_pool
 from reconstruction.settings import FIELD_MODES, RegistrationSettings
@@ -193,7 +193,6 @@ class GaussNewton:
             reference, LegendreModes(1), np.outer(coarse, coarse), np.eye(2), conserve_flux=conserve_flux
         )
         self._start = prepare_template(translation)
-        # From any displacement (x modes, y modes) to the parameters found for it, (K, 2Q): of the one that looks alike.
         basis, self.alike, pixels = visible_warp(
             reference, modes, np.outer(near, near), conserve_flux=conserve_flux, rotation=rotation
         )
@@ -267,27 +266,23 @@ class GaussNewton:
 
     @property
     def brightness_terms(self) -> int:
-        """Number of polynomials over the field that are taken out as a brightness; linear without a model."""
+        """See `response.WarpRegistration`; linear without a model."""
         brightness = self._warp.images.source_brightness
         return LINEAR if brightness is None else len(brightness)
 
     @cached_property
     def hidden(self) -> int:
-        """Number of displacements of the warp that the reference hardly shows, and which are left out."""
+        """See `response.WarpRegistration`."""
         possible = 2 * self.modes.count if self._rotates else len(gradient_basis(self.modes))
         return possible - len(self._basis)
 
     @property
     def parameters(self) -> Floats:
-        """Displacement (x modes, y modes) of each parameter of the warp, orthonormal rows, (K, 2Q)."""
+        """See `response.WarpRegistration`; orthonormal rows."""
         return self._warp.grid.basis.astype(np.float64)
 
     def response(self, image: Floats, changes: Floats, own: Sequence[OwnWavefront] = ()) -> Floats:
-        """Parameters found for small changes of a subimage, to first order.
-
-        From a noise-free subimage (row, column) and its changes (..., row, column), in any unit, to (lenslet, ..., K),
-        px. A warp of that subimage is found as it is. `own` are wavefronts that the lenslets have without a sample.
-        """
+        """See `response.WarpRegistration`. A warp of that subimage is found as it is."""
         return respond(self._warp, image, changes, own)
 
     def _fit(self, coefficients: Image, bad: Booleans, start: Displacement | None) -> Fits:

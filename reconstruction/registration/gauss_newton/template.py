@@ -11,7 +11,6 @@ nothing.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +26,7 @@ from reconstruction.registration.correlation import normalised
 from reconstruction.registration.gauss_newton._alignment import Grid
 from reconstruction.registration.gauss_newton._lenslet_fits import Propagated, WholePixelSearch
 from reconstruction.registration.gauss_newton._warped_sampling import MONOMIALS, window_of
+from reconstruction.registration.own_wavefronts import OwnWavefront
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
 
 # Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds
@@ -176,14 +176,6 @@ def source_brightness(
         return float(np.sum(fit**2 * noise.variance(expected)) + np.sum((_CUBIC_RMS * fit @ only_cubic.T) ** 2))
 
     return min(cubic, cubic[: TRANSMISSION_MODES.count], key=expected_error)
-
-
-class OwnWavefront(NamedTuple):
-    """A small wavefront that the lenslets have of their own, and what a rad of it does to subimages."""
-
-    rad: Floats  # of each lenslet, (L,)
-    image: Floats  # change of a subimage per rad, (row, column)
-    changes: Floats  # change of what a sample changes, per rad of the lenslet and of the sample, (..., row, column)
 
 
 def respond(template: Template, image: Floats, changes: Floats, own: Sequence[OwnWavefront]) -> Floats:
