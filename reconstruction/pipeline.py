@@ -191,17 +191,13 @@ class Reconstructor:
         if reconstruction.method == "modal":
             self._modal = self._solver(reconstruction.basis, reconstruction.pupil_modes)
         if at_rest.valid.any():
-            self.solve(at_rest)  # fails early if the modes cannot be distinguished, and warms the caches
+            self._solve(at_rest, FREE)  # fails early if the modes cannot be distinguished, and warms the caches
 
     def __call__(self, frame: Counts) -> Wavefront:
         """Measure the wavefront of a frame: `register`, find the `sample`, then `solve`."""
         with one_blas_thread():
             displacement = self.register(frame)
-            sample = self.find_sample(displacement)
-            try:
-                return self.solve(displacement, sample=sample)
-            except ReconstructionError as error:
-                raise ReconstructionError(f"{error}; {_why_lost(displacement.outcome)}", image="frame") from error
+            return self.solve(displacement, sample=self.find_sample(displacement))
 
     def register(self, frame: Counts, *, start: Displacement | None = None) -> Displacement:
         """Measure the displacement of each subimage of a frame (row, column), counts, from the reference.
@@ -254,8 +250,12 @@ class Reconstructor:
 
         `bias` (lenslet_row, lenslet_column, field_mode, xy), px, a known systematic error, is subtracted first.
         """
-        if bias is not None:
-            displacement = displacement.minus(bias)
+        try:
+            return self._solve(displacement if bias is None else displacement.minus(bias), sample)
+        except ReconstructionError as error:
+            raise ReconstructionError(f"{error}; {_why_lost(displacement.outcome)}", image="frame") from error
+
+    def _solve(self, displacement: Displacement, sample: AssumedSample) -> Wavefront:
         weights = self.weights_of(displacement)
         solution: Solution
         if sample.ratios:

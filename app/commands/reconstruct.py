@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from app.bench.device_kinds import DeviceSettings
     from reconstruction.arrays import Floats
+    from reconstruction.refinement import Round
     from reconstruction.wavefront import Wavefront
 
 
@@ -54,13 +55,14 @@ def reconstruct(
     changes_rad: list[float] = []
     try:
         reconstructor = BenchReconstructor(loaded, reference_image, dark=dark_image)
-        wavefront = reconstructor(image)
         with terminal.progress_bar() if refine else nullcontext(lambda *_: None) as progress:
-            progress("modelling the bench", 0.0)
-            for done, step in enumerate(reconstructor.rounds(image, refine) if refine else (), 1):
-                wavefront = step.wavefront
+
+            def note_round(step: Round) -> None:
                 changes_rad.append(step.change_rad)
-                progress("refining", done / refine)
+                progress("refining", len(changes_rad) / refine)
+
+            progress("modelling the bench", 0.0)
+            wavefront = reconstructor.refined(image, refine, note_round)
         quality = reconstructor.quality(image, wavefront)
         notes = (reconstructor.mask_sentence(wavefront), _size_note(loaded.camera, image))
     except ReconstructionError as error:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
@@ -16,18 +15,18 @@ from app.bench.config import Bench, as_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.estimator import Estimator, mask_sentence
-from reconstruction.arrays import Booleans, Counts
+from reconstruction.arrays import Counts
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.camera import KnownCamera
-from reconstruction.frame.noise import KnownNoise, TransferCurve, image_transfer
-from reconstruction.frame.pixels import AboveDark, find_bad_pixels, repaired
+from reconstruction.frame.noise import KnownNoise, TransferCurve
+from reconstruction.frame.pixels import AboveDark
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import survey
 from reconstruction.layers.layer_solver import FrameEquations
 from reconstruction.pipeline import NO_OWN, OwnBasis, OwnMethods, OwnRegistration
-from reconstruction.quality.reference_quality import likeness_quality, linearity_quality
-from reconstruction.quality.verdict import Quality, repeated_reference
+from reconstruction.quality.verdict import Quality
 from reconstruction.refinement import Round
+from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.wavefront import Wavefront
 
 
@@ -118,10 +117,9 @@ def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = 3) ->
     >>> bool(abs(wavefront.views - images.truth).mean() < 0.05)  # rad
     True
     """
-    wavefront = None
-    for step in reconstructor.rounds(frame, rounds):
-        wavefront = step.wavefront
-    return wavefront or reconstructor(frame)
+    if whole_number(rounds, "rounds") < 0:
+        raise InputError(f"{rounds} rounds of refinement are impossible: give 0 or more")
+    return reconstructor.refined(frame, rounds)
 
 
 def find_lattice(reference: Counts, bench: Bench, *, dark: Counts | None = None) -> Lattice:
@@ -186,23 +184,18 @@ class BenchReconstructor:
 
     def __call__(self, frame: Counts) -> Wavefront:
         """Return the wavefront of a frame (row, column), counts; `ReconstructionError` says why there is none."""
+        return self.refined(frame, 0)
+
+    def refined(self, frame: Counts, rounds: int, seen: Callable[[Round], object] = lambda _: None) -> Wavefront:
+        """Refine the wavefront of a frame (row, column), counts; see `Estimator.solve`."""
         image = as_image(frame, "frame")
-        return self._prepared(image).reconstructor(image)
+        estimator = self._prepared(image)
+        with one_blas_thread():
+            return estimator.solve(estimator.reconstructor.register(image), rounds=rounds, seen=seen)[0]
 
     def quality(self, frame: Counts, wavefront: Wavefront) -> Quality:
         """Judge a frame (row, column), counts, by its wavefront."""
-        counts = as_image(frame, "frame")
-        estimator, curve = self._prepared(), self._curve(counts)
-        given = estimator.calibration
-        alike = Quality()
-        if given.dark is not None:  # without it, uneven stray light bends the noise of two images differently
-            alike = likeness_quality(curve, given.noise.curve, given.noise.reference_frames)
-        return (
-            repeated_reference(counts, given.reference.mean)
-            | linearity_quality(curve, "frame")
-            | estimator.judge(counts, wavefront.displacement)
-            | alike
-        )
+        return self._prepared().quality(as_image(frame, "frame"), wavefront.displacement)
 
     def mask_sentence(self, wavefront: Wavefront) -> str:
         """Say which displacements the mask hides, and what they follow from; empty if it shows all."""
@@ -212,47 +205,20 @@ class BenchReconstructor:
         """Normal equations of a wavefront's displacements for layers at any distance."""
         return self._prepared().reconstructor.layers(wavefront.displacement)
 
-    def rounds(self, frame: Counts, most: int) -> Iterator[Round]:
-        """Refine the wavefront of a frame (row, column), counts, in at most `most` rounds; fewer where it settles."""
-        if whole_number(most, "rounds") < 0:
-            raise InputError(f"{most} rounds of refinement are impossible: give 0 or more")
-        image = as_image(frame, "frame")
-        estimator = self._prepared(image)
-        displacement = estimator.reconstructor.register(image)
-        return estimator.refinement.rounds(displacement, most, estimator.reconstructor.find_sample(displacement))
-
     def _prepared(self, frame: Counts | None = None) -> Estimator:
         """The estimator; prepared with the noise that a frame shows, if this is the first call."""
         if self._estimator is None:
             given = self._calibration
-            known, full_scale = KnownNoise(curve=self._curve(given.reference.mean)), given.full_scale
+            known, full_scale = KnownNoise(curve=given.transfer_of(given.reference.mean)), given.full_scale
             if frame is not None:
                 AboveDark(given.reference.mean.shape, KnownCamera())(frame, "frame")  # refuses one of another size
-                known = _known_noise(self._curve(frame), known.curve)
+                known = _known_noise(given.transfer_of(frame), known.curve)
                 if not self._is_scale_given:
                     full_scale = min(full_scale, full_scale_of(frame, self.bench.camera_model.bits))
             estimator = Estimator(replace(given, known=known, full_scale=full_scale))
             _ = estimator.reconstructor  # may refuse
             self._estimator = estimator
         return self._estimator
-
-    def _curve(self, image: Counts) -> TransferCurve | None:
-        """Variance of a single image's pixels against their light; None if it does not show them."""
-        dark, bad = self._dark_of(image), self._bad
-        light = np.subtract(image, np.min(image) if dark is None else dark, dtype=np.float32)
-        if (linearity := self.bench.linearity) is not None:
-            light = np.asarray(linearity.light(light), np.float32)
-        return image_transfer(repaired(light, bad) if light.shape == bad.shape else light, self.bench.sensor.blur_px)
-
-    @cached_property
-    def _bad(self) -> Booleans:
-        reference = self._calibration.reference.mean
-        return find_bad_pixels(reference, self._dark_of(reference))
-
-    def _dark_of(self, image: Counts) -> Counts | None:
-        """The dark, unless it has another size, which is refused later."""
-        dark = self._calibration.dark_image
-        return None if dark is None or dark.shape != image.shape else dark
 
 
 def _known_noise(frame: TransferCurve | None, reference: TransferCurve | None) -> KnownNoise:

@@ -10,12 +10,15 @@ import math
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from app.bench.config import Bench
 from app.bench.imaging_model import lenslet_model
 from app.measurement.averages import Average
 from reconstruction.arrays import Counts
 from reconstruction.frame.camera import KnownCamera
-from reconstruction.frame.noise import KnownNoise, photon_transfer
+from reconstruction.frame.noise import KnownNoise, TransferCurve, image_transfer, photon_transfer
+from reconstruction.frame.pixels import find_bad_pixels, repaired
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey, survey
 from reconstruction.pipeline import NO_OWN, OwnMethods, Reconstructor
@@ -73,6 +76,20 @@ class Calibration:
                 light, variance = linearity.light(light), variance * linearity.slope(light) ** 2
             curve = photon_transfer(light, variance, frames=frames, dark_variance=dark.variance)
         return KnownNoise(None if curve is None else curve.noise, reference.frames, curve)
+
+    def transfer_of(self, image: Counts) -> TransferCurve | None:
+        """Variance of a single image's pixels against their light; None if it does not show them."""
+
+        def dark_of(image: Counts) -> Counts | None:
+            dark = self.dark_image
+            return None if dark is None or dark.shape != image.shape else dark  # one of another size is refused later
+
+        reference, dark = self.reference.mean, dark_of(image)
+        light = np.subtract(image, np.min(image) if dark is None else dark, dtype=np.float32)
+        if (linearity := self.bench.linearity) is not None:
+            light = np.asarray(linearity.light(light), np.float32)
+        bad = find_bad_pixels(reference, dark_of(reference))
+        return image_transfer(repaired(light, bad) if light.shape == bad.shape else light, self.bench.sensor.blur_px)
 
     @property
     def linearity_quality(self) -> Quality:

@@ -11,19 +11,25 @@ from app.cache import kept_while_alive
 from app.measurement.averages import Average
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.mask_scale import scale_quality
-from app.measurement.measurement import Assumptions, Measurement
+from app.measurement.measurement import Assumptions, Measurement, RefinementState
 from app.timing import Timings
 from drivers.interface import Frame
 from reconstruction.annotated_settings import THREADS
+from reconstruction.arrays import Counts
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.layers.layered_wavefront import AssumedSample
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
-from reconstruction.quality.reference_quality import linearity_quality, reference_quality, sample_quality
-from reconstruction.quality.verdict import Fault, Quality, sequence_quality
-from reconstruction.refinement import Refinement
+from reconstruction.quality.reference_quality import (
+    likeness_quality,
+    linearity_quality,
+    reference_quality,
+    sample_quality,
+)
+from reconstruction.quality.verdict import Fault, Quality, repeated_reference, sequence_quality
+from reconstruction.refinement import Refinement, Round
 from reconstruction.settings import FIELD_MODES
 from reconstruction.wavefront import Wavefront
 
@@ -83,6 +89,36 @@ class Estimator:
         with _refusals():
             return Refinement(self.reconstructor, self.model)
 
+    def quality(self, counts: Counts, displacement: Displacement) -> Quality:
+        """Judge an image (row, column) by its displacements, and by its noise unless averages show that."""
+        judged, given = self.judge(counts, displacement), self.calibration
+        if given.known is None:
+            return judged
+        curve, alike = given.transfer_of(counts), Quality()
+        if given.dark is not None:  # without it, uneven stray light bends the noise of two images differently
+            alike = likeness_quality(curve, given.noise.curve, given.noise.reference_frames)
+        return repeated_reference(counts, given.reference.mean) | linearity_quality(curve, "frame") | judged | alike
+
+    def solve(
+        self,
+        registered: Displacement,
+        *,
+        sample: AssumedSample | None = None,
+        rounds: int = 0,
+        seen: Callable[[Round], object] = lambda _: None,
+    ) -> tuple[Wavefront, Assumptions]:
+        """Solve for displacements, with their own `sample` if None is given.
+
+        The wavefront is refined in at most `rounds`, of which `seen` is told; fewer where it settles.
+        """
+        sample = sample or self.reconstructor.find_sample(registered)
+        step = None
+        for step in self.refinement.rounds(registered, rounds, sample) if rounds else ():
+            seen(step)
+        if step is None:
+            return self.reconstructor.solve(registered, sample=sample), Assumptions(sample)
+        return step.wavefront, Assumptions(sample, RefinementState("applied", 0.0, bias=step.bias.displacement))
+
     def measure(
         self,
         frame: Frame,
@@ -101,7 +137,7 @@ class Estimator:
                 registered = self.reconstructor.register(frame.pixels, start=start)
             with timings.of("reconstruct"):
                 wavefront, assumed = solve(registered)
-                quality = self.judge(frame.pixels, wavefront.displacement) | _beside(previous, frame)
+                quality = self.quality(frame.pixels, wavefront.displacement) | _beside(previous, frame)
         except ReconstructionError as error:
             return Measurement(frame, None, str(error), calibration=self.calibration, start=start)
         return Measurement(

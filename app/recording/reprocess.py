@@ -124,23 +124,18 @@ class Reprocessing:
         self, in_force: _InForce, line: FrameLine, sample: AssumedSample | None, registered: Displacement
     ) -> tuple[Wavefront, Assumptions]:
         """Solve for a frame; `sample` is that of an earlier frame of the block, if there is one."""
-        recording, reconstructor = self._recording, in_force.estimator.reconstructor
+        recording, estimator = self._recording, in_force.estimator
         if in_force.solves_as_recorded:
             sample = _recorded_sample(recording, line)
-        elif sample is None:
-            sample = reconstructor.find_sample(registered)
-        if self._rounds:
-            if rounds := list(in_force.estimator.refinement.rounds(registered, self._rounds, sample)):
-                refined = RefinementState("applied", 0.0, bias=rounds[-1].bias.displacement)
-                return rounds[-1].wavefront, Assumptions(sample, refined)
-        elif line.bias is not None and in_force.registers_as_recorded:
-            bias = recording.bias(line.bias)
-            if bias.shape != registered.coefficients.shape:
-                raise InputError(f"{recording.folder}: bias {line.bias} has other lenslets or field modes")
-            age_s = math.nan if line.bias_age_s is None else line.bias_age_s
-            wavefront = reconstructor.solve(registered, bias=bias, sample=sample)
-            return wavefront, Assumptions(sample, RefinementState("applied", age_s, bias=bias))
-        return reconstructor.solve(registered, sample=sample), Assumptions(sample)
+        if self._rounds or line.bias is None or not in_force.registers_as_recorded:
+            return estimator.solve(registered, sample=sample, rounds=self._rounds)
+        bias = recording.bias(line.bias)
+        if bias.shape != registered.coefficients.shape:
+            raise InputError(f"{recording.folder}: bias {line.bias} has other lenslets or field modes")
+        age_s = math.nan if line.bias_age_s is None else line.bias_age_s
+        sample = sample or estimator.reconstructor.find_sample(registered)
+        wavefront = estimator.reconstructor.solve(registered, bias=bias, sample=sample)
+        return wavefront, Assumptions(sample, RefinementState("applied", age_s, bias=bias))
 
 
 def reprocess(

@@ -12,6 +12,10 @@ from scipy import ndimage
 from app.bench.config import load_bench
 from app.evaluation.frames import NoiseFreeFrames
 from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.calibration import Calibration
+from app.measurement.estimator import Estimator
+from app.timing import Timings
+from drivers.interface import Frame
 from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.quality.verdict import Fault, Quality
@@ -68,6 +72,14 @@ def test_reference_itself_as_frame_is_flagged(form: type[np.number[Any]]) -> Non
     quality, _ = measured(exposed(light()[0], 1).astype(form))
     assert quality.faults == Fault.FROZEN
     assert "the frame is the reference itself" in quality.sentence
+
+
+@pytest.mark.slow
+def test_image_is_judged_alike_in_a_measurement() -> None:
+    reference = exposed(light()[0], 1)
+    estimator = Estimator(Calibration.of_images(load_bench("small_demo", SQUARE), reference, dark=dark()))
+    made = estimator.measure(Frame(reference, 0, 0.0, 0.0, 0.0, 1.0), estimator.solve, Timings(1))
+    assert made.quality.faults == Fault.FROZEN, made.problem
 
 
 def test_averaged_reference_rounded_to_a_frame_is_flagged() -> None:
