@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from app.acquisition.carrier import Carrier
+from app.acquisition.course import Course
 from app.acquisition.instrument import DeviceSetting, Instrument, Status
 from app.acquisition.place import NAME
 from app.acquisition.remote.connection import reach
@@ -279,25 +280,27 @@ class LiveBench:
         acquisition, status = self._acquisition, self._status()
         limit = RecordingLimit(frames=whole_number(frames, "frames"))
         begin = partial(acquisition.start_recording, Path(folder), command=command, limit=limit)
+        course = Course(acquisition, self._progress)
         is_played = isinstance(self._bench.camera, RecordingSettings)  # each of its frames counts
         if not status.is_running and (is_played or not status.prepares):
             self._result(begin())
             self._start_camera()
         else:
             self._start_camera()
-            while acquisition.is_alive and not knows_sample(acquisition):
-                self._wait("finding layers and correction with the first frames", 0.0)
+            text = "finding layers and correction with the first frames"
+            self._follow(course.until(lambda: knows_sample(acquisition) or not acquisition.is_alive, text))
             self._result(begin())
+
+        def fraction() -> float:
+            return 0.0 if acquisition.recording is None else acquisition.recording.frames / frames
+
         try:
-            while (state := acquisition.recording) is not None and not state.is_over:
-                self._wait(f"recording {counted(frames)}", state.frames / frames)
-                if not acquisition.is_alive:
-                    self._raise_failure()
+            self._follow(course.until(course.is_recorded, f"recording {counted(frames)}", fraction))
         except BaseException:  # Ctrl-C, too: the frames so far are a recording
             acquisition.stop_recording()
             self._let_finish()
             raise
-        if state is not None and state.problem:
+        if (state := acquisition.recording) is not None and state.problem:
             self._raise_failure()
             raise RunError(state.problem)
         return Path(folder)
@@ -308,10 +311,15 @@ class LiveBench:
     def _start_camera(self) -> None:
         self._result(self._acquisition.submit(Instrument.set, "is_running", True))
 
-    def _wait(self, text: str, fraction: float) -> None:
-        self._progress(text, fraction)
-        with self._arrived:
-            self._arrived.wait(_WAIT_S)
+    def _follow(self, steps: Iterator[None]) -> None:
+        """Make all steps; an error that ended the acquisition goes before theirs."""
+        try:
+            for _ in steps:
+                with self._arrived:
+                    self._arrived.wait(_WAIT_S)
+        except Exception:
+            self._raise_failure()
+            raise
 
     def _status(self) -> Status:
         """The status, after a command at least."""

@@ -1,6 +1,5 @@
-"""Start of a bench: the commands that calibrate it, also step by step with a person, and its first wavefront."""
+"""Start of a bench: the commands that calibrate it, also step by step with a person."""
 
-import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -11,13 +10,10 @@ import numpy as np
 from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import DeviceSetting, Instrument, Status
 from app.bench.config import Bench
-from app.errors import RunError
 from app.measurement.auto_exposure import FILL
 from app.measurement.averages import FRAMES
-from app.measurement.measurement import SKIPPED, Measurement
 from reconstruction.geometry import Lattice
 
-_HOPELESS_FRAMES = 20  # without a wavefront, when the bench is calibrated
 _SAME_LATTICE = 0.05  # of the pitch; frames are doubted beyond
 
 
@@ -63,30 +59,6 @@ def knows_sample(acquisition: Carrier) -> bool:
     if newest is None or not newest.counts.acquired:
         return False
     return newest.assumed.sample is not None and newest.assumed.refinement.stage != "preparing"
-
-
-class FirstWavefront:
-    """Waits for the first wavefront of an acquisition, which a loop or the timer of a window polls."""
-
-    def __init__(self, within_s: float) -> None:
-        """Give up after this time, or some frames without a wavefront."""
-        self._within_s, self._began_s = within_s, time.perf_counter()
-        self.came_s: float | None = None  # by time.perf_counter()
-        self._failed, self._problem = 0, ""
-
-    def take(self, measurement: Measurement) -> None:
-        """Take note of a frame of the calibrated bench."""
-        if measurement.wavefront is not None:
-            self.came_s = time.perf_counter() if self.came_s is None else self.came_s
-        elif measurement.problem != SKIPPED:
-            self._failed, self._problem = self._failed + 1, measurement.problem
-
-    def check(self) -> None:
-        """Raise `RunError` if it has not come, and there is no hope of it."""
-        if self.came_s is None and self._failed >= _HOPELESS_FRAMES:
-            raise RunError(f"no wavefront in the first {self._failed} frames: {self._problem}")
-        if self.came_s is None and time.perf_counter() > self._began_s + self._within_s:
-            raise RunError(f"no wavefront within {self._within_s:g} s: {self._problem or 'no frame came'}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from app.progress import Progress, between, named
 
 if TYPE_CHECKING:
     from app.acquisition.remote.own_instrument import OwnInstrument
-    from app.evaluation.benchmark.live_path import Course, LiveFigures, LivePlan
+    from app.evaluation.benchmark.live_path import LiveFigures, LivePlan, MeasuredCourse
     from app.gui.shell.main_window import MainWindow
     from app.timing import StageTimes
 
@@ -106,7 +106,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     The light is turned off and the recording removed, also on an error or Ctrl-C.
     """
     from app.commands.display import use_display
-    from app.evaluation.benchmark.live_path import Course, LiveFigures, recording_folder
+    from app.evaluation.benchmark.live_path import LiveFigures, MeasuredCourse, recording_folder
 
     is_seen = use_display()
     warm_up_s = min(_WARM_UP_S, plan.warm_up_s)
@@ -114,13 +114,13 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     middle = lasting_s[0] / sum(lasting_s)
     in_window = named(between(progress, 0.0, middle), "window" if is_seen else "unseen window")
     with recording_folder(plan, in_window) as folder, _own_instrument() as own:
-        with_window = Course(
+        with_window = MeasuredCourse(
             own.connect(plan.bench), in_window, plan.warm_up_s, plan.seconds, memory_s=plan.memory_s, record_into=folder
         )
         _run_in_window(with_window, with_panels=plan.with_panels)
     alone = named(between(progress, middle, 1.0), "no window")
     with _own_instrument() as own:
-        without_window = Course(own.connect(plan.bench), alone, warm_up_s, plan.without_window_s)
+        without_window = MeasuredCourse(own.connect(plan.bench), alone, warm_up_s, plan.without_window_s)
         _run(without_window)
     return LiveFigures(
         plan=plan,
@@ -137,7 +137,7 @@ def _own_instrument() -> OwnInstrument:
     return OwnInstrument("benchmark")
 
 
-def _run_in_window(course: Course, *, with_panels: bool) -> None:
+def _run_in_window(course: MeasuredCourse, *, with_panels: bool) -> None:
     from app.gui.application import run_window
     from app.gui.shell.access import Access
 
@@ -150,7 +150,7 @@ def _run_in_window(course: Course, *, with_panels: bool) -> None:
     run_window(open_course, steps=lambda _: course.steps())
 
 
-def _run(course: Course) -> None:
+def _run(course: MeasuredCourse) -> None:
     course.acquisition.start()
     try:
         course.begin()

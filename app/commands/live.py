@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -201,6 +201,7 @@ def unattended_window(bench: Bench, access: Access, *, seconds: float | None, ou
     if (out / FRAME_LINES).exists():
         raise InputError(f"{out}: holds a recording; choose another folder with --out")
     check_outputs([picture, results, run], inputs=bench.files, overwrite=overwrite)
+    from app.acquisition.course import Course
     from app.gui.application import run_window, unattended_steps
 
     def finish(acquisition: Carrier, measurement: Measurement) -> None:
@@ -210,9 +211,11 @@ def unattended_window(bench: Bench, access: Access, *, seconds: float | None, ou
             write_results(results, dataset, bench=bench, inputs={})
 
     make_folder(out)
+    course = Course(access.make())
+    of_course = replace(access, make=lambda: course.acquisition, begin=lambda _: course.begin(access.begin))
     status = run_window(
-        lambda window: window.open(access),
-        steps=lambda window: unattended_steps(window, seconds or _UNATTENDED_S, picture, finish),
+        lambda window: window.open(of_course),
+        steps=lambda window: unattended_steps(window, course, seconds or _UNATTENDED_S, picture, finish),
     )
     sys.stdout.write(f"screenshot: {picture}\nresults: {results}\ntimings: {run}\n")
     return status

@@ -8,7 +8,7 @@ from pathlib import Path
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 
 from app.acquisition.carrier import CLOSING_S, Carrier
-from app.acquisition.start_up import FirstWavefront
+from app.acquisition.course import Course
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError, ended_by
@@ -134,25 +134,22 @@ class _Watch:
 
 def unattended_steps(
     window: MainWindow,
+    course: Course,
     seconds: float,
     screenshot: Path | None = None,
     on_finish: Callable[[Carrier, Measurement], object] = lambda _, __: None,
 ) -> Iterator[None]:
     """Wait for a wavefront and then for `seconds`; save a screenshot, and pass on the last measurement with one."""
-    first, newest = FirstWavefront(_FIRST_WAVEFRONT_S), list[Measurement]()
+    shown = list[Measurement]()
 
     def note(measurement: Measurement) -> None:
         if measurement.wavefront is not None:
-            newest[:] = [measurement]
-        if measurement.wavefront is not None or window.controller.is_settled:  # not of a routine
-            first.take(measurement)
+            shown[:] = [measurement]
 
     window.measurement_shown.connect(note)
-    while first.came_s is None or time.perf_counter() < first.came_s + seconds:
-        yield
-        first.check()
+    end_s = seconds + (yield from course.first_wavefront(_FIRST_WAVEFRONT_S))
+    yield from course.until(lambda: bool(shown) and time.perf_counter() >= end_s)
     window.update_text()
     if screenshot is not None and not window.save_screenshot(screenshot):
         raise RunError(f"{screenshot}: cannot be written")
-    if (acquisition := window.controller.acquisition) is not None:
-        on_finish(acquisition, newest[0])
+    on_finish(course.acquisition, shown[0])

@@ -9,15 +9,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, replace
 from operator import ge, le, lt
 from pathlib import Path
 from typing import Any
 
+from app.acquisition.course import Course
 from app.acquisition.remote.own_instrument import OwnConnection
-from app.acquisition.start_up import FirstWavefront, start_up
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError, ended_by
 from app.measurement.measurement import FrameTotals
@@ -144,7 +143,7 @@ class Span:
         return self.times["draw"].count / self.seconds
 
 
-class Course:
+class MeasuredCourse(Course):
     """One run of an instrument in a process of its own, which the caller closes."""
 
     def __init__(
@@ -158,18 +157,11 @@ class Course:
         record_into: Path | None = None,
     ) -> None:
         """Prepare a span of `seconds` after the warm-up; the memory is measured over its last `memory_s`."""
-        self.acquisition = acquisition
-        self._progress, self._record_into = progress, record_into
+        super().__init__(acquisition, progress)
+        self._process, self._record_into = acquisition.place.process, record_into
         self._warm_up_s, self._seconds, self._memory_s = warm_up_s, seconds, memory_s
-        self._first = FirstWavefront(_GIVE_UP_S)
-        self._expected: tuple[Future[Any], ...] = ()
         self._span: Span | None = None
         self._made_s = time.perf_counter()
-
-    def begin(self) -> tuple[Future[Any], ...]:
-        """Calibrate the bench and turn to the sample."""
-        self._expected = start_up(self.acquisition)
-        return self._expected
 
     @property
     def span(self) -> Span:
@@ -180,24 +172,25 @@ class Course:
 
     def steps(self) -> Iterator[None]:
         """Make the steps that are due, some times a second; `RunError` or `InputError` if one fails."""
-        acquisition, seen = self.acquisition, None
-        while (first_s := self._first.came_s) is None:
-            self._check()
-            newest = acquisition.newest
-            if newest is not None and newest is not seen and all(step.done() for step in self._expected):
-                self._first.take(newest)
-            seen = newest
-            self._first.check()
-            self._progress(acquisition.activity.text or "waiting for the first wavefront", 0.0)
-            yield
-        if self._record_into is not None:
-            self._expected += (acquisition.start_recording(self._record_into, command="benchmark"),)
-        yield from self._wait(first_s + self._warm_up_s, first_s, "warming up")
+        acquisition, folder = self.acquisition, self._record_into
+        first_s = yield from self.first_wavefront(_GIVE_UP_S)
+        if folder is not None:
+            self.begin(lambda to: (to.start_recording(folder, command="benchmark"),))
+
+        def wait(until_s: float, text: str) -> Iterator[None]:
+            whole_s = self._warm_up_s + self._seconds
+            return self.until(
+                lambda: time.perf_counter() >= until_s,
+                text,
+                lambda: min(1.0, (time.perf_counter() - first_s) / whole_s),
+            )
+
+        yield from wait(first_s + self._warm_up_s, "warming up")
         began_s, before, stages = time.perf_counter(), acquisition.counts, acquisition.timings.summary()
         end_s = began_s + self._seconds
-        yield from self._wait(end_s - self._memory_s, first_s, "measuring")
+        yield from wait(end_s - self._memory_s, "measuring")
         memory_mb = self._memory_mb()
-        yield from self._wait(end_s, first_s, "measuring")
+        yield from wait(end_s, "measuring")
         ended_s, after, times = time.perf_counter(), acquisition.counts, acquisition.timings.summary()
         self._span = Span(
             first_wavefront_s=first_s - self._made_s,
@@ -207,29 +200,12 @@ class Course:
             times={stage: replace(each, count=each.count - stages[stage].count) for stage, each in times.items()},
             memory_mb=(memory_mb, self._memory_mb()),
         )
-        if self._record_into is not None:
-            self._expected += (acquisition.stop_recording(),)
-            while (state := acquisition.recording) is not None and not state.is_over:
-                self._check()
-                yield
+        if folder is not None:
+            self.begin(lambda to: (to.stop_recording(),))
+            yield from self.until(self.is_recorded, "measuring", lambda: 1.0)
 
     def _memory_mb(self) -> float | None:
-        return resident_mb(os.getpid(), self.acquisition.place.process)
-
-    def _wait(self, until_s: float, first_s: float, text: str) -> Iterator[None]:
-        while (now_s := time.perf_counter()) < until_s:
-            self._check()
-            self._progress(text, min(1.0, (now_s - first_s) / (self._warm_up_s + self._seconds)))
-            yield
-
-    def _check(self) -> None:
-        failed = (step.exception() for step in self._expected if step.done())
-        error = self.acquisition.error or next(filter(None, failed), None)
-        if error is None:
-            return
-        if isinstance(error, InputError | RunError):
-            raise error
-        raise RunError(self.acquisition.failure or str(error) or type(error).__name__) from error
+        return resident_mb(os.getpid(), self._process)
 
 
 @dataclass(frozen=True, slots=True)

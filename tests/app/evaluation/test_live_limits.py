@@ -19,7 +19,7 @@ from support.gui_bench import BENCH, make_measurement
 
 import app.commands.benchmark
 from app import cli
-from app.acquisition.start_up import FirstWavefront
+from app.acquisition.course import FirstWavefront
 from app.bench.config import load_bench
 from app.bench.device_kinds import RecordingSettings
 from app.commands.benchmark import print_figures

@@ -8,6 +8,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -18,12 +19,12 @@ from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S, wait_until
 
 from app.acquisition.carrier import Carrier
+from app.acquisition.course import Course
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.errors import Interrupted, RunError
 from app.gui.application import run_window, unattended_steps
 from app.gui.shell.access import Access
-from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
 from drivers.interface import Disconnected
 
@@ -46,19 +47,24 @@ def when_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:
     timer.stop()
 
 
-Steps = Callable[[MainWindow], Iterator[None]]
+def run_unattended(
+    camera: FakeCamera, seconds: float, screenshot: Path | None = None, finished: list[Measurement] | None = None
+) -> int:
+    course = Course(Acquisition(BENCH, opener(camera)))
 
-
-def steps(seconds: float, screenshot: Path | None = None, finished: list[Measurement] | None = None) -> Steps:
     def note(_: Carrier, measurement: Measurement) -> None:
         if finished is not None:
             finished.append(measurement)
 
-    return lambda window: unattended_steps(window, seconds, screenshot, note)
+    access = Access(lambda: course.acquisition, lambda _: course.begin())
+    return run_window(
+        lambda window: window.open(access),
+        steps=lambda window: unattended_steps(window, course, seconds, screenshot, note),
+    )
 
 
-def opening(camera: FakeCamera) -> Callable[[MainWindow], object]:
-    return lambda window: window.open(Access(lambda: Acquisition(BENCH, opener(camera))))
+def run_attended(camera: FakeCamera) -> int:
+    return run_window(lambda window: window.open(Access(lambda: Acquisition(BENCH, opener(camera)))))
 
 
 @pytest.mark.slow
@@ -66,7 +72,7 @@ def opening(camera: FakeCamera) -> Callable[[MainWindow], object]:
 def test_unattended_run_saves_screenshot_and_result(qapp: QApplication, tmp_path: Path) -> None:
     camera = FakeCamera()
     finished: list[Measurement] = []
-    status = run_window(opening(camera), steps=steps(0.3, tmp_path / "window.png", finished))
+    status = run_unattended(camera, 0.3, tmp_path / "window.png", finished)
     assert status == 0
     assert finished[0].wavefront is not None
     image = QImage(str(tmp_path / "window.png"))
@@ -88,7 +94,7 @@ def test_full_disk_leaves_no_screenshot(qapp: QApplication, tmp_path: Path, monk
     monkeypatch.setattr(os, "fsync", fill_up)
     camera = FakeCamera()
     with pytest.raises(RunError, match=r"window\.png: cannot be written"):
-        run_window(opening(camera), steps=steps(0.1, tmp_path / "window.png"))
+        run_unattended(camera, 0.1, tmp_path / "window.png")
     assert not list(tmp_path.iterdir())
 
 
@@ -96,7 +102,7 @@ def test_unattended_run_raises_device_error(qapp: QApplication) -> None:
     camera = FakeCamera()
     camera.fault = Disconnected("no camera was found")
     with pytest.raises(RunError, match=r"^no camera was found"):
-        run_window(opening(camera), steps=steps(0.3))
+        run_unattended(camera, 0.3)
     assert qapp is QApplication.instance()
 
 
@@ -130,15 +136,15 @@ def test_slow_computation_raises_no_false_alarm_about_the_light(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("unattended", [None, steps(HANG_S)])
+@pytest.mark.parametrize("run", [run_attended, partial(run_unattended, seconds=HANG_S)])
 def test_signal_closes_window_and_turns_light_off(
-    qapp: QApplication, number: signal.Signals, unattended: Steps | None
+    qapp: QApplication, number: signal.Signals, run: Callable[[FakeCamera], int]
 ) -> None:
     assert qapp is QApplication.instance()
     camera = FakeCamera()
     before = signal.getsignal(number)
     with when_lit(camera, lambda: os.kill(os.getpid(), number)), pytest.raises(Interrupted):
-        run_window(opening(camera), steps=unattended)
+        run(camera)
     assert camera.is_closed
     assert not camera.light.shines
     assert signal.getsignal(number) == before
@@ -148,7 +154,7 @@ def test_unattended_run_closed_early_raises_and_saves_nothing(qapp: QApplication
     camera = FakeCamera()
     finished: list[Measurement] = []
     with when_lit(camera, qapp.closeAllWindows), pytest.raises(RunError, match="closed before the run had finished"):
-        run_window(opening(camera), steps=steps(HANG_S, tmp_path / "window.png", finished))
+        run_unattended(camera, HANG_S, tmp_path / "window.png", finished)
     assert not finished
     assert not list(tmp_path.iterdir())
     assert camera.is_closed
