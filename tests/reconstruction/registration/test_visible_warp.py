@@ -12,8 +12,10 @@ from support.polynomial_layers import PHASE, light
 from app.bench.config import Bench
 from app.bench.imaging_model import lenslet_model
 from reconstruction.arrays import Image
+from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
-from reconstruction.registration.gauss_newton import GaussNewton
+from reconstruction.registration.gauss_newton import GaussNewton, template
+from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import FIELD_MODES, Warp
 from reconstruction.solve.modal import ModalSolution
 from simulated_devices.optics.lenslet_image import LensletImage
@@ -99,3 +101,39 @@ def test_what_is_hidden_keeps_the_variance_of_the_prior(small_bench: SmallBench,
     growth = sigma["square"] / sigma["checkerboard"]
     assert (growth[[0, 3, 5]] > 5).all()
     assert (growth[[1, 2, 4]] < 3).all()
+
+
+@pytest.mark.parametrize("peak_e", [300.0, 2000.0, 20000.0])
+def test_pixels_left_out_raise_the_scatter_by_less_than_two_percent(
+    checker_bench: SmallBench, monkeypatch: pytest.MonkeyPatch, peak_e: float
+) -> None:
+    """The same noisy frames, fitted with the chosen pixels and with all: the ratio of their scatter is known well."""
+    bench, read_noise, frames = checker_bench, 3.0, 12
+    light = np.maximum(bench.tilted(3000.0, 800.0)[0] * np.float32(peak_e / bench.reference.max()), 0)
+    reference = ReferenceSubimages(
+        bench.reference * np.float32(peak_e / bench.reference.max()),
+        sensor=bench.sensor,
+        lattice=bench.lattice,
+        field=bench.field,
+        noise=KnownNoise(CameraNoise(1.0, read_noise)),
+    )
+    model = LensletImage(bench.sensor, FIELD, bench.source, width=reference.width, pupil_samples=12)
+
+    def prepare() -> GaussNewton:
+        return GaussNewton(reference, LegendreModes(15), conserve_flux=False, rotation=False, model=model)
+
+    chosen = prepare()
+    monkeypatch.setattr(template, "_informative", lambda _, weight: np.ones(weight.shape, np.bool_))
+    nowhere = np.zeros(light.shape, np.bool_)
+    methods, rng, squares = (chosen, prepare()), np.random.default_rng(1), np.zeros((frames, 2))
+    assert chosen._warp.grid.light.shape[1] < 0.95 * methods[1]._warp.grid.light.shape[1]
+    still = [method(light, saturated=nowhere) for method in methods]
+    for frame in range(frames):
+        noisy = (rng.poisson(light) + rng.normal(0, read_noise, light.shape)).astype(np.float32)
+        found = [method(noisy, saturated=nowhere) for method in methods]
+        assert all(each.valid.all() for each in found)
+        squares[frame] = [np.sum((f.coefficients - s.coefficients) ** 2) for f, s in zip(found, still, strict=True)]
+    ratio, without_one = (np.sqrt(s[..., 0] / s[..., 1]) for s in (squares.sum(axis=0), squares.sum(axis=0) - squares))
+    error = np.sqrt((frames - 1) * np.mean((without_one - ratio) ** 2))  # by the jackknife
+    assert error < 0.002
+    assert 1 - 3 * error < ratio < 1.02 - 3 * error
