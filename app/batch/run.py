@@ -11,7 +11,7 @@ from typing import Any
 
 import xarray as xr
 
-from app.batch.store import BatchInput, Job, ResultStore, is_store, store_attributes
+from app.batch.store import BatchInput, BatchJob, ResultStore, is_store, store_attributes
 from app.bench.config import write_bench
 from app.errors import InputError, Interrupted, RunError
 from app.files import check_writable, in_words, make_folder, remove_partial
@@ -55,7 +55,7 @@ class _DoneBlock:
     facts: dict[str, Any]  # bench in force, software and computer
 
 
-def check_batch(folders: Sequence[Path], out: Path, job: Job) -> tuple[list[BatchInput], Batch]:
+def check_batch(folders: Sequence[Path], out: Path, job: BatchJob) -> tuple[list[BatchInput], Batch]:
     """Check what a batch reads, without workers; return the complete recordings, and the others in a `Batch`.
 
     `InputError` if no recording can be used, `out` cannot be the store of this job, or its settings fit no recording.
@@ -97,7 +97,7 @@ def _check_settings(sources: Sequence[BatchInput], settings: tuple[str, ...]) ->
         raise problem
 
 
-def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, progress: Progress) -> Batch:
+def run_batch(folders: Sequence[Path], out: Path, job: BatchJob, evaluate: Evaluate, progress: Progress) -> Batch:
     """Reconstruct the blocks of recordings that are missing in the store `out`, which is made if necessary.
 
     `evaluate` calls a function with each block, here or on workers that see the same folders. `InputError` if no
@@ -133,7 +133,9 @@ def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, 
     return batch
 
 
-def _opened(out: Path, job: Job, sources: Sequence[BatchInput], evaluate: Evaluate, progress: Progress) -> ResultStore:
+def _opened(
+    out: Path, job: BatchJob, sources: Sequence[BatchInput], evaluate: Evaluate, progress: Progress
+) -> ResultStore:
     """Open the store, or make it for results like those of the first recording that has any."""
     if is_store(out):
         return ResultStore(out)
@@ -215,7 +217,7 @@ def _check_free(folder: Path) -> None:
         raise InputError(f"{folder}: cannot be used: {in_words(error)}") from error
 
 
-def reconstruct_block(store: Path, job: Job, block: _Block) -> _DoneBlock:
+def reconstruct_block(store: Path, job: BatchJob, block: _Block) -> _DoneBlock:
     """Reconstruct a block and write its results into the store."""
     job.check_software()
     problem, bench = "", ""
@@ -234,7 +236,7 @@ def reconstruct_block(store: Path, job: Job, block: _Block) -> _DoneBlock:
     return _DoneBlock(problem or "".join(reasons[:1]), reasons, {"bench": bench, **software_facts()})
 
 
-def first_result(job: Job, source: BatchInput) -> xr.Dataset | None:
+def first_result(job: BatchJob, source: BatchInput) -> xr.Dataset | None:
     """Return the first result of a recording as a piece of one frame; None if its first block has no wavefront."""
     job.check_software()
     made = _prepared(source, job)(source.chosen[:BLOCK_FRAMES], lambda *_: None)
@@ -243,7 +245,7 @@ def first_result(job: Job, source: BatchInput) -> xr.Dataset | None:
 
 
 @lru_cache(maxsize=1)  # blocks come in the order of the recordings; a reconstructor takes tens of megabytes
-def _prepared(source: BatchInput, job: Job) -> Reprocessing:
+def _prepared(source: BatchInput, job: BatchJob) -> Reprocessing:
     recording = Recording(source.folder)
     if len(recording) < source.chosen.stop:
         raise InputError(recording.lost_lines)

@@ -55,7 +55,7 @@ class _DurableStore(LocalStore):
 
 
 class ResultStore:
-    """An existing store, opened to be written into; it belongs to one `Job`."""
+    """An existing store, opened to be written into; it belongs to one `BatchJob`."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -71,7 +71,7 @@ class ResultStore:
         }
 
     @classmethod
-    def create(cls, folder: Path, job: Job, template: xr.Dataset) -> ResultStore:
+    def create(cls, folder: Path, job: BatchJob, template: xr.Dataset) -> ResultStore:
         """Make an empty store for results like these of some frames of one recording."""
         group = zarr.open_group(_DurableStore(folder), mode="a", zarr_format=3)
         group.attrs.update({"format": FORMAT})
@@ -114,7 +114,7 @@ class ResultStore:
         group.attrs.update({"title": "Space-variant wavefronts", "coordinates": coordinates, "job": asdict(job)})
         return cls(folder)
 
-    def check(self, job: Job) -> None:
+    def check(self, job: BatchJob) -> None:
         """Raise `InputError` unless the results in the store are of the same job."""
         kept = self._group.attrs["job"]
         given = json.loads(json.dumps(asdict(job)))
@@ -274,7 +274,7 @@ def _software() -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Job:
+class BatchJob:
     """How each recording is reconstructed. Another version of the software may compute other bits."""
 
     bench: str = ""  # TOML text of another bench; empty: each recording's own

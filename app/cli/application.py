@@ -13,19 +13,19 @@ from app.commands.benchmark import benchmark
 from app.commands.calibrate import calibrate
 from app.commands.desktop import desktop
 from app.commands.devices import devices
-from app.commands.export import export
 from app.commands.light_off import light_off
 from app.commands.live import live
 from app.commands.mask import mask
 from app.commands.measure import measure
 from app.commands.options import OnceCommand
+from app.commands.paper import paper
 from app.commands.reconstruct import reconstruct
 from app.commands.recover import recover
 from app.commands.replay import replay
-from app.commands.report import report
+from app.commands.selftest import selftest
 from app.commands.serve import serve
 from app.commands.simulate import simulate
-from app.commands.study import paper, selftest, study
+from app.commands.study import study
 from app.results.analysis import ANALYSES
 
 cli = typer.Typer(
@@ -49,7 +49,7 @@ def _common(
 
 
 # in the order of the help
-for command in (live, measure, serve, recover, replay, batch, export, report):
+for command in (live, measure, serve, recover, replay, batch):
     cli.command(cls=OnceCommand)(command)
 for name, (_, sentence) in ANALYSES.items():
     cli.command(name, cls=AnalysisCommand, help=sentence)(lambda: None)

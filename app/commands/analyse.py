@@ -41,31 +41,27 @@ def command_of(kind: type[Analysis]) -> Callable[..., None]:
     """Return a function with the options of an analysis, which computes, writes, draws and tells it."""
 
     def run(source: Path, out: Path, plot: Path | None = None, *, overwrite: bool, **chosen: Any) -> None:
-        from app.progress import between
         from reconstruction.errors import ReconstructionError
 
         analysis = kind(**chosen)
         reads, writes = analysis.more_files(source)
-        reads = [*options.files_of_sources(source), *reads]
-        suffixes = () if kind.needs_suffix else kind.suffixes
-        options.check_files(out, *suffixes, reads=reads, plot=plot, more=writes, overwrite=overwrite)
+        allowed = () if kind.needs_suffix else analysis.suffixes
+        job = options.Job(out, *writes, reads=reads, sources=[source], suffixes=allowed, plot=plot, overwrite=overwrite)
         if kind.needs_suffix:
-            require_suffix(out, *kind.suffixes)
+            require_suffix(out, *analysis.suffixes)
         try:
-            with terminal.progress_bar() as progress:
-                bench, found = analysis.compute(source, between(progress, 0.0, 0.9))
-                progress("writing", 0.9)
-                analysis.write(found, bench, source, out)
-                if plot is not None:
-                    from app.results.figures import save_figure
-
-                    save_figure(analysis.draw(found), plot, dpi=kind.picture_dpi)
+            with job.progress() as progress:
+                found = analysis.run(source, out, progress)
+                job.draw(lambda: analysis.draw(found), dpi=kind.picture_dpi)
         except ReconstructionError as error:
             raise InputError(f"{source}: {error}") from error
         except Interrupted:
             raise Interrupted(f"interrupted: {out} is not written") from None
+        if (table := analysis.by_view(found)) is not None:
+            terminal.print_by_view(*table)
         typer.echo("\n".join(analysis.sentences(found)) + kind.closing.format(out=out))
-        terminal.print_version_notice(source)
+        for each, settings in analysis.bench_changes(source).items():
+            terminal.print_notes(each, settings)
 
     own = [each.replace(kind=each.KEYWORD_ONLY) for each in signature(kind, eval_str=True).parameters.values()]
     needed = [each for each in own if each.default is each.empty]

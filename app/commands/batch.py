@@ -42,13 +42,13 @@ def batch(
     """
     options.check_recordings(*recordings)
     from app.batch.run import check_batch, run_batch
-    from app.batch.store import Job
+    from app.batch.store import BatchJob
     from app.batch.workers import workers as start
     from app.bench.config import load_bench, write_bench
 
     settings = tuple(setting or ())
     other = "" if bench is None else write_bench(load_bench(bench, settings))
-    job = Job(bench=other, settings=() if other else settings, rounds=refine, frames=frames or "")
+    job = BatchJob(bench=other, settings=() if other else settings, rounds=refine, frames=frames or "")
     check_batch(recordings, out, job)
     with start(workers, scheduler, dashboard=dashboard) as evaluate, terminal.progress_bar() as progress:
         if evaluate.dashboard:

@@ -13,7 +13,6 @@ import typer
 from app.bench.presets import DEFAULT
 from app.commands import options, terminal
 from app.errors import InputError, RunError
-from app.files import check_outputs, check_suffix
 from app.progress import Progress, between, named
 
 if TYPE_CHECKING:
@@ -60,8 +59,9 @@ def benchmark(
 
     Example: svwfs benchmark --live 60 --check
     """
-    check_outputs([json], overwrite=overwrite)
-    check_suffix(json, ".json")
+    from app.run_facts import write_record
+
+    job = options.Job(json, suffixes=(".json",), overwrite=overwrite)
     if live is not None:
         from app.evaluation.benchmark.live_path import LivePlan
 
@@ -69,35 +69,26 @@ def benchmark(
         loaded = options.load(bench or DEFAULT, list(settings))
         folder = None if no_record else record_in or Path(gettempdir())
         live_plan = LivePlan(bench=loaded, seconds=live, record_in=folder, with_panels=panels)
-        _benchmark_live(live_plan, json, check=check)
-        return
-    if bench or setting or record_in or no_record or panels:
+        with job.progress() as progress:
+            figures = benchmark_acquisition(live_plan, progress)
+        print_figures(figures)
+        numbers, failed, problem = figures.tree(), figures.missed(), "missed"
+    elif bench or setting or record_in or no_record or panels:
         raise InputError(
             "--bench, --set, --record-in, --no-record and --panels are only for the live benchmark: add --live SECONDS"
         )
-    from app.evaluation.benchmark import BenchmarkPlan, load_baseline, run_benchmark, worsened
-    from app.run_facts import write_record
+    else:
+        from app.evaluation.benchmark import BenchmarkPlan, load_baseline, run_benchmark, worsened
 
-    plan = BenchmarkPlan(bench=options.load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
-    with terminal.progress_bar() as progress:
-        result = run_benchmark(plan, progress)
+        plan = BenchmarkPlan(bench=options.load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
+        with job.progress() as progress:
+            numbers = run_benchmark(plan, progress)
+        print_benchmark(numbers)
+        failed, problem = worsened(numbers["ratios"], load_baseline()), "slower relative to the peers than the baseline"
     if json is not None:
-        write_record(json, result)
-    print_benchmark(result)
-    if check and (slower := worsened(result["ratios"], load_baseline())):
-        raise RunError("slower relative to the peers than the baseline: " + "; ".join(slower))
-
-
-def _benchmark_live(plan: LivePlan, json: Path | None, *, check: bool) -> None:
-    from app.run_facts import write_record
-
-    with terminal.progress_bar() as progress:
-        figures = benchmark_acquisition(plan, progress)
-    print_figures(figures)
-    if json is not None:
-        write_record(json, figures.tree())
-    if check and (failed := figures.missed()):
-        raise RunError("missed: " + "; ".join(failed))
+        write_record(json, numbers)
+    if check and failed:
+        raise RunError(f"{problem}: {'; '.join(failed)}")
 
 
 def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:

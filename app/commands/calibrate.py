@@ -62,13 +62,15 @@ def calibrate(
 
     Example: svwfs calibrate --linearity --bench small_demo --set camera.nonlinearity=0.04 --out linear.toml
     """
+    from app.results.figures import lattice_figure
+
     loaded = options.load(bench, setting)
     if linearity:
         if not all(given is None for given in (reference, dark, plot)):
             raise InputError("--linearity takes its own exposures: leave reference, --dark and --plot out")
-        options.check_files(out, ".toml", reads=options.files_of_bench(bench, loaded), overwrite=overwrite)
+        job = options.Job(out, reads=options.files_of_bench(bench, loaded), suffixes=(".toml",), overwrite=overwrite)
         terminal.confirm_libraries(loaded, trust=trust_library)
-        with terminal.progress_bar() as progress:
+        with job.progress() as progress:
             measured = find_linearity(loaded, average, progress)
         if out is not None:
             write_found(dataclasses.replace(loaded, linearity=measured.linearity), "linearity", bench, out)
@@ -80,13 +82,10 @@ def calibrate(
         raise InputError("--average belongs to --linearity")
     options.check_images(reference, dark)
     reads = (reference, dark, *options.files_of_bench(bench, loaded))
-    options.check_files(out, ".toml", reads=reads, plot=plot, overwrite=overwrite)
-    with terminal.progress_bar() as progress:
+    job = options.Job(out, reads=reads, suffixes=(".toml",), plot=plot, overwrite=overwrite)
+    with job.progress() as progress:
         calibrated = find_lattice(reference, dark=dark, bench=loaded, progress=progress)
-    if plot is not None:
-        from app.results.figures import lattice_figure, save_figure
-
-        save_figure(lattice_figure(calibrated.reference, calibrated.survey), plot)
+    job.draw(lambda: lattice_figure(calibrated.reference, calibrated.survey))
     if out is not None:
         write_found(calibrated.bench, "lattice", bench, out)
     if as_json:

@@ -17,7 +17,7 @@ from app.bench.trusted_libraries import unconfirmed
 from app.commands import options, terminal
 from app.commands.display import use_display
 from app.errors import InputError
-from app.files import check_outputs, make_folder
+from app.files import make_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -200,7 +200,7 @@ def unattended_window(bench: Bench, access: Access, *, seconds: float | None, ou
     picture, results, run = (out / name for name in ("window.png", "result.nc", "run.json"))
     if (out / FRAME_LINES).exists():
         raise InputError(f"{out}: holds a recording; choose another folder with --out")
-    check_outputs([picture, results, run], inputs=bench.files, overwrite=overwrite)
+    options.Job(picture, results, run, reads=bench.files, overwrite=overwrite)
     from app.acquisition.course import Course
     from app.gui.application import run_window, unattended_steps
 

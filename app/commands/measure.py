@@ -10,7 +10,7 @@ import typer
 from app.acquisition.place import NAME
 from app.commands import options, terminal
 from app.errors import InputError, Interrupted, RunError
-from app.files import MEASURED, check_outputs
+from app.files import MEASURED
 from app.measurement.averages import AVERAGED_FRAMES, FRAMES
 from app.progress import Progress, counted
 
@@ -68,8 +68,8 @@ def measure(
     """
     if attach:
         options.refuse_with_attach(bench=bench, mask=mask, average=average, auto_expose=auto_expose, set=setting)
-        _check_out(out, (), overwrite=overwrite)  # before another program loses control
-        with terminal.progress_bar() as progress:
+        job = _job(out, (), overwrite=overwrite)  # before another program loses control
+        with job.progress() as progress:
             measured = measure_attached(name, frames, out, progress, takes_control=take_control)
     elif take_control:
         raise InputError("--take-control is for an instrument that runs: add --attach")
@@ -79,8 +79,8 @@ def measure(
         mask_setting = [] if mask is None else [f"simulation.source.mask={mask}"]
         loaded = options.load(bench, [*(setting or []), *mask_setting])
         terminal.confirm_libraries(loaded, trust=trust_library)
-        _check_out(out, loaded.files, overwrite=overwrite)
-        with terminal.progress_bar() as progress:
+        job = _job(out, loaded.files, overwrite=overwrite)
+        with job.progress() as progress:
             measured = measure_bench(loaded, frames, out, progress, average=average, auto_expose=auto_expose)
     print_measurement(measured, out)
 
@@ -154,11 +154,11 @@ def _measured(live: LiveBench, frames: int, out: Path, progress: Progress, begin
     return measured
 
 
-def _check_out(out: Path, inputs: Collection[Path], *, overwrite: bool) -> None:
+def _job(out: Path, inputs: Collection[Path], *, overwrite: bool) -> options.Job:
     from app.recording.folder import check_free
 
     check_free(out)
-    check_outputs([out / name for name in MEASURED], inputs=inputs, overwrite=overwrite)
+    return options.Job(*(out / name for name in MEASURED), reads=inputs, overwrite=overwrite)
 
 
 def _record(live: LiveBench, frames: int, out: Path, calibrate: Callable[[], object]) -> tuple[bool, str]:

@@ -1,10 +1,10 @@
-"""Options that several commands share, and what is made of them before the work: benches and checked files."""
+"""Options that several commands share, and the job of a command: files checked before it, and a picture after it."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,11 +12,14 @@ import typer
 from typer.core import TyperCommand, TyperOption
 
 from app.bench.presets import PRESETS
+from app.commands import terminal
 from app.errors import InputError
 from app.files import check_outputs, check_readable, check_suffix, require_suffix
 from app.results import analysis
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from app.bench import config
 
 FOLDER = "FOLDER"  # in the help, of an option that names a folder
@@ -83,13 +86,6 @@ def files_of_bench(bench: str, loaded: config.Bench) -> tuple[Path, ...]:
     return (bench_file(bench), *loaded.files)
 
 
-def files_of_sources(*sources: Path) -> list[Path]:
-    """Return the files of recordings and results, which no output may replace."""
-    from app.recording.folder import parts_of
-
-    return [part for source in sources for part in (parts_of(source) if source.is_dir() else [source])]
-
-
 def check_recordings(*folders: Path) -> None:
     """Raise `InputError` if none of these folders holds a recording, before anything is loaded that takes seconds."""
     from app.recording.folder import read_run
@@ -110,23 +106,40 @@ def check_images(*images: Path | None) -> None:
         check_readable(image)
 
 
-def check_files(
-    out: Path | None,
-    *suffixes: str,
-    reads: Iterable[Path | None],
-    plot: Path | None = None,
-    more: Iterable[Path] = (),
-    overwrite: bool,
-) -> None:
-    """Check the files of a command before its work: `out` in a format with these suffixes, `plot` a picture.
+class Job:
+    """Files that a command writes, checked before its work; None stands for an option that was not given.
 
-    `reads` are its inputs, `more` other outputs. `InputError` says what is wrong.
+    The first has one of some `suffixes` if there are any, `plot` is a picture. No input is replaced: neither files that
+    are read, nor those of `sources`, recordings and results. `InputError` says what is wrong.
     """
-    check_outputs([out, plot, *more], inputs=reads, overwrite=overwrite)
-    if suffixes:
-        check_suffix(out, *suffixes)
-    if plot is not None:
-        require_suffix(plot, *PICTURES, kind="picture's name")
+
+    progress = staticmethod(terminal.progress_bar)
+
+    def __init__(
+        self,
+        *outputs: Path | None,
+        reads: Iterable[Path | None] = (),
+        sources: Iterable[Path | None] = (),
+        suffixes: tuple[str, ...] = (),
+        plot: Path | None = None,
+        overwrite: bool,
+    ) -> None:
+        from app.recording.folder import parts_of
+
+        parts = [part for each in filter(None, sources) for part in (parts_of(each) if each.is_dir() else [each])]
+        check_outputs([*outputs, plot], inputs=[*reads, *parts], overwrite=overwrite)
+        if suffixes:
+            check_suffix(outputs[0], *suffixes)
+        if plot is not None:
+            require_suffix(plot, *PICTURES, kind="picture's name")
+        self._plot = plot
+
+    def draw(self, figure: Callable[[], Figure], *, dpi: int = 150) -> None:
+        """Make a figure of the result and write it, if a picture is wanted."""
+        if self._plot is not None:
+            from app.results.figures import save_figure
+
+            save_figure(figure(), self._plot, dpi=dpi)
 
 
 class OnceCommand(TyperCommand):

@@ -40,17 +40,17 @@ def replay(
     from app.results.replay import replay as run
 
     settings, other = tuple(setting or ()), None if bench is None else options.load(bench, setting)
-    reads = options.files_of_sources(recording)
+    reads: tuple[Path, ...] = ()
     if bench is not None and other is not None:
-        reads += options.files_of_bench(bench, other)
+        reads = options.files_of_bench(bench, other)
     elif settings:
-        reads += changed_bench(Recording(recording).bench, settings).files
-    options.check_files(out, ".nc", reads=reads, overwrite=overwrite)
-    with terminal.progress_bar() as progress:
+        reads = changed_bench(Recording(recording).bench, settings).files
+    job = options.Job(out, reads=reads, sources=[recording], suffixes=(".nc",), overwrite=overwrite)
+    with job.progress() as progress:
         change = change_of(other, settings)
         made = run(recording, change, frames=frames, out=out, verify=verify, progress=progress)
     print_replay(made)
-    terminal.print_notes(recording, setting, is_own=bench is None)
+    terminal.print_notes(recording, settings if bench is None else None)
 
 
 def print_replay(made: Replay) -> None:

@@ -6,8 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from app.commands import options, terminal
-from app.files import check_outputs
+from app.commands import options
 
 _CONDITIONS = {"dark": (False, False), "reference": (True, False), "frame": (True, True)}  # light on, sample in
 _TRUTH = "truth.nc"
@@ -37,9 +36,9 @@ def simulate(
 
     loaded = options.load(bench, setting)
     outputs = [out / name for name in (*(f"{name}.tif" for name in _CONDITIONS), _TRUTH)]
-    check_outputs(outputs, inputs=options.files_of_bench(bench, loaded), overwrite=overwrite)
+    job = options.Job(*outputs, reads=options.files_of_bench(bench, loaded), overwrite=overwrite)
     with ExitStack() as stack:
-        progress = stack.enter_context(terminal.progress_bar())
+        progress = stack.enter_context(job.progress())
         opening = simulated_bench(loaded, lambda fraction: progress("rendering", fraction), ManualClock())
         simulated = stack.enter_context(closing(opening))
         camera = stack.enter_context(SimulatedCamera(simulated))

@@ -1,41 +1,20 @@
-"""`svwfs selftest`, `study` and `paper`: accuracy against known truths, and beside the paper."""
+"""`svwfs study`: accuracy against known truths."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from app.commands import options, terminal
-from app.errors import RunError
-from app.files import check_outputs
 
 if TYPE_CHECKING:
     from app.batch.workers import Workers
     from app.bench.config import Bench
     from app.evaluation.studies import Study, StudyResult
-
-
-def selftest() -> None:
-    """Check signs, axes and units with phases known in closed form.
-
-    Example: svwfs selftest
-    """
-    from rich.console import Console
-
-    from app.evaluation.selftest import run_checks
-
-    console, passed = Console(), []
-    console.print("what was put in                       RMS (rad)   scale   residual (rad)")
-    for check in run_checks():
-        passed.append(check.passes)
-        verdict = "[green]ok[/]" if check.passes else "[red]WRONG[/]"
-        numbers = f"{check.rms_rad:9.3f}  {check.scale:6.3f}  {check.residual_rad:15.4f}"
-        console.print(f"{check.name:36s}  {numbers}   {verdict}", highlight=False)
-    if not all(passed):
-        raise RunError("the selftest failed: this installation must not be trusted")
 
 
 def study(
@@ -80,29 +59,28 @@ def study(
 
     Example: svwfs study masks optimised pictures --seeds 1 --out study
     """
+    from app.batch.workers import workers as start
     from app.evaluation.studies import files_of
     from app.evaluation.study import chosen_studies
 
     studies = chosen_studies(names or [], frames)
     loaded = options.load(bench, setting)
     inputs = [*options.files_of_bench(bench, loaded), *(Path(name) for name in names or [])]
-    check_outputs(files_of(studies, out), inputs=inputs, overwrite=overwrite)
-    if workers is None and scheduler is None:
-        _run(studies, loaded, seeds, out)
-        return
-    from app.batch.workers import workers as start
-
-    with start(workers, scheduler, dashboard=dashboard) as evaluate:
-        if evaluate.dashboard:
+    job = options.Job(*files_of(studies, out), reads=inputs, overwrite=overwrite)
+    shared = nullcontext() if workers is None and scheduler is None else start(workers, scheduler, dashboard=dashboard)
+    with shared as evaluate:
+        if evaluate is not None and evaluate.dashboard:
             typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
-        _run(studies, loaded, seeds, out, evaluate)
+        run_and_print(job, studies, loaded, seeds, out, evaluate)
 
 
-def _run(studies: Sequence[Study], bench: Bench, seeds: int, out: Path, evaluate: Workers | None = None) -> None:
+def run_and_print(
+    job: options.Job, studies: Sequence[Study], bench: Bench, seeds: int, out: Path, evaluate: Workers | None = None
+) -> None:
     """Run studies under a progress bar, and print their results."""
     from app.evaluation.studies import run_studies
 
-    with terminal.progress_bar() as progress:
+    with job.progress() as progress:
         results = run_studies(bench, studies, seeds, out, progress, evaluate)
     print_results(results)
 
@@ -119,73 +97,3 @@ def print_results(results: Sequence[StudyResult]) -> None:
     for each in results:
         if not isinstance(each.study, Sweep):
             terminal.print_table(*each.study.printed(each.data))
-
-
-paper = typer.Typer(
-    help="Reproduce the paper's tables beside its own numbers.", no_args_is_help=True, rich_markup_mode=None
-)
-OutOption = Annotated[Path, options.folder_option("Folder for the table (JSON, CSV) and its figure.")]
-PeersOption = Annotated[bool, typer.Option(help="Include the slow methods of SimpleITK (extra: peers).")]
-
-
-def _reproduce(table: Study, bench: Bench, seeds: int, out: Path, *, overwrite: bool) -> None:
-    from app.evaluation.studies import files_of
-
-    check_outputs(files_of([table], out), inputs=bench.files, overwrite=overwrite)
-    _run([table], bench, seeds, out)
-
-
-@paper.command(cls=options.OnceCommand)
-def table1(
-    *,
-    out: OutOption,
-    seeds: options.Seeds = 1,
-    peers: PeersOption = False,
-    overwrite: options.Overwrite = False,
-    bench: options.Bench = "paper_simulation",
-    setting: options.Set = None,
-) -> None:
-    """Table 1: every method on the simulated bench, against the truth.
-
-    Example: svwfs paper table1 --out paper
-    """
-    from app.evaluation import paper as tables
-
-    _reproduce(tables.table1(peers=peers), options.load(bench, setting), seeds, out, overwrite=overwrite)
-
-
-@paper.command(cls=options.OnceCommand)
-def table2(
-    *,
-    out: OutOption,
-    seeds: options.Seeds = 1,
-    peers: PeersOption = False,
-    overwrite: options.Overwrite = False,
-    bench: options.Bench = "paper_experiment",
-    setting: options.Set = None,
-) -> None:
-    """Table 2: every method on noisy frames of the experiment, against the stars.
-
-    Example: svwfs paper table2 --seeds 3 --out paper
-    """
-    from app.evaluation import paper as tables
-
-    _reproduce(tables.table2(peers=peers), options.load(bench, setting), seeds, out, overwrite=overwrite)
-
-
-@paper.command(cls=options.OnceCommand)
-def sources(
-    *,
-    out: OutOption,
-    seeds: options.Seeds = 1,
-    overwrite: options.Overwrite = False,
-    bench: options.Bench = "paper_simulation",
-    setting: options.Set = None,
-) -> None:
-    """The supplement's study of other source shapes.
-
-    Example: svwfs paper sources --out paper
-    """
-    from app.evaluation import paper as tables
-
-    _reproduce(tables.sources(), options.load(bench, setting), seeds, out, overwrite=overwrite)

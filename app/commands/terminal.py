@@ -122,23 +122,23 @@ def print_quality(quality: QualityTally) -> None:
         print_sentence(f"note: {quality.unjudged}")
 
 
-def print_version_notice(*sources: Path, settings: tuple[str, ...] = ()) -> None:
+def print_version_notice(*sources: Path, settings: Iterable[str] = ()) -> None:
     """Print of recordings or results whose version neglected the propagation of light that this is done again."""
     from app.results.sources import version_notice
 
     for source in sources:
         with suppress(InputError):  # of a source that the command has refused
-            if notice := version_notice(source, settings):
+            if notice := version_notice(source, tuple(settings)):
                 print_sentence(f"{source}: {notice}")
 
 
-def print_notes(folder: Path, settings: list[str] | None = None, *, is_own: bool = True) -> None:
-    """Print the version notice of a reconstructed recording if that had its own bench, and warn of missing lines."""
+def print_notes(source: Path, settings: Iterable[str] | None) -> None:
+    """Print the version notice of a source, unless `settings` of its bench are None: unused; warn of missing lines."""
     from app.recording.reader import Recording
 
-    if is_own:
-        print_version_notice(folder, settings=tuple(settings or ()))
-    if lost := Recording(folder).lost_lines:
+    if settings is not None:
+        print_version_notice(source, settings=settings)
+    if source.is_dir() and (lost := Recording(source).lost_lines):
         print_warning(lost)
 
 

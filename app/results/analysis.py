@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
 
 import typer
 
@@ -19,9 +19,12 @@ if TYPE_CHECKING:
 
     from app.bench.config import Bench
     from app.progress import Progress
+    from reconstruction.geometry import Field
 
 # where each is, and the first sentence of its help
 ANALYSES = {
+    "export": ("app.results.export.Export", "Convert a recording for other programs."),
+    "report": ("app.results.report.Report", "Summarise a recording on three pages."),
     "layers": ("app.results.layers.Layers", "Find at which distance the aberration originates."),
     "corrector": ("app.results.corrector.BestCorrector", "Tell what one corrector could do, over its distance."),
     "field": ("app.results.coefficients.FieldMaps", "Map the coefficients of a wavefront over the field, with errors."),
@@ -32,6 +35,7 @@ ANALYSES = {
 }
 
 # options of several commands
+Recording = Annotated[Path, typer.Argument(metavar="RECORDING", help="Folder of a recording.")]
 RunOrResult = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]
 Frame = Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")]
 Frames = Annotated[
@@ -46,12 +50,14 @@ Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the bench, as registration.warp=affine."),
 ]
+ByView: TypeAlias = "tuple[Field, str, Iterable[Iterable[str]]]"  # a cell for each view of a field, under a title
 
 
 class Analysis(Protocol):
     """One analysis: a frozen dataclass whose fields are its options and whose docstring is the help of its command.
 
-    An impossible combination of options is an `InputError`. Window and Python use the same functions of its file.
+    An impossible combination of options is an `InputError`. Window and Python use the same functions of its file. What
+    is found is a dataset with names and units, unless the analysis has a `run` of its own.
     """
 
     source: ClassVar[object] = RunOrResult  # the option of its wavefronts
@@ -61,13 +67,26 @@ class Analysis(Protocol):
     picture_dpi: ClassVar[int] = 150  # 0: it has no picture
     closing: ClassVar[str] = ""  # after the sentences on the terminal, of the file `out`
 
-    def compute(self, source: Path, progress: Progress) -> tuple[Bench, xr.Dataset]:
-        """Return bench and results, with names and units, of a recording or a file of results."""
-        ...
+    def run(self, source: Path, out: Path, progress: Progress) -> Any:
+        """Compute the results and write them; return what was found."""
+        from app.progress import between
 
-    def sentences(self, found: xr.Dataset) -> list[str]:
+        bench, found = self.compute(source, between(progress, 0.0, 0.9))
+        progress("writing", 0.9)
+        self.write(found, bench, source, out)
+        return found
+
+    def compute(self, source: Path, progress: Progress) -> tuple[Bench, xr.Dataset]:
+        """Return bench and results of a recording or a file of results."""
+        raise NotImplementedError
+
+    def sentences(self, found: Any) -> list[str]:
         """Say what was found."""
-        ...
+        return [str(found)]
+
+    def by_view(self, found: Any) -> ByView | None:  # noqa: ARG002 - others need it
+        """Return a table for the terminal; None if there is none."""
+        return None
 
     def draw(self, found: xr.Dataset) -> Figure:
         """Draw the results."""
@@ -83,6 +102,10 @@ class Analysis(Protocol):
     def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:  # noqa: ARG002 - others need it
         """Return more files that it reads and writes; `InputError` if one of them cannot be used."""
         return (), ()
+
+    def bench_changes(self, source: Path) -> dict[Path, Iterable[str] | None]:
+        """Return settings that were changed in the bench of each source; None if nothing was reconstructed with it."""
+        return {source: ()}
 
 
 def load(name: str) -> type[Analysis]:

@@ -1,26 +1,29 @@
 """Recordings in the formats of other programs: BigTIFF, CSV, NetCDF, point-spread functions, Zernike coefficients."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 import tifffile
-import xarray as xr
+import typer
 from numpy.typing import NDArray
 
 from app.bench.config import write_bench
 from app.errors import NOTHING_TO_WRITE, SETTINGS_CHANGED, InputError, RunError
-from app.files import atomic_write, check_outputs, check_suffix, write_csv
+from app.files import atomic_write, write_csv
 from app.measurement.measurement import Measurement
-from app.progress import Progress, counting
-from app.recording.folder import parts_of
+from app.progress import Progress, counted, counting
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
+from app.results import analysis
+from app.results.analysis import Analysis, Frames
 from app.results.coefficients import double_zernikes, table_of, zernikes_of_views
 from app.results.dataset import result_dataset, results_in_pieces
 from app.results.export_formats import FORMATS, Format
@@ -33,6 +36,9 @@ from reconstruction.quality.verdict import Quality
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _REACH_FRAMES = 50  # evenly spaced frames that set the angular range of the point-spread functions
 
@@ -126,15 +132,43 @@ def write_psf_grid(path: Path, grid: PsfGrid, field: Field, about: dict[str, Any
     )
 
 
-def export(folder: Path, to: Format, out: Path, *, frames: str | None, overwrite: bool, progress: Progress) -> int:
-    """Write the frames FIRST:END of a recording, or their results, to a file; return their number."""
-    check_outputs([out], inputs=parts_of(folder), overwrite=overwrite)
-    check_suffix(out, *FORMATS[to][1])
-    recording = Recording(folder)
-    chosen = recording.select(frames)
-    with one_blas_thread():
-        _WRITERS[to](recording, chosen, out, progress)
-    return len(chosen)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Export(Analysis):
+    """Convert a recording for other programs.
+
+    tiff: one BigTIFF for ImageJ with times and settings. csv: one row per frame for pandas or a spreadsheet. netcdf:
+    the results as written by svwfs measure. psf: one point-spread function per view, mean of the frames, sum 1, for
+    deconvolution. double-zernike: NetCDF, one array of coefficients per frame. zernike-table: CSV, one row per frame
+    and view. See docs/export.md.
+
+    Example: svwfs export run1 --to csv --out run1.csv
+
+    Example: svwfs export run1 --to double-zernike --out run1.nc
+    """
+
+    source: ClassVar = analysis.Recording
+    file_help: ClassVar = "File to write."
+    picture_dpi: ClassVar = 0
+
+    to: Annotated[Format, typer.Option(help="; ".join(f"{to}: {what}" for to, (what, _) in FORMATS.items()) + ".")]
+    frames: Frames = None
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:  # type: ignore[override] # those of the format
+        """Suffixes of the format."""
+        return FORMATS[self.to][1]
+
+    def run(self, source: Path, out: Path, progress: Progress) -> str:
+        """Write the frames of a recording, or their results, one after the other."""
+        recording = Recording(source)
+        chosen = recording.select(self.frames)
+        with one_blas_thread():
+            _WRITERS[self.to](recording, chosen, out, progress)
+        return f"{out} holds {counted(len(chosen))} of {source}"
+
+    def bench_changes(self, source: Path) -> dict[Path, Iterable[str] | None]:
+        """Return none; the frames themselves are not reconstructed."""
+        return {source: None if self.to == "tiff" else ()}
 
 
 def _write_tiff(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:

@@ -1,12 +1,16 @@
 """Report of a recording as PDF or PNG: pages of facts and mean wavefronts, certainty, coefficients, comparison."""
 
+from __future__ import annotations
+
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+import typer
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.colors import Normalize, to_rgb
@@ -15,10 +19,12 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from app.errors import InputError
 from app.files import atomic_write
 from app.progress import Progress, between, part
+from app.recording.folder import parts_of
 from app.recording.reader import Recording
+from app.results import analysis
+from app.results.analysis import Analysis, ByView, Frames, Set
 from app.results.coefficients import MAP_ACROSS, coefficient_maps, draw_field, evenly_spread, strongest
 from app.results.figures import draw_maps, draw_structure, draw_transfer, place_of_view, show_grey
 from app.results.replay import change_of
@@ -282,22 +288,60 @@ _PNG_DPI = 110
 _RECONSTRUCTED = 0.8  # share of the work that comes before the pages
 
 
-def report_pages(
-    folder: Path, out: Path, *, beside: Path | None, settings: tuple[str, ...], frames: str | None, progress: Progress
-) -> tuple[Summary, Residual | None]:
-    """Write the report of a recording as PDF, or as one PNG.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report(Analysis):
+    """Summarise a recording on three pages.
 
-    The mean wavefronts of another recording `beside` are subtracted, if it is given; `frames` FIRST:END and changed
-    `settings` are those of the first recording.
+    They show conditions, wavefronts, their uncertainty, lost frames and lenslets, and with the modal method the
+    strongest Zernike coefficients over the field. At most 200 frames, evenly
+    spread, are reconstructed again; --set tries another method on them. --beside adds a page with the difference of the
+    mean wavefronts to another recording, view by view, as in the paper's comparison of the square with the stars.
+
+    Example: svwfs report square --out square.pdf
+
+    Example: svwfs report square --beside stars --set registration.method=correlation --out compared.pdf
     """
-    if out.suffix.lower() not in {".pdf", ".png"}:
-        raise InputError(f"{out}: a report is a PDF or a PNG: give a name that ends in .pdf or .png")
-    recordings = [Recording(each) for each in filter(None, (folder, beside))]
-    parts = [part(between(progress, 0, _RECONSTRUCTED), index, len(recordings)) for index in range(len(recordings))]
-    summary = summarise(recordings[0], frames, parts[0], change=change_of(None, settings))
-    residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, parts[1]))
-    write_pages(out, _pages(summary, residual), between(progress, _RECONSTRUCTED, 1))
-    return summary, residual
+
+    source: ClassVar = analysis.Recording
+    file_help: ClassVar = "File to write: .pdf with A4 pages, or .png with all pages in one picture."
+    suffixes: ClassVar = (".pdf", ".png")
+    needs_suffix: ClassVar = True
+    picture_dpi: ClassVar = 0
+
+    beside: Annotated[
+        Path | None, typer.Option(metavar="RECORDING", help="Another recording of the same sample, to be subtracted.")
+    ] = None
+    setting: Set = None
+    frames: Frames = None
+
+    def run(self, source: Path, out: Path, progress: Progress) -> tuple[str, Summary, Residual | None]:
+        """Write the pages as PDF, or as one PNG; `frames` and `setting` are those of the first recording."""
+        recordings = [Recording(each) for each in filter(None, (source, self.beside))]
+        parts = [part(between(progress, 0, _RECONSTRUCTED), index, len(recordings)) for index in range(len(recordings))]
+        summary = summarise(recordings[0], self.frames, parts[0], change=change_of(None, tuple(self.setting or ())))
+        residual = None if self.beside is None else residual_of(summary, summarise(recordings[1], None, parts[1]))
+        write_pages(out, _pages(summary, residual), between(progress, _RECONSTRUCTED, 1))
+        return f"the report of {summary.sampled_frames} is in {out}", summary, residual
+
+    def sentences(self, found: tuple[str, Summary, Residual | None]) -> list[str]:
+        """Say what differs, and of how many frames the report is."""
+        written, _, residual = found
+        return [*([] if residual is None else [residual.sentence]), written]
+
+    def by_view(self, found: tuple[str, Summary, Residual | None]) -> ByView | None:
+        """Return the differences to the other recording."""
+        if (residual := found[-1]) is None:
+            return None
+        title = f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames"
+        return residual.field, title, ((f"{value:.3f}" for value in row) for row in residual.rms_rad)
+
+    def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:  # noqa: ARG002 - as in `Analysis`
+        """Return the other recording."""
+        return () if self.beside is None else parts_of(self.beside), ()
+
+    def bench_changes(self, source: Path) -> dict[Path, Iterable[str] | None]:
+        """Return the changed settings of the first recording."""
+        return ({} if self.beside is None else {self.beside: ()}) | {source: self.setting or ()}
 
 
 def write_pages(out: Path, drawn: list[Page], progress: Progress = lambda *_: None) -> None:

@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 from app.batch.run import run_batch
-from app.batch.store import Job
+from app.batch.store import BatchJob
 from app.batch.workers import workers
 from app.recording.reader import Recording
 from support.batches import files_of, one_by_one
@@ -36,7 +36,7 @@ def run_once(recording: Recording, out: Path, count: int) -> tuple[float, float]
         started._client.wait_for_workers(count)
         list(started(os.getenv, ["HOME"] * 4 * count))  # the processes are up
         begun_s = time.perf_counter()
-        made = run_batch([recording.folder], out, Job(), started, lambda *_: None)
+        made = run_batch([recording.folder], out, BatchJob(), started, lambda *_: None)
         seconds = time.perf_counter() - begun_s
         assert made.wavefronts == len(recording)
         return seconds, max(started._client.run(_peak_mb).values())
@@ -58,7 +58,7 @@ def main() -> None:
             else record(given.bench, Path(folder) / "run", "reconstruction.refine=false", frames=given.frames)
         )
         alone = Path(folder) / "alone.zarr"
-        run_batch([recording.folder], alone, Job(), one_by_one, lambda *_: None)
+        run_batch([recording.folder], alone, BatchJob(), one_by_one, lambda *_: None)
         expected = {name: contents for name, (_, contents) in files_of(alone).items()}
         stored_mb = sum(map(len, expected.values())) / 1e6 / len(recording)
         _say(f"{len(recording)} frames; results {stored_mb:.3f} MB and {len(expected) / len(recording):.2f} files each")

@@ -12,7 +12,7 @@ import xarray as xr
 
 from app.batch import store
 from app.batch.run import Batch, run_batch
-from app.batch.store import Job
+from app.batch.store import BatchJob
 from app.progress import Evaluate
 from app.recording import reprocess
 from app.recording.reader import Recording
@@ -39,10 +39,12 @@ def one_by_one(function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple
             yield item, error
 
 
-def batch(out: Path, *recordings: Recording | Path, job: Job | None = None, evaluate: Evaluate = one_by_one) -> Batch:
+def batch(
+    out: Path, *recordings: Recording | Path, job: BatchJob | None = None, evaluate: Evaluate = one_by_one
+) -> Batch:
     """Run a batch, by default in this process."""
     folders = [each.folder if isinstance(each, Recording) else each for each in recordings]
-    return run_batch(folders, out, job or Job(), evaluate, lambda *_: None)
+    return run_batch(folders, out, job or BatchJob(), evaluate, lambda *_: None)
 
 
 class Counting:

@@ -17,7 +17,7 @@ from support.recordings import edit_line, record, replace_pixels
 
 import svwfs
 from app import files
-from app.batch.store import Job, unique_names
+from app.batch.store import BatchJob, unique_names
 from app.bench.config import load_bench, write_bench
 from app.bench.imaging_model import BenchModel
 from app.commands.batch import print_batch
@@ -55,7 +55,7 @@ def mine(recordings: list[Recording], tmp_path: Path) -> Recording:
 @pytest.mark.parametrize("setting", [(), ("registration.warp=translation",)])
 def test_results_are_those_of_a_replay(recordings: list[Recording], tmp_path: Path, setting: tuple[str, ...]) -> None:
     """Also with another registration, where each frame starts from the one before in its block."""
-    made = batch(tmp_path / "r.zarr", *recordings, job=Job(settings=setting))
+    made = batch(tmp_path / "r.zarr", *recordings, job=BatchJob(settings=setting))
     assert (made.frames, made.wavefronts, made.computed, made.failed) == (12, 12, 12, {})
     for recording in recordings:
         assert_equals_replay(tmp_path / "r.zarr", recording, tmp_path, *setting)
@@ -65,7 +65,7 @@ def test_results_are_those_of_a_replay(recordings: list[Recording], tmp_path: Pa
 @pytest.mark.long
 def test_another_bench_is_that_of_a_replay(recordings: list[Recording], small_toml: Path, tmp_path: Path) -> None:
     other = load_bench(small_toml, (*QUICK, "reconstruction.method=zonal"))
-    batch(tmp_path / "r.zarr", recordings[1], job=Job(bench=write_bench(other)))
+    batch(tmp_path / "r.zarr", recordings[1], job=BatchJob(bench=write_bench(other)))
     assert_equals_replay(tmp_path / "r.zarr", recordings[1], tmp_path, "reconstruction.method=zonal")
     with xr.open_zarr(tmp_path / "r.zarr") as stored:
         assert "coefficients" not in stored
@@ -74,7 +74,7 @@ def test_another_bench_is_that_of_a_replay(recordings: list[Recording], small_to
 @pytest.mark.slow
 @pytest.mark.long
 def test_frames_are_refined_by_the_model(recordings: list[Recording], tmp_path: Path) -> None:
-    batch(tmp_path / "r.zarr", recordings[1], job=Job(rounds=2))
+    batch(tmp_path / "r.zarr", recordings[1], job=BatchJob(rounds=2))
     recording = recordings[1]
     calibration = recording.calibration(0)
     reconstructor = calibration.reconstructor()
@@ -253,7 +253,7 @@ def test_exit_status_tells_of_damaged_frames(
 def test_some_frames_of_each_recording(recordings: list[Recording], tmp_path: Path) -> None:
     """From the middle of a block to the middle of another; the values are those of all frames."""
     out, whole = tmp_path / "r.zarr", tmp_path / "whole.zarr"
-    made = batch(out, *recordings, job=Job(frames="3:7"))
+    made = batch(out, *recordings, job=BatchJob(frames="3:7"))
     assert "selects no frame" in made.failed[recordings[1].folder]
     assert (made.frames, made.wavefronts, made.computed) == (4, 4, 4)
     batch(whole, recordings[0])
@@ -264,7 +264,7 @@ def test_some_frames_of_each_recording(recordings: list[Recording], tmp_path: Pa
     with pytest.raises(InputError, match="differ from these in frames"):
         batch(out, recordings[0])
     with pytest.raises(InputError, match="write FIRST:END"):
-        batch(tmp_path / "none.zarr", *recordings, job=Job(frames="4-7"))
+        batch(tmp_path / "none.zarr", *recordings, job=BatchJob(frames="4-7"))
 
 
 @pytest.mark.parametrize("name", DAMAGES)
@@ -327,9 +327,10 @@ def test_other_sizes_do_not_fit(recordings: list[Recording], small_toml: Path, t
 
 
 @pytest.mark.parametrize(
-    ("job", "named"), [(Job(rounds=1), "rounds"), (Job(settings=("reconstruction.pupil_modes=10",)), "settings")]
+    ("job", "named"),
+    [(BatchJob(rounds=1), "rounds"), (BatchJob(settings=("reconstruction.pupil_modes=10",)), "settings")],
 )
-def test_store_keeps_to_its_settings(recordings: list[Recording], tmp_path: Path, job: Job, named: str) -> None:
+def test_store_keeps_to_its_settings(recordings: list[Recording], tmp_path: Path, job: BatchJob, named: str) -> None:
     batch(tmp_path / "r.zarr", recordings[1])
     with pytest.raises(InputError, match=f"differ from these in {named}: repeat those options, or give another --out"):
         batch(tmp_path / "r.zarr", recordings[1], job=job)
@@ -337,7 +338,7 @@ def test_store_keeps_to_its_settings(recordings: list[Recording], tmp_path: Path
 
 def test_worker_with_another_version_ends_the_run(recordings: list[Recording], tmp_path: Path) -> None:
     with pytest.raises(RunError, match=r"another version than svwfs 0.0.1: install the same everywhere"):
-        batch(tmp_path / "r.zarr", recordings[1], job=Job(software="svwfs 0.0.1"))
+        batch(tmp_path / "r.zarr", recordings[1], job=BatchJob(software="svwfs 0.0.1"))
 
 
 @pytest.mark.slow

@@ -21,9 +21,10 @@ from support.recordings import record, replace_pixels
 
 from app.bench.config import parse_bench
 from app.errors import InputError, Interrupted, RunError
+from app.progress import Progress
 from app.recording.reader import Recording
 from app.results import dataset
-from app.results.export import export, psf_grid, psf_reach, write_psf_grid, write_stack
+from app.results.export import Export, psf_grid, psf_reach, write_psf_grid, write_stack
 from app.results.export_formats import Format
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import diffraction_rad
@@ -44,9 +45,10 @@ def zonal(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recordi
     return record(small_toml, folder, "reconstruction.method=zonal", frames=2)
 
 
-def exported(recording: Recording, to: Format, out: Path, **options: Any) -> Path:
-    given: dict[str, Any] = {"frames": None, "overwrite": False, "progress": lambda *_: None}
-    export(recording.folder, to, out, **{**given, **options})
+def exported(
+    recording: Recording, to: Format, out: Path, frames: str | None = None, progress: Progress = lambda *_: None
+) -> Path:
+    Export(to=to, frames=frames).run(recording.folder, out, progress)
     return out
 
 

@@ -29,9 +29,9 @@ from support.recordings import edit_line, record, replace_pixels
 from app.errors import InputError
 from app.recording.folder import RUN
 from app.recording.reader import Recording
-from app.results.export import export
+from app.results.export import Export
 from app.results.replay import change_of
-from app.results.report import Page, draw_certainty, draw_comparison, draw_overview, one_page, report_pages
+from app.results.report import Page, Report, draw_certainty, draw_comparison, draw_overview, one_page
 from app.results.report_summary import Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
@@ -61,8 +61,8 @@ def mine(recording: Recording, tmp_path: Path) -> Recording:
 
 
 def reported(folder: Path, out: Path, **options: Any) -> tuple[Summary, object]:
-    given: dict[str, Any] = {"beside": None, "settings": (), "frames": None}
-    return report_pages(folder, out, progress=lambda *_: None, **{**given, **options})
+    _, summary, residual = Report(**options).run(folder, out, lambda *_: None)
+    return summary, residual
 
 
 def drawn(page: Page) -> Figure:
@@ -131,7 +131,7 @@ def beyond_limits(figure: Figure) -> list[Text]:
 @pytest.mark.slow
 @pytest.mark.long
 def test_statistics_equal_those_of_the_results(recording: Recording, summary: Summary, tmp_path: Path) -> None:
-    export(recording.folder, "netcdf", tmp_path / "r.nc", frames=None, overwrite=False, progress=lambda *_: None)
+    Export(to="netcdf").run(recording.folder, tmp_path / "r.nc", lambda *_: None)
     found = summary.statistics
     assert found is not None
     with xr.open_dataset(tmp_path / "r.nc") as results:
@@ -301,9 +301,11 @@ def test_texts_of_any_length_leave_the_page_whole(mine: Recording, tmp_path: Pat
 
 
 @pytest.mark.parametrize("name", ["r.html", "r", "r.txt"])
-def test_other_formats_are_refused_at_once(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match=r"ends in \.pdf or \.png"):
-        reported(tmp_path / "nowhere", tmp_path / name)
+def test_other_formats_are_refused_at_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str
+) -> None:
+    assert run(monkeypatch, "report", tmp_path / "nowhere", "--out", tmp_path / name) == 2
+    assert "ends in one of .pdf, .png" in capsys.readouterr().err
 
 
 def test_folder_that_is_no_recording_is_refused(mine: Recording, tmp_path: Path) -> None:
