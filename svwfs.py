@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from app.evaluation.frames import SimulatedFrames, simulate
     from app.measurement.bench_reconstructor import BenchReconstructor, find_lattice, reconstructor, refine
     from app.measurement.measurement import Measurement
+    from app.results.coefficients import field_coefficients
+    from app.results.corrector import find_corrector
+    from app.results.deconvolution import deconvolve
+    from app.results.layers import find_layers
     from app.results.opened_recording import OpenedRecording, open_recording
     from drivers.errors import (
         BadValue,
@@ -37,12 +41,9 @@ if TYPE_CHECKING:
         Unsupported,
         WrongState,
     )
-    from reconstruction.arrays import Counts
-    from reconstruction.deconvolution.corrected_image import PhaseAt, RestorationMethod
     from reconstruction.displacement import Displacement, Outcome
     from reconstruction.errors import ReconstructionError
     from reconstruction.geometry import Lattice
-    from reconstruction.settings import PupilBasis
     from reconstruction.wavefront import Wavefront
 
 __all__ = ["connect", "deconvolve", "field_coefficients", "find_corrector", "find_lattice", "find_layers", "live"]
@@ -59,6 +60,10 @@ _ELSEWHERE = {
     "app.evaluation.frames": "SimulatedFrames simulate",
     "app.measurement.bench_reconstructor": "BenchReconstructor find_lattice reconstructor refine",
     "app.measurement.measurement": "Measurement",
+    "app.results.coefficients": "field_coefficients",
+    "app.results.corrector": "find_corrector",
+    "app.results.deconvolution": "deconvolve",
+    "app.results.layers": "find_layers",
     "app.results.opened_recording": "OpenedRecording open_recording",
     "drivers.errors": "BadValue Busy DeviceError DeviceTimeout Disconnected FrameLost Unsupported WrongState",
     "reconstruction.displacement": "Displacement Outcome",
@@ -126,212 +131,15 @@ def psf(wavefront: Wavefront, x_m: float, y_m: float) -> xr.DataArray:
     """
     import xarray as xr
 
+    from app.results.sources import measured
     from reconstruction.quality.image_quality import psf as point_spread
     from reconstruction.quality.image_quality import psf_angles_rad, psf_reach_rad
 
-    phase, sensor = _wavefront(wavefront).at(x_m, y_m), wavefront.sensor
+    phase, sensor = measured(wavefront).at(x_m, y_m), wavefront.sensor
     angle_rad = psf_angles_rad(sensor, psf_reach_rad(phase, sensor))
     values = point_spread(phase, sensor, angle_rad=angle_rad)
     angles = {name: (name, angle_rad, {"units": "rad"}) for name in ("angle_y", "angle_x")}
     return xr.DataArray(values, dims=("angle_y", "angle_x"), coords=angles, name="psf")
-
-
-def find_layers(
-    reconstructor: BenchReconstructor, wavefront: Wavefront, count: int = 1, *, distances_m: tuple[float, ...] = ()
-) -> xr.Dataset:
-    """Find at which distance in front of the lenslets the aberration originates, or behind them (docs/layers.md).
-
-    Parameters
-    ----------
-    reconstructor
-        Result of `svwfs.reconstructor`.
-    wavefront
-        A wavefront made by it.
-    count
-        Number of layers to look for, 1 or 2.
-    distances_m
-        Known distances of the layers, negative behind the lenslets; found if omitted.
-
-    Returns
-    -------
-    xarray.Dataset
-        `distance_m(layer)` and `layer_phase(layer, y, x)` with their errors, `chi_square(distance)` and `misfit` of a
-        single layer, `model_misfit(model)`; the attribute `verdict` says how many layers explain the wavefront, and `doubt`
-        why that may be wrong.
-
-    Raises
-    ------
-    ReconstructionError
-        If too few lenslets are valid, or the displacements do not change over the field.
-
-    Examples
-    --------
-    >>> layers = svwfs.find_layers(reconstruct, reconstruct(images.frames[0]))
-    >>> layers.attrs["verdict"]
-    'one layer'
-    >>> bool(abs(layers["distance_m"].item() - 0.195) < 0.005)  # as the bench says
-    True
-    """
-    from app.results.layers import layers_dataset, ratio_at
-    from reconstruction.layers.layer_search import find_layers as search
-
-    ratios = tuple(ratio_at(distance_m, "lenslets", reconstructor.bench) for distance_m in distances_m)
-    found = search(reconstructor.layers(_wavefront(wavefront)), count, at=ratios)
-    return layers_dataset(found, reconstructor.bench, "lenslets")
-
-
-def find_corrector(
-    source: Wavefront | str | Path,
-    bench: Bench,
-    *,
-    modes: Literal["zernike", "legendre", "actuators"] = "zernike",
-    count: int = 45,
-    distance_m: float | None = None,
-) -> xr.Dataset:
-    """Find what a corrector conjugate to each distance would leave, and its best command (docs/layers.md).
-
-    Parameters
-    ----------
-    source
-        A wavefront, a file of results, or the folder of a recording, whose frames are averaged.
-    modes
-        Shapes that the corrector can take over its footprint.
-    count
-        Number of modes, the piston included, or of actuators, which is a square.
-    distance_m
-        Distance of the corrector in front of the lenslets, negative behind them; the best one if omitted.
-
-    Returns
-    -------
-    xarray.Dataset
-        `residual(distance)` in rad and `strehl(distance)` over the distance from the lenslets, `uncorrected` in rad;
-        `corrector_distance_m`, `corrector_residual`, `command(shape)` and `command_phase(y, x)` in rad of one corrector.
-
-    Raises
-    ------
-    InputError
-        If source, modes or distance cannot be used; the message says why.
-
-    Examples
-    --------
-    >>> found = svwfs.find_corrector(wavefront, bench)
-    >>> bool(abs(found["corrector_distance_m"] - 0.195) < 0.01)  # that of the screen
-    True
-    >>> bool(found["corrector_residual"] < 0.1 * found["residual"].sel(distance=0))
-    True
-    """
-    from app.bench.config import as_bench
-    from app.errors import InputError
-    from app.results.corrector import compare_correctors
-    from reconstruction.layers.corrector import Corrector
-
-    bench = as_bench(bench)
-    phase_at = _phase_at(source, bench)
-    try:
-        return compare_correctors(phase_at, bench, Corrector(modes, count), distance_m, "lenslets")[0]
-    except ValueError as error:
-        raise InputError(str(error)) from error
-
-
-def field_coefficients(
-    wavefront: Wavefront, basis: PupilBasis = "zernike", *, order: int | None = None, positions: int = 21
-) -> xr.Dataset:
-    """Map the coefficients of a wavefront over the field, and write it in double Zernikes (docs/field.md).
-
-    Parameters
-    ----------
-    wavefront
-        A wavefront of the modal method.
-    basis
-        Zernike modes over the circle inscribed in the lattice, or Legendre modes over the whole lattice.
-    order
-        Highest degree of the modes; by default all that were fitted, which is exact.
-    positions
-        Number of field positions along each side.
-
-    Returns
-    -------
-    xarray.Dataset
-        `coefficient(mode, y, x)` and `coefficient_sigma` in rad, at field positions in m. With Zernike modes also
-        `double_zernike(k, j)` and `double_zernike_sigma` in rad, and the radii of field and pupil, m, as attributes,
-        named as the arguments of `galsim.zernike.DoubleZernike`.
-
-    Raises
-    ------
-    ReconstructionError
-        If the wavefront has no coefficients, or not of this order.
-
-    Examples
-    --------
-    >>> field = svwfs.field_coefficients(wavefront, order=4)
-    >>> field["coefficient"].sel(mode=4)["name"].item()  # Noll's count
-    'Z4 defocus'
-    """
-    from app.results.coefficients import field_dataset
-    from reconstruction.field_coefficients import ModalFit
-    from reconstruction.field_coefficients import field_coefficients as coefficients
-
-    found = coefficients(ModalFit.of(_wavefront(wavefront)), basis, order)
-    return field_dataset(found, wavefront.sensor, wavefront.field, positions)
-
-
-def deconvolve(
-    image: Counts,
-    source: Wavefront | str | Path,
-    bench: Bench,
-    *,
-    method: RestorationMethod = "richardson-lucy",
-    iterations: int = 50,
-) -> xr.DataArray:
-    """Remove the aberration of each field position from an image of the sample (docs/corrected_images.md).
-
-    Parameters
-    ----------
-    image
-        Counts, (row, column), taken through the same sample.
-    source
-        A wavefront, a file of results, or the folder of a recording, whose frames are averaged.
-    bench
-        The bench; its `[imaging]` has the scale of the image, and its pupil.
-    method
-        Richardson-Lucy keeps light positive; Wiener is faster.
-    iterations
-        At most; it ends earlier when only noise is left.
-
-    Returns
-    -------
-    xarray.DataArray
-        Corrected counts (row, column), float32, with the coordinate `inside`: True within the measured field, beyond
-        which the image is as before. The attributes have `iterations` and `chi_square`.
-
-    Raises
-    ------
-    InputError
-        If image, wavefront and bench do not go together; the message says why.
-
-    Examples
-    --------
-    >>> bench = svwfs.load_bench("small_demo", "imaging.pixel_m=10e-6")
-    >>> image = images.frames[0]  # here your own image of the sample
-    >>> corrected = svwfs.deconvolve(image, wavefront, bench, iterations=3)
-    >>> corrected.shape, bool(corrected.inside.any())
-    ((240, 256), True)
-    """
-    from app.bench.config import as_bench
-    from app.measurement.bench_reconstructor import as_image
-    from app.results.deconvolution import correct
-
-    phase_at, bench = _phase_at(source, bench), as_bench(bench)
-    made = correct(
-        as_image(image, "image"),
-        phase_at,
-        bench,
-        method=method,
-        iterations=iterations,
-        progress=lambda *_: None,
-        name="image",
-    )
-    return made["image"].rename(None).assign_coords(inside=made["inside"]).assign_attrs(units="counts", **made.attrs)
 
 
 def to_dataset(wavefront: Wavefront) -> xr.Dataset:
@@ -349,8 +157,9 @@ def to_dataset(wavefront: Wavefront) -> xr.Dataset:
     'rad'
     """
     from app.results.dataset import result_dataset
+    from app.results.sources import measured
 
-    return result_dataset(_wavefront(wavefront))
+    return result_dataset(measured(wavefront))
 
 
 def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
@@ -378,9 +187,10 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     from app.files import check_suffix
     from app.results.dataset import result_dataset
     from app.results.result_file import write_results
+    from app.results.sources import measured
 
     check_suffix(Path(path), ".nc")
-    write_results(Path(path), result_dataset(_wavefront(wavefront)), bench=as_bench(bench), inputs={})
+    write_results(Path(path), result_dataset(measured(wavefront)), bench=as_bench(bench), inputs={})
 
 
 def open_result(path: str | Path) -> xr.Dataset:
@@ -412,28 +222,6 @@ def open_result(path: str | Path) -> xr.Dataset:
     from app.results.result_file import open_results
 
     return open_store(Path(path)) if Path(path).is_dir() else open_results(path)
-
-
-def _phase_at(source: Wavefront | str | Path, bench: Bench) -> PhaseAt:
-    """Return the wavefront at any field position, of a wavefront, a file of results or a recording."""
-    from app.bench.config import as_bench
-    from app.results.sources import mean_wavefront
-
-    if isinstance(source, str | Path):
-        return mean_wavefront(Path(source), as_bench(bench), None, lambda *_: None)
-    return _wavefront(source).at
-
-
-def _wavefront(wavefront: object) -> Wavefront:
-    """Refuse anything but a wavefront."""
-    from app.errors import InputError
-    from reconstruction.wavefront import Wavefront
-
-    if not isinstance(wavefront, Wavefront):
-        raise InputError(
-            f"a wavefront is needed, not {type(wavefront).__name__}; Measurement.problem says why it is None"
-        )
-    return wavefront
 
 
 def __getattr__(name: str) -> Any:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
 import typer
 
@@ -53,7 +53,7 @@ Set = Annotated[
 ByView: TypeAlias = "tuple[Field, str, Iterable[Iterable[str]]]"  # a cell for each view of a field, under a title
 
 
-class Analysis(Protocol):
+class Analysis:
     """One analysis: a frozen dataclass whose fields are its options and whose docstring is the help of its command.
 
     An impossible combination of options is an `InputError`. Window and Python use the same functions of its file. What

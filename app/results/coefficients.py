@@ -17,10 +17,11 @@ from app.files import write_csv
 from app.progress import Progress
 from app.results.analysis import Analysis, Frame
 from app.results.result_file import about
-from app.results.sources import read_fit
+from app.results.sources import measured, read_fit
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
-from reconstruction.field_coefficients import FieldCoefficients, ModalFit, field_coefficients
+from reconstruction.field_coefficients import FieldCoefficients, ModalFit
+from reconstruction.field_coefficients import field_coefficients as fitted_coefficients
 from reconstruction.geometry import Field, Sensor, centered_steps
 from reconstruction.modes.pupil_modes import BASES, pupil_modes
 from reconstruction.quality.verdict import Quality
@@ -104,7 +105,7 @@ def _apply(fit: Floats, phases: Floats) -> Floats:
     return np.asarray(np.nan_to_num(phases.reshape(len(phases), -1)) @ fit.T)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class FieldMaps(Analysis):
     """Map the coefficients of a wavefront over the field, with errors.
 
@@ -147,7 +148,7 @@ class FieldMaps(Analysis):
         """Return coefficients over the field, Zernike coefficients also as double Zernikes."""
         progress("reconstructing the frame", 0.0)
         bench, fit = read_fit(source, self.frame)
-        found = field_coefficients(fit, self.basis, self.order)
+        found = fitted_coefficients(fit, self.basis, self.order)
         maps = field_dataset(found, bench.sensor, bench.field, self.positions, self.field_order)
         first, last = (int(maps["mode"].values[at]) for at in (0, -1))
         for number in self.mode or ():
@@ -184,6 +185,48 @@ class FieldMaps(Analysis):
             write_csv(out, *table_of(found))
         else:
             Analysis.write(self, found, bench, source, out)
+
+
+def field_coefficients(
+    wavefront: Wavefront,
+    basis: PupilBasis = FieldMaps.basis,
+    *,
+    order: int | None = None,
+    positions: int = FieldMaps.positions,
+) -> xr.Dataset:
+    """Map the coefficients of a wavefront over the field, and write it in double Zernikes (docs/field.md).
+
+    Parameters
+    ----------
+    wavefront
+        A wavefront of the modal method.
+    basis
+        Zernike modes over the circle inscribed in the lattice, or Legendre modes over the whole lattice.
+    order
+        Highest degree of the modes; by default all that were fitted, which is exact.
+    positions
+        Number of field positions along each side.
+
+    Returns
+    -------
+    xarray.Dataset
+        `coefficient(mode, y, x)` and `coefficient_sigma` in rad, at field positions in m. With Zernike modes also
+        `double_zernike(k, j)` and `double_zernike_sigma` in rad, and the radii of field and pupil, m, as attributes,
+        named as the arguments of `galsim.zernike.DoubleZernike`.
+
+    Raises
+    ------
+    ReconstructionError
+        If the wavefront has no coefficients, or not of this order.
+
+    Examples
+    --------
+    >>> field = svwfs.field_coefficients(wavefront, order=4)
+    >>> field["coefficient"].sel(mode=4)["name"].item()  # Noll's count
+    'Z4 defocus'
+    """
+    found = fitted_coefficients(ModalFit.of(measured(wavefront)), basis, order)
+    return field_dataset(found, wavefront.sensor, wavefront.field, positions)
 
 
 def field_dataset(
@@ -313,6 +356,6 @@ def zernikes_of_views(wavefront: Wavefront) -> xr.Dataset:
 
 def _zernikes(wavefront: Wavefront) -> FieldCoefficients:
     try:
-        return field_coefficients(ModalFit.of(wavefront), "zernike")
+        return fitted_coefficients(ModalFit.of(wavefront), "zernike")
     except ReconstructionError as error:
         raise InputError(f"the wavefront cannot be written in Zernike modes: {error}") from error

@@ -6,14 +6,14 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import cv2
 import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from app.bench.config import Bench
+from app.bench.config import Bench, as_bench
 from app.errors import InputError
 from app.files import atomic_write, require_suffix
 from app.images import fits_file
@@ -22,10 +22,10 @@ from app.progress import Progress, between
 from app.results import layers
 from app.results.analysis import Analysis, Frames, From, Origin
 from app.results.result_file import about
-from app.results.sources import mean_wavefront, read_bench_of
+from app.results.sources import mean_wavefront, phase_of, read_bench_of
 from reconstruction.arrays import Floats
-from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
-from reconstruction.wavefront import rms
+from reconstruction.layers.corrector import Correction, Corrector, Influence, best_correction, field_positions_m
+from reconstruction.wavefront import Wavefront, rms
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -38,7 +38,7 @@ _REFINED = 0.02  # about the best of them
 _READING = 0.7  # share of the work
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class BestCorrector(Analysis):
     """Tell what one corrector could do, over its distance.
 
@@ -53,9 +53,7 @@ class BestCorrector(Analysis):
 
     file_help: ClassVar = "NetCDF file for residuals and command."
 
-    modes: Annotated[
-        Literal["legendre", "zernike", "actuators"], typer.Option(help="Shapes that the corrector can take.")
-    ] = "zernike"
+    modes: Annotated[Influence, typer.Option(help="Shapes that the corrector can take.")] = "zernike"
     count: Annotated[int, typer.Option(min=2, help="Number of modes with the piston, or of actuators.")] = 45
     distance: Annotated[
         float | None, typer.Option(metavar="M", help="Distance of the corrector (m); the best one if omitted.")
@@ -131,6 +129,54 @@ class BestCorrector(Analysis):
         Analysis.write(self, found.drop_vars("map", errors="ignore"), bench, source, out)
         if self.command is not None:
             write_phase(self.command, found["map"].values)
+
+
+def find_corrector(
+    source: Wavefront | str | Path,
+    bench: Bench,
+    *,
+    modes: Influence = BestCorrector.modes,
+    count: int = BestCorrector.count,
+    distance_m: float | None = None,
+) -> xr.Dataset:
+    """Find what a corrector conjugate to each distance would leave, and its best command (docs/layers.md).
+
+    Parameters
+    ----------
+    source
+        A wavefront, a file of results, or the folder of a recording, whose frames are averaged.
+    modes
+        Shapes that the corrector can take over its footprint.
+    count
+        Number of modes, the piston included, or of actuators, which is a square.
+    distance_m
+        Distance of the corrector in front of the lenslets, negative behind them; the best one if omitted.
+
+    Returns
+    -------
+    xarray.Dataset
+        `residual(distance)` in rad and `strehl(distance)` over the distance from the lenslets, `uncorrected` in rad; of
+        one corrector `corrector_distance_m`, `corrector_residual`, `command(shape)` and `command_phase(y, x)` in rad.
+
+    Raises
+    ------
+    InputError
+        If source, modes or distance cannot be used; the message says why.
+
+    Examples
+    --------
+    >>> found = svwfs.find_corrector(wavefront, bench)
+    >>> bool(abs(found["corrector_distance_m"] - 0.195) < 0.01)  # that of the screen
+    True
+    >>> bool(found["corrector_residual"] < 0.1 * found["residual"].sel(distance=0))
+    True
+    """
+    bench = as_bench(bench)
+    phase_at = phase_of(source, bench)
+    try:
+        return compare_correctors(phase_at, bench, Corrector(modes, count), distance_m, "lenslets")[0]
+    except ValueError as error:
+        raise InputError(str(error)) from error
 
 
 def compare_correctors(

@@ -1,5 +1,7 @@
 """Images of the sample without the aberration that was measured through it (docs/corrected_images.md)."""
 
+from __future__ import annotations
+
 import json
 import math
 import tomllib
@@ -14,20 +16,22 @@ import typer
 import xarray as xr
 
 from app.bench.bench_files import BenchError, read_bench_text
-from app.bench.config import Bench
+from app.bench.config import Bench, as_bench
 from app.errors import InputError
 from app.files import atomic_write, check_readable, in_words
 from app.images import FORMATS, read_image
+from app.measurement.bench_reconstructor import as_image
 from app.progress import Progress, between, counted
 from app.results.analysis import Analysis, Frames, Set
-from app.results.sources import mean_wavefront, read_bench_of
+from app.results.sources import mean_wavefront, phase_of, read_bench_of
 from reconstruction.arrays import Counts
 from reconstruction.deconvolution.corrected_image import PhaseAt, RestorationMethod, corrected_image
+from reconstruction.wavefront import Wavefront
 
 _READING = 0.1  # share of the work
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Deconvolution(Analysis):
     """Deconvolve an image by the measured aberration of each field position.
 
@@ -90,10 +94,34 @@ class Deconvolution(Analysis):
         """Return the corrected image, and where it is corrected."""
         bench, pixels = self.bench(source), read_image(self.image)
         phase_at = mean_wavefront(source, bench, self.frames, between(progress, 0, _READING))
-        more = between(progress, _READING, 1)
-        return bench, correct(
-            pixels, phase_at, bench, method=self.method, iterations=self.iterations, progress=more, name=str(self.image)
-        )
+        return bench, self.correct(pixels, phase_at, bench, between(progress, _READING, 1))
+
+    def correct(self, image: Counts, phase_at: PhaseAt, bench: Bench, progress: Progress) -> xr.Dataset:
+        """Correct an image (row, column), counts, with the geometry of a bench.
+
+        Returns `image`, and `inside`: where it is corrected, with `iterations` and `chi_square` as attributes.
+        """
+        if bench.imaging is None:
+            raise InputError(
+                f"{self.image}: its scale is unknown: give --scale, the size of a pixel in the field in m, or [imaging]"
+                " pixel_m"
+            )
+        try:
+            made = corrected_image(
+                image,
+                phase_at,
+                bench.imaging,
+                sensor=bench.sensor,
+                field=bench.field,
+                method=self.method,
+                iterations=self.iterations,
+                progress=progress,
+            )
+        except ValueError as error:
+            raise InputError(f"{self.image}: {error}") from error
+        pixels = ("row", "column")
+        attributes = {"iterations": made.iterations, "chi_square": made.chi_square}
+        return xr.Dataset({"image": (pixels, made.image), "inside": (pixels, made.inside)}, attrs=attributes)
 
     def sentences(self, found: xr.Dataset) -> list[str]:
         """Say how well the image fits, and how much of it is corrected."""
@@ -118,40 +146,53 @@ class Deconvolution(Analysis):
             writer.write(marked, description="255 where the image is corrected", metadata=None)
 
 
-def correct(
+def deconvolve(
     image: Counts,
-    phase_at: PhaseAt,
+    source: Wavefront | str | Path,
     bench: Bench,
     *,
-    method: RestorationMethod,
-    iterations: int,
-    progress: Progress,
-    name: str,
-) -> xr.Dataset:
-    """Correct an image (row, column), counts, with the geometry of a bench; `name` stands for the image in errors.
+    method: RestorationMethod = Deconvolution.method,
+    iterations: int = Deconvolution.iterations,
+) -> xr.DataArray:
+    """Remove the aberration of each field position from an image of the sample (docs/corrected_images.md).
 
-    Returns `image`, and `inside`: where it is corrected, with `iterations` and `chi_square` as attributes.
+    Parameters
+    ----------
+    image
+        Counts, (row, column), taken through the same sample.
+    source
+        A wavefront, a file of results, or the folder of a recording, whose frames are averaged.
+    bench
+        The bench; its `[imaging]` has the scale of the image, and its pupil.
+    method
+        Richardson-Lucy keeps light positive; Wiener is faster.
+    iterations
+        At most; it ends earlier when only noise is left.
+
+    Returns
+    -------
+    xarray.DataArray
+        Corrected counts (row, column), float32, with the coordinate `inside`: True within the measured field, beyond
+        which the image is as before. The attributes have `iterations` and `chi_square`.
+
+    Raises
+    ------
+    InputError
+        If image, wavefront and bench do not go together; the message says why.
+
+    Examples
+    --------
+    >>> bench = svwfs.load_bench("small_demo", "imaging.pixel_m=10e-6")
+    >>> image = images.frames[0]  # here your own image of the sample
+    >>> corrected = svwfs.deconvolve(image, wavefront, bench, iterations=3)
+    >>> corrected.shape, bool(corrected.inside.any())
+    ((240, 256), True)
     """
-    if bench.imaging is None:
-        raise InputError(
-            f"{name}: its scale is unknown: give --scale, the size of a pixel in the field in m, or [imaging] pixel_m"
-        )
-    try:
-        made = corrected_image(
-            image,
-            phase_at,
-            bench.imaging,
-            sensor=bench.sensor,
-            field=bench.field,
-            method=method,
-            iterations=iterations,
-            progress=progress,
-        )
-    except ValueError as error:
-        raise InputError(f"{name}: {error}") from error
-    pixels = ("row", "column")
-    attributes = {"iterations": made.iterations, "chi_square": made.chi_square}
-    return xr.Dataset({"image": (pixels, made.image), "inside": (pixels, made.inside)}, attrs=attributes)
+    bench = as_bench(bench)
+    phase_at = phase_of(source, bench)
+    chosen = Deconvolution(image=Path("image"), method=method, iterations=iterations)
+    made = chosen.correct(as_image(image, "image"), phase_at, bench, lambda *_: None)
+    return made["image"].rename(None).assign_coords(inside=made["inside"]).assign_attrs(units="counts", **made.attrs)
 
 
 def _section(path: Path | None) -> list[str]:

@@ -1,138 +1,31 @@
-"""Recordings in the formats of other programs: BigTIFF, CSV, NetCDF, point-spread functions, Zernike coefficients."""
+"""Recordings in the formats of other programs; the writers are loaded when they write."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import partial
-from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, ClassVar, Literal
 
-import numpy as np
-import tifffile
 import typer
-from numpy.typing import NDArray
 
-from app.bench.config import write_bench
-from app.errors import NOTHING_TO_WRITE, SETTINGS_CHANGED, InputError, RunError
-from app.files import atomic_write, write_csv
-from app.measurement.measurement import Measurement
-from app.progress import Progress, counted, counting
-from app.recording.reader import Recording
-from app.recording.reprocess import reprocess
+from app.progress import Progress, counted
 from app.results import analysis
 from app.results.analysis import Analysis, Frames
-from app.results.coefficients import double_zernikes, table_of, zernikes_of_views
-from app.results.dataset import result_dataset, results_in_pieces
-from app.results.export_formats import FORMATS, Format
-from app.results.replay import first_bench
-from app.results.result_file import write_pieces
-from reconstruction.arrays import Floats
-from reconstruction.geometry import Field, Sensor
-from reconstruction.quality.image_quality import psf, psf_angles_rad, psf_reach_rad
-from reconstruction.quality.verdict import Quality
-from reconstruction.runtime.threads import one_blas_thread
-from reconstruction.solve.modal import ModalSolution
-from reconstruction.wavefront import Wavefront, rms
 
-if TYPE_CHECKING:
-    import xarray as xr
+Format = Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"]
 
-_REACH_FRAMES = 50  # evenly spaced frames that set the angular range of the point-spread functions
+FORMATS: dict[Format, tuple[str, tuple[str, ...]]] = {  # what is written, and the suffixes of its file
+    "tiff": ("Frames as TIFF", (".tif", ".tiff")),
+    "csv": ("RMS and coefficients as CSV", (".csv",)),
+    "netcdf": ("All results as NetCDF", (".nc",)),
+    "psf": ("Point-spread functions as TIFF", (".tif", ".tiff")),
+    "double-zernike": ("Double Zernikes as NetCDF, for GalSim", (".nc",)),
+    "zernike-table": ("Zernike coefficients of each view as CSV", (".csv",)),
+}
 
 
-def write_stack(
-    path: Path,
-    images: Iterable[NDArray[Any]],
-    *,
-    labels: Sequence[str],
-    information: str,
-    pixel_um: float,
-    interval_s: float | None = None,
-) -> None:
-    """Write as many images (row, column) of one size and type as there are labels, as BigTIFF, one in memory at a time.
-
-    tifffile's own ImageJ mode ends at 4 GB; this writes the same description and tags into a BigTIFF. ImageJ shows
-    `labels` above the images, and `information` under Image > Show Info. With an interval they are a film.
-    """
-    remaining = iter(images)
-    first = next(remaining)
-    shape, film = (len(labels), *first.shape), dict[str, Any]({} if interval_s is None else {"finterval": interval_s})
-    tags = tifffile.imagej_metadata_tag({"Info": information, "Labels": list(labels)}, "<")
-    with atomic_write(path) as temporary, tifffile.TiffWriter(temporary, bigtiff=True, byteorder="<") as writer:
-        writer.write(
-            chain([first], remaining),
-            shape=shape,
-            dtype=first.dtype,
-            photometric="minisblack",
-            description=tifffile.imagej_description(shape, axes="TYX" if film else "ZYX", unit="um", **film),
-            metadata=None,  # replaced by the description
-            extratags=tags,
-            resolution=(1 / pixel_um, 1 / pixel_um),
-            resolutionunit="NONE",
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PsfGrid:
-    """Point-spread function of each view, averaged over frames, tilt included."""
-
-    psf: Floats  # (view_row, view_column, angle_row, angle_column), sum 1 for each view; NaN where unknown
-    angle_rad: Floats  # along x and along y, (angle,)
-    light: Floats  # part of the view's light within these angles, (view_row, view_column)
-
-
-def psf_reach(views: Iterable[Floats], sensor: Sensor) -> float:
-    """Return the angle within which nearly all light of all frames arrives, rad; NaN if unknown.
-
-    `views` yields the wavefront of each frame, rad, (view_row, view_column, lenslet_row, lenslet_column).
-    """
-    return float(np.fmax.reduce([psf_reach_rad(phase, sensor) for phase in views], initial=np.nan))
-
-
-def psf_grid(views: Iterable[Floats], sensor: Sensor, reach_rad: float) -> PsfGrid:
-    """Return the mean point-spread functions over frames from -reach to +reach; `views` as in `psf_reach`.
-
-    The integral over all angles is wavelength^2 / transmitting area (Parseval), with 1 as the peak of the same pupil
-    without aberration; hence the part of the light within the square.
-    """
-    angle_rad = psf_angles_rad(sensor, reach_rad)
-    solid_angle = (angle_rad[1] - angle_rad[0]) ** 2
-    total, frames = np.zeros(()), np.zeros(())
-    for phase in views:
-        lenslets = np.isfinite(phase).sum(axis=(-2, -1))
-        scale = lenslets * sensor.lenslet_pitch_m**2 * solid_angle / sensor.wavelength_m**2
-        parts = psf(phase, sensor, angle_rad=angle_rad) * scale[..., None, None]  # of the transmitted light
-        total = total + np.where(lenslets[..., None, None] > 0, parts, 0.0)
-        frames = frames + (lenslets > 0)
-    with np.errstate(invalid="ignore"):  # views that are unknown in all frames
-        light = total.sum(axis=(-2, -1)) / frames
-        return PsfGrid(total / total.sum(axis=(-2, -1), keepdims=True), angle_rad, light)
-
-
-def write_psf_grid(path: Path, grid: PsfGrid, field: Field, about: dict[str, Any]) -> None:
-    """Write the known views as a float32 stack, with their positions as labels and as JSON."""
-    known = [view for view in np.ndindex(grid.light.shape) if np.isfinite(grid.light[view])]
-    step_rad = float(grid.angle_rad[1] - grid.angle_rad[0])
-    pixel_m = step_rad * field.collimator_focal_length_m
-    places = [
-        {"view_row": row, "view_column": column, "x_m": x_m, "y_m": y_m, "light": float(grid.light[row, column])}
-        for row, column in known
-        for x_m, y_m in [(float(field.view_x_m[column]), float(field.view_y_m[row]))]
-    ]
-    information = {"pixel_rad": step_rad, "pixel_m": pixel_m, "views": places, **about}
-    write_stack(
-        path,
-        (grid.psf[view].astype(np.float32) for view in known),
-        labels=[f"x = {place['x_m'] * 1e3:+.3f} mm, y = {place['y_m'] * 1e3:+.3f} mm" for place in places],
-        information=json.dumps(information, indent=1),
-        pixel_um=pixel_m * 1e6,
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Export(Analysis):
     """Convert a recording for other programs.
 
@@ -160,130 +53,16 @@ class Export(Analysis):
 
     def run(self, source: Path, out: Path, progress: Progress) -> str:
         """Write the frames of a recording, or their results, one after the other."""
+        from app.recording.reader import Recording
+        from app.results.export_writers import WRITERS
+        from reconstruction.runtime.threads import one_blas_thread
+
         recording = Recording(source)
         chosen = recording.select(self.frames)
         with one_blas_thread():
-            _WRITERS[self.to](recording, chosen, out, progress)
+            WRITERS[self.to](recording, chosen, out, progress)
         return f"{out} holds {counted(len(chosen))} of {source}"
 
     def bench_changes(self, source: Path) -> dict[Path, Iterable[str] | None]:
-        """Return none; the frames themselves are not reconstructed."""
+        """Return no change; None for frames, which are not reconstructed."""
         return {source: None if self.to == "tiff" else ()}
-
-
-def _write_tiff(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
-    lines = [recording.line(index) for index in chosen]
-    time_s = np.array([line.camera_time_s for line in lines])
-    bench = first_bench(recording, chosen)
-    write_stack(
-        out,
-        counting((recording.pixels(index) for index in chosen), len(chosen), progress, "writing frames"),
-        labels=[
-            f"frame {line.index}: t = {line.camera_time_s:.6f} s, exposure {line.exposure_s * 1e3:g} ms,"
-            f" em gain {line.em_gain:g}"
-            for line in lines
-        ],
-        information=write_bench(bench),
-        pixel_um=bench.sensor.pixel_pitch_m * 1e6,
-        interval_s=float(np.median(np.diff(time_s))) if len(lines) > 1 else 0.0,
-    )
-
-
-def _write_csv(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
-    """Write one row of numbers for each frame, NaN without a wavefront; the header names each column with its unit.
-
-    `rms_R_C_rad` is the RMS at view row R, view column C; `e_P_Q_rad` the coefficient of pupil mode P and field mode
-    Q, and `e_P_Q_sigma_rad` its standard deviation (modal method only).
-    """
-    remaining = _reconstructed(recording, chosen, progress)
-    before: list[Measurement] = []  # up to the first with a wavefront, which decides the columns
-    for frame in remaining:
-        before.append(frame)
-        if frame.wavefront is not None:
-            break
-    else:
-        raise RunError(f"{out}: {NOTHING_TO_WRITE}")
-    names = list(_values(frame.wavefront))
-    first = ("frame", "camera_frame", "time_s", "exposure_s", "em_gain", "valid_lenslets")
-    write_csv(out, [*first, *names], (_row(each, names) for each in chain(before, remaining)))
-
-
-def _row(frame: Measurement, names: list[str]) -> list[float]:
-    taken, values = frame.frame, dict.fromkeys(names, np.nan)
-    if frame.wavefront is not None:
-        values = _values(frame.wavefront)
-        if list(values) != names:
-            raise InputError(SETTINGS_CHANGED)
-    valid = 0 if frame.registered is None else int(frame.registered.valid.sum())
-    times = taken.index, taken.camera_time_s, taken.exposure_s, taken.em_gain
-    return [frame.index, *times, valid, *values.values()]
-
-
-def _values(wavefront: Wavefront) -> dict[str, float]:
-    values = {f"rms_{row}_{column}_rad": float(value) for (row, column), value in np.ndenumerate(rms(wavefront.views))}
-    if isinstance(wavefront.solution, ModalSolution):
-        for name, modes in (("", wavefront.solution.coefficients), ("_sigma", wavefront.solution.coefficients_sigma)):
-            for (pupil_mode, field_mode), value in np.ndenumerate(modes):
-                values[f"e_{pupil_mode}_{field_mode}{name}_rad"] = float(value)
-    return values
-
-
-def _write_results(
-    recording: Recording,
-    chosen: range,
-    out: Path,
-    progress: Progress,
-    results_of: Callable[[Wavefront, Quality], xr.Dataset] = result_dataset,
-) -> None:
-    pieces = results_in_pieces(((frame, {}) for frame in _reconstructed(recording, chosen, progress)), results_of)
-    write_pieces(out, pieces, bench=first_bench(recording, chosen), inputs={"recording": recording.folder.name})
-
-
-def _write_zernike_table(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
-    """Write one row of numbers for each frame with a wavefront, and view inside the field."""
-    frames = _reconstructed(recording, chosen, progress)
-    known = ((frame.index, frame.wavefront) for frame in frames if frame.wavefront is not None)
-    tables = ((index, *table_of(zernikes_of_views(wavefront))) for index, wavefront in known)
-    first = next(tables, None)
-    if first is None:
-        raise RunError(f"{out}: {NOTHING_TO_WRITE}")
-
-    def rows() -> Iterator[list[float]]:
-        for index, names, of_frame in chain([first], tables):
-            if names != first[1]:
-                raise InputError(SETTINGS_CHANGED)
-            yield from ([index, *row] for row in of_frame)
-
-    write_csv(out, ["frame", *first[1]], rows())
-
-
-def _write_psf(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
-    bench = first_bench(recording, chosen)
-    some = chosen[:: max(1, len(chosen) // _REACH_FRAMES)]
-    reach_rad = psf_reach(_views(recording, some, progress, "finding the angular range"), bench.sensor)
-    if np.isnan(reach_rad):
-        raise RunError(f"{out}: {NOTHING_TO_WRITE}")
-    grid = psf_grid(_views(recording, chosen, progress, "adding point-spread functions"), bench.sensor, reach_rad)
-    about = {"recording": recording.folder.name, "frames": [chosen.start, chosen.stop], "bench": write_bench(bench)}
-    write_psf_grid(out, grid, bench.field, about)
-
-
-def _views(recording: Recording, chosen: range, progress: Progress, text: str) -> Iterator[Floats]:
-    frames = _reconstructed(recording, chosen, progress, text)
-    return (frame.wavefront.views for frame in frames if frame.wavefront is not None)
-
-
-def _reconstructed(
-    recording: Recording, chosen: range, progress: Progress, text: str = "reconstructing frames"
-) -> Iterator[Measurement]:
-    return counting(reprocess(recording, chosen), len(chosen), progress, text)
-
-
-_WRITERS: dict[Format, Callable[[Recording, range, Path, Progress], None]] = {
-    "tiff": _write_tiff,
-    "csv": _write_csv,
-    "netcdf": _write_results,
-    "psf": _write_psf,
-    "double-zernike": partial(_write_results, results_of=double_zernikes),
-    "zernike-table": _write_zernike_table,
-}

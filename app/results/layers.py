@@ -18,10 +18,11 @@ from app.errors import InputError
 from app.progress import Progress
 from app.results.analysis import Analysis, Frame, From, Origin
 from app.results.result_file import about
-from app.results.sources import measured_frame
+from app.results.sources import measured, measured_frame
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
-from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch, find_layers
+from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch
+from reconstruction.layers.layer_search import find_layers as search_layers
 from reconstruction.layers.layer_solver import Layer, LayerFit
 
 if TYPE_CHECKING:
@@ -29,14 +30,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from app.measurement.bench_reconstructor import BenchReconstructor
     from app.measurement.calibration import Calibration
     from app.measurement.measurement import Measurement
     from reconstruction.pipeline import Reconstructor
+    from reconstruction.wavefront import Wavefront
 
 _MOST = 2  # layers
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Layers(Analysis):
     """Find at which distance the aberration originates.
 
@@ -74,7 +77,7 @@ class Layers(Analysis):
         bench, equations = measured_frame(source, self.frame)
         ratios = tuple(ratio_at(distance_m, self.origin, bench) for distance_m in self.distance or ())
         progress("finding the layers", 0.3)
-        return bench, layers_dataset(find_layers(equations, self.count, at=ratios), bench, self.origin)
+        return bench, layers_dataset(search_layers(equations, self.count, at=ratios), bench, self.origin)
 
     def draw(self, found: xr.Dataset) -> Figure:
         """Draw the misfit over the distance, and phase and error of each layer."""
@@ -98,6 +101,51 @@ class Layers(Analysis):
         """Say the distances, and what explains the displacements."""
         first, *others = layers_sentences(found)
         return [f"frame {self.frame}: {first}", *others]
+
+
+def find_layers(
+    reconstructor: BenchReconstructor,
+    wavefront: Wavefront,
+    count: int = Layers.count,
+    *,
+    distances_m: tuple[float, ...] = (),
+) -> xr.Dataset:
+    """Find at which distance in front of the lenslets the aberration originates, or behind them (docs/layers.md).
+
+    Parameters
+    ----------
+    reconstructor
+        Result of `svwfs.reconstructor`.
+    wavefront
+        A wavefront made by it.
+    count
+        Number of layers to look for, 1 or 2.
+    distances_m
+        Known distances of the layers, negative behind the lenslets; found if omitted.
+
+    Returns
+    -------
+    xarray.Dataset
+        `distance_m(layer)` and `layer_phase(layer, y, x)` with their errors, `chi_square(distance)` and `misfit` of a
+        single layer, `model_misfit(model)`; the attribute `verdict` says how many layers explain the wavefront, and
+        `doubt` why that may be wrong.
+
+    Raises
+    ------
+    ReconstructionError
+        If too few lenslets are valid, or the displacements do not change over the field.
+
+    Examples
+    --------
+    >>> layers = svwfs.find_layers(reconstruct, reconstruct(images.frames[0]))
+    >>> layers.attrs["verdict"]
+    'one layer'
+    >>> bool(abs(layers["distance_m"].item() - 0.195) < 0.005)  # as the bench says
+    True
+    """
+    ratios = tuple(ratio_at(distance_m, "lenslets", reconstructor.bench) for distance_m in distances_m)
+    found = search_layers(reconstructor.layers(measured(wavefront)), count, at=ratios)
+    return layers_dataset(found, reconstructor.bench, "lenslets")
 
 
 MAP_POINTS = 129  # of a phase map along its longer axis
@@ -345,7 +393,7 @@ def find_shown_layers(
         return NO_WAVEFRONT
     try:
         layers = _reconstructor(calibration).layers(wavefront.displacement)
-        search = find_layers(layers, count, check=check) if count else None
+        search = search_layers(layers, count, check=check) if count else None
         fit = layers.fit(ratio) if search is None else search.fit
     except ReconstructionError as error:
         return str(error)

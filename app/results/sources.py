@@ -24,7 +24,7 @@ from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.solve.expected_errors import MeanGradients
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.wavefront import without_piston
+from reconstruction.wavefront import Wavefront, without_piston
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from app.measurement.calibration import Calibration
     from reconstruction.deconvolution.corrected_image import PhaseAt
     from reconstruction.field_coefficients import ModalFit
-    from reconstruction.wavefront import Wavefront
 
 _NOT_MEASURED = (
     "holds wavefronts that were not measured, such as the truth of a simulation: give a recording, or a file that svwfs"
@@ -223,6 +222,22 @@ def _between_views(source: Path, bench: Bench, views: Floats) -> PhaseAt:
         return np.asarray(np.einsum("v,w,vwrc->rc", along_y(y_m), along_x(x_m), views))
 
     return phase_at
+
+
+def phase_of(source: Wavefront | str | Path, bench: Bench) -> PhaseAt:
+    """Return the wavefront at any field position, of a wavefront, a file of results or a recording."""
+    if isinstance(source, str | Path):
+        return mean_wavefront(Path(source), bench, None, lambda *_: None)
+    return measured(source).at
+
+
+def measured(wavefront: object) -> Wavefront:
+    """Refuse anything but a wavefront."""
+    if not isinstance(wavefront, Wavefront):
+        raise InputError(
+            f"a wavefront is needed, not {type(wavefront).__name__}; Measurement.problem says why it is None"
+        )
+    return wavefront
 
 
 _ROUNDING = 1e-6  # singular value over the largest, below which displacements are zero

@@ -10,7 +10,7 @@ from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice
 from app.gui.widgets.layouts import column, row
 from app.gui.widgets.texts import ElidedLabel
-from app.results.corrector import correction_sentence, find_shown_correctors
+from app.results.corrector import BestCorrector, correction_sentence, find_shown_correctors
 from reconstruction.layers.corrector import Corrector
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class CorrectorPanel(Panel):
         super().__init__(shown)
         choices = [(_name(one), one) for one in _CORRECTORS]
         self.corrector = Choice("Shapes that the corrector can take over its footprint", choices)
-        self.corrector.setCurrentIndex(2)
+        self.corrector.setCurrentIndex(_CORRECTORS.index(Corrector(BestCorrector.modes, BestCorrector.count)))
         self.origin = origin_choice()
         keys = (("best command", theme.ACCENT), ("best distance", theme.AMBER), ("no corrector", theme.DIM))
         about = (

@@ -26,7 +26,7 @@ from app.gui.widgets.texts import ElidedLabel, label, mark_refused
 from app.progress import counted
 from app.recording.folder import describe, name_problem
 from app.recording.recorder import RECENT_S, RecordingLimit, RecordingState
-from app.results.export_formats import FORMATS, Format
+from app.results.export import FORMATS, Format
 from drivers.interface import Range
 
 _WIDEST = "000000 frames   00:00   disk space for 000 min"  # of more, only the tool tip has the disk space

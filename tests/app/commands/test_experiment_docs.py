@@ -66,7 +66,7 @@ def test_every_documented_command_runs(
         is_refused = after.startswith("svwfs: ")
         words = shlex.split(command if is_refused else quick(command))
         if command.startswith("report") and "--set" in command:  # drawn before already
-            monkeypatch.setattr("app.results.report.one_page", lambda _: Figure())
+            monkeypatch.setattr("app.results.report_pages.one_page", lambda _: Figure())
         assert run(monkeypatch, *words) == (2 if is_refused else 0), command
         shown = capsys.readouterr()
         if is_refused:

@@ -24,8 +24,8 @@ from app.errors import InputError, Interrupted, RunError
 from app.progress import Progress
 from app.recording.reader import Recording
 from app.results import dataset
-from app.results.export import Export, psf_grid, psf_reach, write_psf_grid, write_stack
-from app.results.export_formats import Format
+from app.results.export import Export, Format
+from app.results.export_writers import psf_grid, psf_reach, write_psf_grid, write_stack
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import diffraction_rad
 from reconstruction.solve.modal import ModalSolution

@@ -31,7 +31,8 @@ from app.recording.folder import RUN
 from app.recording.reader import Recording
 from app.results.export import Export
 from app.results.replay import change_of
-from app.results.report import Page, Report, draw_certainty, draw_comparison, draw_overview, one_page
+from app.results.report import Report
+from app.results.report_pages import Page, draw_certainty, draw_comparison, draw_overview, one_page
 from app.results.report_summary import Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
@@ -333,7 +334,7 @@ def test_report_is_written_atomically_and_replaces_only_on_request(
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("app.results.report.draw_certainty", fail)
+    monkeypatch.setattr("app.results.report_pages.draw_certainty", fail)
     assert run(monkeypatch, "report", recording.folder, "--out", out, "--overwrite") == 1
     assert "No space left" in capsys.readouterr().err
     assert out.read_bytes() == first
