@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     import xarray as xr
     from matplotlib.figure import Figure
@@ -103,7 +103,7 @@ class Analysis:
         """Return more files that it reads and writes; `InputError` if one of them cannot be used."""
         return (), ()
 
-    def bench_changes(self, source: Path) -> dict[Path, Iterable[str] | None]:
+    def bench_changes(self, source: Path) -> Mapping[Path, Iterable[str] | None]:
         """Return settings that were changed in the bench of each source; None if nothing was reconstructed with it."""
         return {source: ()}
 

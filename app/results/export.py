@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -63,6 +63,6 @@ class Export(Analysis):
             WRITERS[self.to](recording, chosen, out, progress)
         return f"{out} holds {counted(len(chosen))} of {source}"
 
-    def bench_changes(self, source: Path) -> dict[Path, Iterable[str] | None]:
+    def bench_changes(self, source: Path) -> Mapping[Path, Iterable[str] | None]:
         """Return no change; None for frames, which are not reconstructed."""
         return {source: None if self.to == "tiff" else ()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -77,6 +77,6 @@ class Report(Analysis):
 
         return () if self.beside is None else parts_of(self.beside), ()
 
-    def bench_changes(self, source: Path) -> dict[Path, Iterable[str] | None]:
+    def bench_changes(self, source: Path) -> Mapping[Path, Iterable[str] | None]:
         """Return the changed settings of the first recording, and the other one."""
         return {source: self.setting or ()} | ({} if self.beside is None else {self.beside: ()})
