@@ -1,7 +1,6 @@
 """`svwfs paper`: the tables of the paper beside its own numbers."""
 
-from __future__ import annotations
-
+from inspect import Signature, signature
 from pathlib import Path
 from typing import Annotated
 
@@ -13,66 +12,37 @@ from app.commands.study import run_and_print
 paper = typer.Typer(
     help="Reproduce the paper's tables beside its own numbers.", no_args_is_help=True, rich_markup_mode=None
 )
-OutOption = Annotated[Path, options.folder_option("Folder for the table (JSON, CSV) and its figure.")]
-PeersOption = Annotated[bool, typer.Option(help="Include the slow methods of SimpleITK (extra: peers).")]
+Out = Annotated[Path, options.folder_option("Folder for the table (JSON, CSV) and its figure.")]
+Peers = Annotated[bool, typer.Option(help="Include the slow methods of SimpleITK (extra: peers).")]
 
 
-def _reproduce(
-    name: str, bench: str, setting: list[str] | None, seeds: int, out: Path, *, overwrite: bool, **peers: bool
-) -> None:
-    from app.evaluation import paper as tables
-    from app.evaluation.studies import files_of
+def _add(name: str, preset: str, about: str, more: str = "", *, has_peers: bool = True) -> None:
+    """Add the command of a table, a function of `app.evaluation.paper`; `more` options are in its example."""
 
-    loaded, table = options.load(bench, setting), getattr(tables, name)(**peers)
-    job = options.Job(*files_of([table], out), reads=loaded.files, overwrite=overwrite)
-    run_and_print(job, [table], loaded, seeds, out)
+    def reproduce(
+        *,
+        out: Out,
+        seeds: options.Seeds = 1,
+        peers: Peers = False,
+        overwrite: options.Overwrite = False,
+        bench: options.Bench = preset,
+        setting: options.Set = None,
+    ) -> None:
+        from app.evaluation import paper as tables
+        from app.evaluation.studies import files_of
 
+        loaded, chosen = options.load(bench, setting), {"peers": peers} if has_peers else {}
+        table = getattr(tables, name)(**chosen)
+        job = options.Job(*files_of([table], out), reads=loaded.files, overwrite=overwrite)
+        run_and_print(job, [table], loaded, seeds, out)
 
-@paper.command(cls=options.OnceCommand)
-def table1(
-    *,
-    out: OutOption,
-    seeds: options.Seeds = 1,
-    peers: PeersOption = False,
-    overwrite: options.Overwrite = False,
-    bench: options.Bench = "paper_simulation",
-    setting: options.Set = None,
-) -> None:
-    """Table 1: every method on the simulated bench, against the truth.
-
-    Example: svwfs paper table1 --out paper
-    """
-    _reproduce("table1", bench, setting, seeds, out, overwrite=overwrite, peers=peers)
+    own = [each for each in signature(reproduce).parameters.values() if has_peers or each.name != "peers"]
+    reproduce.__signature__ = Signature(own)  # type: ignore[attr-defined] # for typer
+    text = f"{about}\n\nExample: svwfs paper {name}{more} --out paper"
+    paper.command(name, cls=options.OnceCommand, help=text)(reproduce)
 
 
-@paper.command(cls=options.OnceCommand)
-def table2(
-    *,
-    out: OutOption,
-    seeds: options.Seeds = 1,
-    peers: PeersOption = False,
-    overwrite: options.Overwrite = False,
-    bench: options.Bench = "paper_experiment",
-    setting: options.Set = None,
-) -> None:
-    """Table 2: every method on noisy frames of the experiment, against the stars.
-
-    Example: svwfs paper table2 --seeds 3 --out paper
-    """
-    _reproduce("table2", bench, setting, seeds, out, overwrite=overwrite, peers=peers)
-
-
-@paper.command(cls=options.OnceCommand)
-def sources(
-    *,
-    out: OutOption,
-    seeds: options.Seeds = 1,
-    overwrite: options.Overwrite = False,
-    bench: options.Bench = "paper_simulation",
-    setting: options.Set = None,
-) -> None:
-    """The supplement's study of other source shapes.
-
-    Example: svwfs paper sources --out paper
-    """
-    _reproduce("sources", bench, setting, seeds, out, overwrite=overwrite)
+_SIMULATION, _EXPERIMENT = "paper_simulation", "paper_experiment"
+_add("table1", _SIMULATION, "Table 1: every method on the simulated bench, against the truth.")
+_add("table2", _EXPERIMENT, "Table 2: every method on noisy frames of the experiment, against the stars.", " --seeds 3")
+_add("sources", _SIMULATION, "The supplement's study of other source shapes.", has_peers=False)
