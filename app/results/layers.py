@@ -260,18 +260,27 @@ def distances_and_sigma_m(layers: tuple[Layer, ...], origin: Origin, bench: Benc
     return distance_m(ratio, origin, bench), per_ratio_m * ratio_sigma
 
 
-def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin) -> xr.Dataset:
-    """Return distances, phase maps and what explains the displacements of a frame; see `possible_origin`."""
+def layers_dataset(found: LayerSearch | LayerFit, bench: Bench, origin: Origin, points: int = MAP_POINTS) -> xr.Dataset:
+    """Return distances, phase maps and what explains the displacements of a frame; see `possible_origin`.
+
+    A fit at given distances, without a search, has no curve over the distance and no verdict.
+    """
     import xarray as xr
 
-    layers = found.fit.layers
+    if isinstance(found, LayerFit):
+        layers, made, said = found.layers, {"given": found.quality}, {"verdict": "", "doubt": ""}
+        ratios = chi_squares = misfits = np.zeros(0)
+    else:
+        fits = {"given": found.given, "one layer": found.one, "two layers": found.two}
+        made = {name: fit.quality for name, fit in fits.items() if fit is not None}
+        made["any wavefront"] = found.any_wavefront
+        layers, said = found.fit.layers, {"verdict": found.verdict, "doubt": found.doubt}
+        ratios, chi_squares, misfits = found.ratios, found.chi_squares, found.misfits
     origin = possible_origin(origin, (layer.ratio for layer in layers))
     distances_m, sigma_m = distances_and_sigma_m(layers, origin, bench)
-    x_m, y_m, phase = layer_maps(layers, origin, Layer.phase)
-    *_, sigma = layer_maps(layers, origin, Layer.sigma)
-    fits = {"given": found.given, "one layer": found.one, "two layers": found.two}
-    made = {name: fit.quality for name, fit in fits.items() if fit is not None} | {"any wavefront": found.any_wavefront}
-    tried_m, order = tried_distances_m(found.ratios, origin, bench)
+    x_m, y_m, phase = layer_maps(layers, origin, Layer.phase, points)
+    *_, sigma = layer_maps(layers, origin, Layer.sigma, points)
+    tried_m, order = tried_distances_m(ratios, origin, bench)
     of_distance = from_where(origin)
     return xr.Dataset(
         {
@@ -279,8 +288,8 @@ def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin) -> xr.Datas
             "distance_sigma_m": ("layer", sigma_m, about("m", "standard deviation; NaN if given")),
             "layer_phase": (("layer", "y", "x"), phase, about("rad", "phase on the layer; NaN where no ray meets it")),
             "layer_phase_sigma": (("layer", "y", "x"), sigma, about("rad", "standard deviation of layer_phase")),
-            "chi_square": ("distance", found.chi_squares[order], about("1", "reduced, of a single layer there")),
-            "misfit": ("distance", found.misfits[order], about("1", "unexplained share of the displacements, RMS")),
+            "chi_square": ("distance", chi_squares[order], about("1", "reduced, of a single layer there")),
+            "misfit": ("distance", misfits[order], about("1", "unexplained share of the displacements, RMS")),
             "model_chi_square": ("model", [fit.chi_square for fit in made.values()], about("1", "reduced")),
             "model_misfit": ("model", [fit.misfit for fit in made.values()], about("1", "as misfit")),
         },
@@ -290,13 +299,7 @@ def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin) -> xr.Datas
             "y": ("y", y_m, about("m", "on the layer")),
             "model": ("model", list(made)),
         },
-        attrs={
-            "title": "Layers of the sample",
-            "verdict": found.verdict,
-            "doubt": found.doubt,
-            "distances_from": origin,
-            "ambiguous": _AMBIGUOUS[len(layers)],
-        },
+        attrs={"title": "Layers of the sample", **said, "distances_from": origin, "ambiguous": _AMBIGUOUS[len(layers)]},
     )
 
 
@@ -364,25 +367,9 @@ _SHOWN_POINTS = 65  # along each side of a map in the window
 NO_WAVEFRONT = "there is no wavefront"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FoundLayers:
-    """Layers found in a measurement."""
-
-    fit: LayerFit
-    search: LayerSearch | None  # None: at a known distance
-    origin: Origin  # of the distances, see `possible_origin`
-    distances_m: Floats  # (layer,)
-    sigma_m: Floats  # (layer,); NaN for a known distance
-    half_width_m: tuple[float, float]  # of the maps, x and y
-    maps: Floats  # phase, rad, (layer, y, x), see `centred`; NaN where no ray meets it
-    limit_rad: float  # that nearly all values lie within
-    tried_m: Floats  # distances of the search, rising
-    misfits: Floats  # unexplained share of the displacements by a single layer there
-
-
 def find_shown_layers(
     measurement: Measurement, origin: Origin, *, count: int, ratio: float, check: Callable[[], None]
-) -> FoundLayers | str:
+) -> xr.Dataset | str:
     """Search for `count` layers, or fit one at a known `ratio` of field to pupil position if `count` is 0.
 
     Distances are measured from the `origin`, if possible. An exception of `check` ends the search. Returns the problem
@@ -393,28 +380,10 @@ def find_shown_layers(
         return NO_WAVEFRONT
     try:
         layers = _reconstructor(calibration).layers(wavefront.displacement)
-        search = search_layers(layers, count, check=check) if count else None
-        fit = layers.fit(ratio) if search is None else search.fit
+        found = search_layers(layers, count, check=check) if count else layers.fit(ratio)
     except ReconstructionError as error:
         return str(error)
-    origin = possible_origin(origin, (layer.ratio for layer in fit.layers))
-    distances_m, sigma_m = distances_and_sigma_m(fit.layers, origin, calibration.bench)
-    x_m, y_m, maps = layer_maps(fit.layers, origin, Layer.phase, _SHOWN_POINTS)
-    phases, limits_rad = zip(*map(centred, maps), strict=True)
-    ratios, misfits = (np.zeros(0), np.zeros(0)) if search is None else (search.ratios, search.misfits)
-    tried_m, order = tried_distances_m(ratios, origin, calibration.bench)
-    return FoundLayers(
-        fit=fit,
-        search=search,
-        origin=origin,
-        distances_m=distances_m,
-        sigma_m=sigma_m,
-        half_width_m=(float(x_m[-1]), float(y_m[-1])),
-        maps=np.array(phases),
-        limit_rad=max(limits_rad),
-        tried_m=tried_m,
-        misfits=misfits[order],
-    )
+    return layers_dataset(found, calibration.bench, origin, _SHOWN_POINTS)
 
 
 @kept_while_alive(maxsize=1)

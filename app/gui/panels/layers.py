@@ -1,6 +1,8 @@
 """The layers panel: misfit over the distance, the layers found with their phase, or one at a known distance, live."""
 
-from typing import get_args
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 from PyQt6.QtCore import QSignalBlocker, Qt
@@ -19,8 +21,8 @@ from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
 from app.results.analysis import Origin
 from app.results.layers import (
-    FoundLayers,
     axis_label,
+    centred,
     distance_in_words,
     distance_m,
     distance_range_m,
@@ -31,6 +33,9 @@ from app.results.layers import (
 )
 from drivers.interface import Range
 from reconstruction.arrays import Floats
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _SEARCHING = "Searching \N{HORIZONTAL ELLIPSIS}"
 _INTERVALS_S = {1: 5.0, 2: 20.0, 0: 0.1}  # between two fits
@@ -124,30 +129,32 @@ class LayersPanel(Panel):
             _INTERVALS_S[count],
         )
 
-    def show_result(self, found: FoundLayers | str) -> None:
+    def show_result(self, found: xr.Dataset | str) -> None:
         if isinstance(found, str):
             self.map.empty = "no layer"
             self.sentence.setText(f"No layer: {found}")
             self.show_nothing()
             return
         self.sentence.setText(_in_words(found))
-        self._choose_origin(found.origin)
-        if found.search is not None:
-            self._ratio = found.fit.layers[0].ratio
+        origin, at_m = found.attrs["distances_from"], found["distance_m"].values
+        self._choose_origin(origin)
+        if found.attrs["verdict"] and self._bench is not None:
+            self._ratio = ratio_at(float(at_m[0]), origin, self._bench)
             self._show_distance()
-            misfits, least = 100 * found.misfits, 100 * found.search.any_wavefront.misfit
-            self.plot.show_curve(found.tried_m, misfits, least, found.distances_m, found.origin)
-        self.plot.mark(found.distances_m)
+            misfits, least = 100 * found["misfit"].values, 100 * _misfit(found, "any wavefront")
+            self.plot.show_curve(found["distance"].values, misfits, least, at_m, origin)
+        self.plot.mark(at_m)
         self._show_maps(found)
 
     def show_nothing(self) -> None:
         """Show the maps in grey: they are not those of the newest frame."""
         self.map.show_stale(is_stale=True)
 
-    def _show_maps(self, found: FoundLayers) -> None:
-        values = found.maps * self.shown.per_rad
-        limit = self._scale.follow(found.limit_rad * self.shown.per_rad)
-        reach_mm = (found.half_width_m[0] * 1e3, found.half_width_m[1] * 1e3)
+    def _show_maps(self, found: xr.Dataset) -> None:
+        maps, limits_rad = zip(*map(centred, found["layer_phase"].values), strict=True)
+        values = np.array(maps) * self.shown.per_rad
+        limit = self._scale.follow(max(limits_rad) * self.shown.per_rad)
+        reach_mm = (float(found["x"][-1]) * 1e3, float(found["y"][-1]) * 1e3)
         unit = str(self.shown.unit)
 
         def describe(row: int, column: int, value: float) -> str:
@@ -161,8 +168,8 @@ class LayersPanel(Panel):
         self.map.show_maps(Maps(values[None], scale, describe, is_smooth=True, reach=reach_mm, reach_unit="mm"))
         wide = (f"map {2 * reach_mm[0]:.1f} mm wide", f"{2 * reach_mm[0]:.1f} mm wide")  # not after +-
         captions: dict[tuple[int, int], Caption] = {}
-        for index, (at_m, sigma_m) in enumerate(zip(found.distances_m, found.sigma_m, strict=True)):
-            at = (distance_in_words(at_m, sigma_m, found.origin), f"{at_m * 1e3:.1f} mm")
+        for index, (at_m, place) in enumerate(zip(found["distance_m"].values, _places(found), strict=True)):
+            at = (place, f"{at_m * 1e3:.1f} mm")
             captions[0, index] = (at, wide)
         self.map.set_captions(captions)
 
@@ -189,17 +196,25 @@ class LayersPanel(Panel):
             self.origin.setCurrentIndex(self.origin.findData(origin))
 
 
-def _in_words(found: FoundLayers) -> str:
-    at = zip(found.distances_m, found.sigma_m, strict=True)
-    places = " and ".join(distance_in_words(*each, found.origin) for each in at)
-    share = f"{number(100 * found.fit.quality.misfit, 2)} % of the displacements unexplained"
-    if found.search is None:
+def _misfit(found: xr.Dataset, model: str) -> float:
+    return float(found["model_misfit"].sel(model=model))
+
+
+def _places(found: xr.Dataset) -> list[str]:
+    at = zip(found["distance_m"].values, found["distance_sigma_m"].values, strict=True)
+    return [distance_in_words(*each, found.attrs["distances_from"]) for each in at]
+
+
+def _in_words(found: xr.Dataset) -> str:
+    places, verdict, layers = " and ".join(_places(found)), found.attrs["verdict"], found.sizes["layer"]
+    fitted = ("two layers" if layers > 1 else "one layer") if verdict else "given"
+    share = f"{number(100 * _misfit(found, fitted), 2)} % of the displacements unexplained"
+    if not verdict:
         return f"Layer {places}, as given: {share}"
-    verdict = found.search.verdict
-    share += f" (any wavefront: {number(100 * found.search.any_wavefront.misfit, 2)} %)"
-    doubt = f"; but {found.search.doubt}" if found.search.doubt else ""
+    share += f" (any wavefront: {number(100 * _misfit(found, 'any wavefront'), 2)} %)"
+    doubt = f"; but {found.attrs['doubt']}" if found.attrs["doubt"] else ""
     if verdict.startswith("nothing"):
         return f"{verdict.capitalize()}: no layer to be found{doubt}"
     if verdict.startswith(("not", "farther")):
-        return f"{verdict.capitalize()}: the best, {places}, leave{'s' * (len(found.distances_m) == 1)} {share}{doubt}"
+        return f"{verdict.capitalize()}: the best, {places}, leave{'s' * (layers == 1)} {share}{doubt}"
     return f"{verdict.capitalize()} {places}: {share}{doubt}"

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 from PyQt6.QtCore import Qt
 from pytestqt.qtbot import QtBot
 from support.gui_bench import make_frame
@@ -22,7 +23,7 @@ from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement
 from app.results.analysis import Origin
-from app.results.layers import FoundLayers, find_shown_layers
+from app.results.layers import find_shown_layers
 from simulated_devices.sample import make_sample
 
 DISTANCE_M = 0.195  # of the screen in small_demo
@@ -191,7 +192,7 @@ def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: py
 
     def find_until_closed(
         measurement: Measurement, origin: Origin, *, count: int, ratio: float, check: Callable[[], None]
-    ) -> FoundLayers | str:
+    ) -> xr.Dataset | str:
         def check_when_closing() -> None:
             begun.set()
             wait_until(lambda: window.analyses.is_closing)
