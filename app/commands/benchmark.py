@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import closing
 from pathlib import Path
 from tempfile import gettempdir
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +17,6 @@ from app.errors import InputError, RunError
 from app.progress import Progress, between, named
 
 if TYPE_CHECKING:
-    from app.acquisition.remote.own_instrument import OwnInstrument
     from app.evaluation.benchmark.live_path import LiveFigures, LivePlan, MeasuredCourse
     from app.gui.shell.main_window import MainWindow
     from app.timing import StageTimes
@@ -96,6 +96,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
 
     The light is turned off and the recording removed, also on an error or Ctrl-C.
     """
+    from app.acquisition.remote.own_instrument import OwnInstrument
     from app.commands.display import use_display
     from app.evaluation.benchmark.live_path import LiveFigures, MeasuredCourse, recording_folder
 
@@ -104,15 +105,18 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     lasting_s = (plan.warm_up_s + plan.seconds, warm_up_s + plan.without_window_s)
     middle = lasting_s[0] / sum(lasting_s)
     in_window = named(between(progress, 0.0, middle), "window" if is_seen else "unseen window")
-    with recording_folder(plan, in_window) as folder, _own_instrument() as own:
+    with recording_folder(plan, in_window) as folder, OwnInstrument("benchmark") as own:
         with_window = MeasuredCourse(
             own.connect(plan.bench), in_window, plan.warm_up_s, plan.seconds, memory_s=plan.memory_s, record_into=folder
         )
         _run_in_window(with_window, with_panels=plan.with_panels)
     alone = named(between(progress, middle, 1.0), "no window")
-    with _own_instrument() as own:
-        without_window = MeasuredCourse(own.connect(plan.bench), alone, warm_up_s, plan.without_window_s)
-        _run(without_window)
+    with OwnInstrument("benchmark") as own, closing(own.connect(plan.bench)) as acquisition:
+        without_window = MeasuredCourse(acquisition, alone, warm_up_s, plan.without_window_s)
+        acquisition.start()
+        without_window.begin()
+        for _ in without_window.steps():
+            time.sleep(_POLL_S)
     return LiveFigures(
         plan=plan,
         is_seen=is_seen,
@@ -120,12 +124,6 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
         recording=with_window.acquisition.recording,
         bare=without_window.span,
     )
-
-
-def _own_instrument() -> OwnInstrument:
-    from app.acquisition.remote.own_instrument import OwnInstrument
-
-    return OwnInstrument("benchmark")
 
 
 def _run_in_window(course: MeasuredCourse, *, with_panels: bool) -> None:
@@ -139,16 +137,6 @@ def _run_in_window(course: MeasuredCourse, *, with_panels: bool) -> None:
         window.open(Access(lambda: course.acquisition, lambda _: course.begin()))
 
     run_window(open_course, steps=lambda _: course.steps())
-
-
-def _run(course: MeasuredCourse) -> None:
-    course.acquisition.start()
-    try:
-        course.begin()
-        for _ in course.steps():
-            time.sleep(_POLL_S)
-    finally:
-        course.acquisition.close()
 
 
 def print_benchmark(result: dict[str, Any]) -> None:

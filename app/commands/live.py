@@ -67,34 +67,37 @@ def live(
 
     Example: svwfs live --attach
     """
-    is_attended = use_display() and seconds is None
+    is_attended, overrides = use_display() and seconds is None, tuple(setting or ())
     if attach:
         options.refuse_with_attach(bench=bench, set=setting, replay=replay, frames=frames)
-        raise typer.Exit(attached_window(name, is_attended=is_attended, seconds=seconds, out=out, overwrite=overwrite))
-    if replay is None:
-        if frames is not None:
-            raise InputError("--frames selects frames of a recording: add --replay RECORDING")
-        if is_attended:
-            offers_last = bench is None and not setting
-            source, overrides = bench or DEFAULT, tuple(setting or ())
-            raise typer.Exit(bench_window(source, overrides, name, trust=trust_library, offers_last=offers_last))
-        loaded = options.load(bench or DEFAULT, setting)
-        terminal.confirm_libraries(loaded, trust=trust_library)
-        from app.acquisition.worker import Acquisition
-        from app.gui.shell.access import Access
-
-        access = Access(partial(Acquisition, loaded))
-        raise typer.Exit(unattended_window(loaded, access, seconds=seconds, out=out, overwrite=overwrite))
-    from app.gui.shell.access import Access
-    from app.results.player import Player
-
-    player = Player(replay, bench=bench, settings=tuple(setting or ()), frames=frames)
-    access = Access(player.acquisition, player.begin, player)
+    elif replay is None and frames is not None:
+        raise InputError("--frames selects frames of a recording: add --replay RECORDING")
+    elif replay is None and is_attended:
+        offers_last = bench is None and not setting
+        raise typer.Exit(bench_window(bench or DEFAULT, overrides, name, trust=trust_library, offers_last=offers_last))
+    splash = None
     if is_attended:
         from app.gui.splash import Splash
 
-        raise typer.Exit(_window_of(access, Splash()))
-    raise typer.Exit(unattended_window(player.bench, access, seconds=seconds, out=out, overwrite=overwrite))
+        splash = Splash()  # before the rest is loaded
+    from app.gui.shell.access import Access
+
+    if attach:
+        loaded, access = _attached(name)
+    elif replay is None:
+        from app.acquisition.worker import Acquisition
+
+        loaded = options.load(bench or DEFAULT, setting)
+        terminal.confirm_libraries(loaded, trust=trust_library)
+        access = Access(partial(Acquisition, loaded))
+    else:
+        from app.results.player import Player
+
+        player = Player(replay, bench=bench, settings=overrides, frames=frames)
+        loaded, access = player.bench, Access(player.acquisition, player.begin, player)
+    if splash is not None:
+        raise typer.Exit(_window_of(access, splash, name))
+    raise typer.Exit(unattended_window(loaded, access, seconds=seconds, out=out, overwrite=overwrite))
 
 
 def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: bool, offers_last: bool) -> int:
@@ -135,7 +138,7 @@ def _is_sound(source: str) -> bool:
     return True
 
 
-def _window_of(access: Access, splash: Splash, name: str = NAME) -> int:
+def _window_of(access: Access, splash: Splash, name: str) -> int:
     """Run the window on an instrument or a recording until it is closed, and return the exit status.
 
     A bench that is opened in it has an instrument of this name.
@@ -166,13 +169,8 @@ def _run(open_first: Callable[[MainWindow], object], own: OwnInstrument) -> int:
     return status
 
 
-def attached_window(name: str, *, is_attended: bool, seconds: float | None, out: Path, overwrite: bool) -> int:
-    """Run the window on an instrument of another process, as `bench_window` or `unattended_window`."""
-    splash = None
-    if is_attended:
-        from app.gui.splash import Splash
-
-        splash = Splash()  # before the rest is loaded
+def _attached(name: str) -> tuple[Bench, Access]:
+    """Return the bench of an instrument of another process, and the window's access to it."""
     from app.acquisition.remote.connection import Connection, reach
     from app.gui.shell.access import Access
 
@@ -181,10 +179,7 @@ def attached_window(name: str, *, is_attended: bool, seconds: float | None, out:
     def connect() -> Connection:
         return first if first.is_alive else reach("window", name)
 
-    access = Access(connect, begin=lambda _: ())  # it runs already
-    if splash is None:
-        return unattended_window(first.bench, access, seconds=seconds, out=out, overwrite=overwrite)
-    return _window_of(access, splash, name)
+    return first.bench, Access(connect, begin=lambda _: ())  # it runs already
 
 
 def unattended_window(bench: Bench, access: Access, *, seconds: float | None, out: Path, overwrite: bool) -> int:
