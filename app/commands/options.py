@@ -14,7 +14,7 @@ from typer.core import TyperCommand, TyperOption
 from app.bench.presets import PRESETS
 from app.commands import terminal
 from app.errors import InputError
-from app.files import check_outputs, check_readable, check_suffix, require_suffix
+from app.files import atomic_write, check_outputs, check_readable, check_suffix, require_suffix
 from app.results import analysis
 
 if TYPE_CHECKING:
@@ -134,12 +134,11 @@ class Job:
             require_suffix(plot, *PICTURES, kind="picture's name")
         self._plot = plot
 
-    def draw(self, figure: Callable[[], Figure], *, dpi: int = 150) -> None:
+    def draw(self, figure: Callable[[], Figure], *, dpi: int = analysis.Analysis.picture_dpi) -> None:
         """Make a figure of the result and write it, if a picture is wanted."""
         if self._plot is not None:
-            from app.results.figures import save_figure
-
-            save_figure(figure(), self._plot, dpi=dpi)
+            with atomic_write(self._plot) as temporary:
+                figure().savefig(temporary, dpi=dpi)
 
 
 class OnceCommand(TyperCommand):

@@ -134,12 +134,13 @@ def print_version_notice(*sources: Path, settings: Iterable[str] = ()) -> None:
 
 def print_notes(source: Path, settings: Iterable[str] | None) -> None:
     """Print the version notice of a source, unless `settings` of its bench are None: unused; warn of missing lines."""
-    from app.recording.reader import Recording
-
     if settings is not None:
         print_version_notice(source, settings=settings)
-    if source.is_dir() and (lost := Recording(source).lost_lines):
-        print_warning(lost)
+    if source.is_dir():
+        from app.recording.reader import Recording
+
+        if lost := Recording(source).lost_lines:
+            print_warning(lost)
 
 
 def remind(sentence: str) -> None:

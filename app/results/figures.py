@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from matplotlib.colors import Normalize, PowerNorm, to_rgba
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
-from app.files import atomic_write
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, lenslet_centers
 from reconstruction.lattice.cells import cell_index
@@ -25,12 +23,6 @@ from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 _CURVES_HEIGHT = 2.6  # inches
 _SHOWN_PERCENT = (0.5, 99.8)  # percentiles at the ends of the grey scale
 _SMALLEST = 10.0, 4.2  # width of the figure and height of its maps, inches; titles need them
-
-
-def save_figure(figure: Figure, path: Path, *, dpi: int = 150) -> None:
-    """Write a figure into an image file (atomic)."""
-    with atomic_write(path) as temporary:
-        figure.savefig(temporary, dpi=dpi)
 
 
 def views_figure(wavefront: Wavefront) -> Figure:
