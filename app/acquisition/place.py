@@ -19,7 +19,7 @@ NAME = "instrument"
 DYING_S = 0.5  # for a killed process to give its files back
 _VARIABLE = "SVWFS_INSTRUMENT"  # names the instrument to processes that it starts
 _FOLDER = "SVWFS_RUNTIME_DIR"
-_LEFT = "json", "socket"  # endings of what a killed instrument leaves
+_LASTING = "lock", "log"  # endings of what stays when an instrument has ended
 _PATIENCE_S = 1.0  # with a client that looks at this moment whether the last instrument was killed
 
 
@@ -35,7 +35,7 @@ class Place:
     @classmethod
     def of(cls, name: str = NAME) -> Self:
         """Read the place of the instrument that runs under a name; `RunError` if there is none."""
-        file = _file(name, "json")
+        file = file_of(name, "json")
         clear_abandoned(name)
         try:
             return cls(**json.loads(file.read_text()))
@@ -48,7 +48,7 @@ class Place:
 
     def announce(self) -> None:
         """Let clients find it, now that it can be reached."""
-        file = _file(self.name, "json")
+        file = file_of(self.name, "json")
         part = file.with_suffix(".part")
         part.touch(mode=0o600)
         part.write_text(json.dumps(asdict(self)))
@@ -72,7 +72,7 @@ def taken_place(name: str = NAME) -> Iterator[Place]:
     """
     with _lock(name, _PATIENCE_S), _spared_by_cleaners():
         _clear(name)
-        endpoint = f"ipc://{_file(name, 'socket')}" if os.name == "posix" else "tcp://127.0.0.1:*"
+        endpoint = f"ipc://{file_of(name, 'socket')}" if os.name == "posix" else "tcp://127.0.0.1:*"
         os.environ[_VARIABLE] = name  # for the guardian of the light, which this process may start
         try:
             yield Place(name, os.getpid(), endpoint, secrets.token_hex(16))
@@ -84,7 +84,7 @@ def taken_place(name: str = NAME) -> Iterator[Place]:
 def clear_abandoned(name: str | None = None, patience_s: float = 0.0) -> None:
     """Remove what an instrument has left if it was killed; by default the one that has started this process, if any."""
     name = os.environ.get(_VARIABLE) if name is None else name
-    if name is not None and any(_file(name, ending).exists() for ending in _LEFT):
+    if name is not None and _left(name):
         with suppress(RunError), _lock(name, patience_s):  # held while one runs
             _clear(name)
 
@@ -92,7 +92,7 @@ def clear_abandoned(name: str | None = None, patience_s: float = 0.0) -> None:
 @contextmanager
 def _lock(name: str, patience_s: float = 0.0) -> Iterator[None]:
     """Hold a lock that the system releases when this process ends, however that happens; `RunError` if it is held."""
-    descriptor = os.open(_file(name, "lock"), os.O_RDWR | os.O_CREAT, 0o600)
+    descriptor = os.open(file_of(name, "lock"), os.O_RDWR | os.O_CREAT, 0o600)
     until_s = time.monotonic() + patience_s
     try:
         while not _locked(descriptor):
@@ -120,12 +120,20 @@ def _locked(descriptor: int) -> bool:
     return True
 
 
+def _left(name: str) -> list[Path]:
+    """What an instrument has in the folder while it runs: its address, and under some systems socket and ring."""
+    pattern = file_of(name, "*")
+    return [file for file in pattern.parent.glob(pattern.name) if file.suffix.removeprefix(".") not in _LASTING]
+
+
 def _clear(name: str) -> None:
-    for left in [_file(name, ending) for ending in _LEFT]:  # before any is removed: a path makes the folder
-        left.unlink(missing_ok=True)
+    for left in _left(name):
+        with suppress(OSError):  # gone already; or Windows keeps a file that a client has open
+            left.unlink()
 
 
-def _file(name: str, ending: str) -> Path:
+def file_of(name: str, ending: str) -> Path:
+    """Path of a file of an instrument; `InputError` if that cannot be its name."""
     if not name.isidentifier():
         raise InputError(f"an instrument cannot have the name {name!r}: use letters, digits and _")
     return runtime_folder() / f"{name}.{ending}"

@@ -92,7 +92,8 @@ def connect(name: str = NAME, *, watch: bool = False) -> ConnectedBench:
     Returns
     -------
     ConnectedBench
-        Works as what `svwfs.live` returns, with `take_control`, `shut_down`, `controller` and `clients`.
+        Works as what `svwfs.live` returns, with `take_control`, `shut_down`, `controller` and `clients`; `every()`
+        iterates over every measurement, and `overtaken` counts those that this program was too slow for.
 
     Raises
     ------
@@ -151,11 +152,13 @@ class LiveBench:
         `measurement.counts` counts them; `record` keeps every frame. It ends with the block, and raises the error that
         ended the acquisition. After the block there is nothing to iterate over: `WrongState`.
         """
-        acquisition = self._acquisition
-        if not acquisition.is_alive:
+        self._require_open()
+        return self._measurements(self._acquisition)
+
+    def _require_open(self) -> None:
+        if not self._acquisition.is_alive:
             self._raise_failure()
             raise WrongState("this live bench is closed: its with block has ended")
-        return self._measurements(acquisition)
 
     def _measurements(self, acquisition: Carrier) -> Iterator[Measurement]:
         while True:
@@ -381,6 +384,26 @@ class ConnectedBench(LiveBench):
 
     def _open(self) -> Carrier:
         return self._connection
+
+    def every(self) -> Iterator[Measurement]:
+        """Iterate over every measurement from now on, in order and once, also those from before a command.
+
+        While this program does something else, the newest eight wait for it; `overtaken` counts those that did not.
+        Frames that the instrument skipped for lack of time are in `measurement.counts` only.
+        """
+        self._require_open()
+        measurements = self._connection.every()
+
+        def until_failure() -> Iterator[Measurement]:
+            yield from measurements
+            self._raise_failure()
+
+        return until_failure()
+
+    @property
+    def overtaken(self) -> int:
+        """Number of measurements that the instrument replaced before this program, which reads too slowly, had them."""
+        return self._connection.overtaken
 
     def set_light(self, on: bool) -> None:
         """Switch the light, or note that you switched it by hand. Off works at once, for watching clients, too."""

@@ -1,6 +1,6 @@
 """A client's end: the acquisition of an instrument that runs in another process, as if it were in this one.
 
-One thread speaks with the instrument; another one reads its frames, see `NewestFrames`.
+One thread speaks with the instrument; another one reads its newest frames, see `RemoteFrames`.
 """
 
 import itertools
@@ -8,7 +8,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
@@ -20,7 +20,7 @@ from zmq.utils.monitor import recv_monitor_message
 from app.acquisition.carrier import WINDOW, Activity
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.place import DYING_S, NAME, Place, clear_abandoned
-from app.acquisition.remote.frames import NewestFrames
+from app.acquisition.remote.frames import RemoteFrames
 from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Hello, Notice, Sign, State, Traveller, Wanted
 from app.acquisition.remote.outbox import ANSWER_S, Outbox
 from app.acquisition.remote.wire import Packed
@@ -93,7 +93,7 @@ class Connection:
         self._outbox = Outbox(lambda: self.error or RunError(_CLOSED))
         self._arrivals = Arrivals(self._ask)
         self._pause_s = 0.0 if sinks else _SHOWN_S
-        self._frames = NewestFrames(self._arrivals.find, (self._note, *sinks), self._pause_s)
+        self._frames = RemoteFrames(self._arrivals.find, (self._note, *sinks), self._pause_s)
         self._heard_s = self._said_s = math.inf  # until the instrument is reached
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
@@ -130,6 +130,15 @@ class Connection:
     def newest(self) -> Measurement | None:
         """The newest measurement."""
         return self._frames.newest
+
+    @property
+    def overtaken(self) -> int:
+        """Number of frames that the instrument replaced before, or while, they were read here."""
+        return self._frames.overtaken
+
+    def every(self) -> Iterator[Measurement]:
+        """Yield each measurement from now on; see `RemoteFrames.every`. With a sink, the instrument writes them all."""
+        return self._frames.every()
 
     @property
     def error(self) -> Exception | None:

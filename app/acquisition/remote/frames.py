@@ -1,4 +1,4 @@
-"""The newest frames of another process's instrument, with their wavefronts, on a thread of their own.
+"""Frames of another process's instrument, with their wavefronts: the newest on a thread of their own, or every one.
 
 The wavefront is solved here from the displacements, as it was there. Preparing that takes a second, in which commands
 and signs of life must go on.
@@ -8,13 +8,15 @@ import struct
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
 from app.acquisition.remote.messages import Notice, RingRecord
 from app.acquisition.remote.ring import RingReader
 from app.acquisition.remote.wire import Absent, unpacked
+from app.errors import RunError
 from app.measurement.calibration import Calibration
 from app.measurement.estimator import Estimator
 from app.measurement.measurement import Measurement
@@ -24,10 +26,11 @@ from reconstruction.runtime.threads import one_blas_thread
 
 _WAIT_S = 0.1
 _ESTIMATORS = 2  # kept: two references may alternate
+_REPLACED_S = 3.0  # for the notice of the next ring, after one could not be opened
 
 
-class NewestFrames:
-    """Reads the ring of an instrument; every newest measurement goes to the sinks, and lies in `newest`."""
+class RemoteFrames:
+    """Reads the ring of an instrument: every newest measurement goes to the sinks, and lies in `newest`."""
 
     def __init__(
         self, find: Callable[[int], Any], sinks: tuple[Callable[[Measurement], None], ...], pause_s: float
@@ -37,22 +40,34 @@ class NewestFrames:
         self.newest: Measurement | None = None
         self.error: Exception | None = None  # that ended the thread
         self._estimators: OrderedDict[int, tuple[Calibration, Estimator]] = OrderedDict()
-        self._ring: tuple[str, RingReader] | None = None
-        self._notice: Notice | None = None
-        self._read = self._outdated = 0  # counts of records
-        self._due_s = 0.0
-        self._has_news, self._closing, self._delivering = threading.Event(), threading.Event(), threading.Lock()
+        self._preparing = threading.Lock()
+        self._followers = [_Follower()]
+        self._notice, self._has_news = Notice("", 0), threading.Condition()
+        self._outdated = 0  # count of a record
+        self._closing, self._delivering = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._work, name="connection frames", daemon=True)
         self._thread.start()
 
+    @property
+    def overtaken(self) -> int:
+        """Number of records that the instrument replaced before, or while, they were read here."""
+        return sum(each.overtaken for each in self._followers)
+
+    def every(self) -> Iterator[Measurement]:
+        """Yield each measurement from now on, in order and once, but those that `overtaken` counts."""
+        follower = _Follower(self._notice.count, every=True)
+        self._followers.append(follower)
+        return self._each(follower)
+
     def announce(self, notice: Notice) -> None:
         """Note that there is a newer record."""
-        self._notice = notice
-        self._has_news.set()
+        with self._has_news:
+            self._notice = notice
+            self._has_news.notify_all()
 
     def try_again(self) -> None:
-        """Read the newest record again, as an object that was absent has arrived."""
-        self._has_news.set()
+        """Read the next record again, as an object that was absent has arrived."""
+        self.announce(replace(self._notice))
 
     def outdate(self, count: int) -> None:
         """Let no sink receive records up to a count any more: they were measured before a command was executed."""
@@ -62,49 +77,59 @@ class NewestFrames:
     def close(self) -> None:
         """End the thread, soon."""
         self._closing.set()
-        self._has_news.set()
+        with self._has_news:
+            self._has_news.notify_all()
 
     def join(self, timeout_s: float | None = None) -> None:
         """Wait for the end of the thread."""
         self._thread.join(timeout_s)
 
     def _work(self) -> None:
+        (follower,) = self._followers
         try:
-            with one_blas_thread():  # another one would take processor time from the instrument by waiting busily
+            # Another thread of BLAS would take processor time from the instrument by waiting busily.
+            with one_blas_thread(), closing(follower):
                 while not self._closing.is_set():
-                    self._has_news.wait(_WAIT_S)
-                    self._has_news.clear()
-                    self._closing.wait(self._due_s - time.monotonic())
-                    if (notice := self._notice) is not None and notice.place:
-                        self._read_newest(notice.place)
+                    notice = self._notice
+                    if (record := self._next(follower, notice)) is None:
+                        self._wait_for_news(notice)
+                    else:
+                        due_s = time.monotonic() + self._pause_s
+                        self._deliver(record, follower.count)
+                        self._closing.wait(due_s - time.monotonic())
         except Exception as error:  # noqa: BLE001 - the connection ends with it
             self.error = error
-        finally:
-            if self._ring is not None:
-                self._ring[1].close()
 
-    def _read_newest(self, place: str) -> None:
-        if self._ring is None or self._ring[0] != place:
-            try:
-                opened = RingReader(place)
-            except (OSError, ValueError, struct.error):  # replaced already: another notice is coming
-                return
-            if self._ring is not None:
-                self._ring[1].close()
-            self._ring = place, opened
-        ring = self._ring[1]
-        count = ring.count
-        if count <= self._read or self._closing.is_set():
-            return
-        body = ring.read(count)
-        if body is None:  # overwritten meanwhile: there is a newer one
-            self._has_news.set()
-            return
+    def _each(self, follower: "_Follower") -> Iterator[Measurement]:
+        with closing(follower):
+            while True:
+                notice, is_over = self._notice, self._closing.is_set()
+                if (record := self._next(follower, notice)) is not None:
+                    if not record.is_shown_only:
+                        yield self._solved(record)
+                elif is_over:
+                    return
+                else:
+                    self._wait_for_news(notice)
+
+    def _wait_for_news(self, notice: Notice) -> None:
+        """Wait until there is another notice than this one; not for long, as an absent object is asked for again."""
+        with self._has_news:
+            self._has_news.wait_for(lambda: self._notice is not notice or self._closing.is_set(), _WAIT_S)
+
+    def _next(self, follower: "_Follower", notice: Notice) -> RingRecord | None:
+        """The record that a follower reads next; None if it is not there yet, or lacks an object."""
+        if not notice.place or (found := follower.next(notice.place)) is None:
+            return None
+        count, body = found
         try:
             record: RingRecord = unpacked(body, self._find)
         except Absent:
-            return
-        self._read, self._due_s = count, time.monotonic() + self._pause_s
+            return None
+        follower.count = count
+        return record
+
+    def _deliver(self, record: RingRecord, count: int) -> None:
         measurement = self._solved(record)
         with self._delivering:
             if not record.is_shown_only and count > self._outdated:
@@ -124,9 +149,55 @@ class NewestFrames:
             return replace(made, problem=str(error))
 
     def _estimator(self, calibration: Calibration) -> Estimator:
-        kept = self._estimators.get(id(calibration))
-        if kept is None:
-            kept = self._estimators[id(calibration)] = calibration, Estimator(calibration)
-            while len(self._estimators) > _ESTIMATORS:
-                self._estimators.popitem(last=False)
-        return kept[1]
+        with self._preparing:
+            kept = self._estimators.get(id(calibration))
+            if kept is None:
+                kept = self._estimators[id(calibration)] = calibration, Estimator(calibration)
+                while len(self._estimators) > _ESTIMATORS:
+                    self._estimators.popitem(last=False)
+            return kept[1]
+
+
+class _Follower:
+    """One reader of an instrument's ring, and of the larger ones that may replace it."""
+
+    def __init__(self, count: int = 0, *, every: bool = False) -> None:
+        """Read the newest record after a count, or with `every` each one."""
+        self.count, self._every = count, every  # of the last record read
+        self.overtaken = 0
+        self._ring: tuple[str, RingReader] | None = None
+        self._missing = "", 0.0  # the place of a ring that cannot be opened, and since when
+
+    def next(self, place: str) -> tuple[int, bytes] | None:
+        """Return the count and a copy of the next record in the ring at a place; None if there is none yet."""
+        while (ring := self._at(place)) is not None and (newest := ring.count) > self.count:
+            count = self.count + 1 if self._every else newest
+            if (body := ring.read(count)) is not None:
+                return count, body
+            self.overtaken, self.count = self.overtaken + 1, count
+        return None
+
+    def close(self) -> None:
+        """Give the ring back."""
+        if self._ring is not None:
+            self._ring[1].close()
+
+    def _at(self, place: str) -> RingReader | None:
+        """The ring at a place, or the one before it until all is read there; None if it is replaced already."""
+        if self._ring is not None and (self._ring[0] == place or (self._every and self._ring[1].count > self.count)):
+            return self._ring[1]
+        try:
+            opened = RingReader(place)
+        except (OSError, ValueError, struct.error) as error:
+            now_s = time.monotonic()
+            if self._missing[0] != place:  # another notice should be coming
+                self._missing = place, now_s
+            if now_s > self._missing[1] + _REPLACED_S:
+                raise RunError(
+                    f"the instrument's memory cannot be opened from here ({error}): this program may run in another"
+                    " container; start it where the instrument runs"
+                ) from error
+            return None
+        self.close()
+        self._ring = place, opened
+        return opened

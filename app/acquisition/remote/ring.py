@@ -1,7 +1,8 @@
 """Ring of slots in memory that processes share: one writes, any number read, and nobody waits for another.
 
-Each slot has a count, odd while it is written. A reader copies a slot and looks at its count before and after: what
-was overwritten meanwhile is not returned. Where Linux offers it the memory has no name, so that nothing stays behind
+Each record has a count, higher than that of the record before. A slot has twice the count of its record, and an odd
+number while it is written. A reader copies a slot and looks at that before and after: what was overwritten meanwhile is
+not returned. Where Linux offers it the memory has no name, so that nothing stays behind
 when the writer is killed; readers open it by the writer's process. Elsewhere it is a file.
 A slow reader loses records and knows it; a dead one changes nothing.
 """
@@ -19,47 +20,49 @@ import numpy as np
 from app.acquisition.remote.wire import Packed
 
 _MAGIC = b"svwfsR1\0"
-_FACTS = struct.Struct("<8sQQ")  # magic, slots, bytes of a slot
+_FACTS = struct.Struct("<8sQQ8s")  # magic, slots, bytes of a slot, serial
 _HEADER_BYTES = _SLOT_HEADER_BYTES = 64
-_COUNT_AT = 32  # of records written, in the header
+_COUNT_AT = 32  # of the newest record, in the header
 
 
 class RingWriter:
     """Owns a ring; `place` is where readers find it."""
 
-    def __init__(self, slot_bytes: int, folder: Path, *, slots: int = 8, count: int = 0) -> None:
-        """Make slots for records of that size; `count` goes on from an earlier ring. A file would be in the folder."""
+    def __init__(self, slot_bytes: int, file: Path, *, slots: int = 8, count: int = 0) -> None:
+        """Make slots for records of that size; `count` goes on from an earlier ring. A file's name begins as `file`."""
         self._slots, self._stride = slots, _SLOT_HEADER_BYTES + -(-slot_bytes // 64) * 64
+        self._written = 0
         self._file: Path | None = None
-        serial = secrets.token_hex(4)  # the next ring may get the same descriptor
+        serial = secrets.token_hex(4)  # the next ring, or that of a process in a container, may get the same descriptor
         size = _HEADER_BYTES + slots * self._stride
         if sys.platform == "linux":
             self._descriptor = os.memfd_create("svwfs ring")
             self.place = f"/proc/{os.getpid()}/fd/{self._descriptor}#{serial}"
         else:
-            self._file = folder / f"ring-{os.getpid()}-{id(self):x}"
+            self._file = file.with_name(f"{file.name}-{serial}")
             self._descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
             self.place = f"{self._file}#{serial}"
         os.ftruncate(self._descriptor, size)
         self._memory = mmap.mmap(self._descriptor, size)
-        self._memory[: _FACTS.size] = _FACTS.pack(_MAGIC, slots, self._stride)
+        self._memory[: _FACTS.size] = _FACTS.pack(_MAGIC, slots, self._stride, serial.encode())
         self._view = memoryview(self._memory)
         self._count = np.ndarray((), np.uint64, self._view, _COUNT_AT)
         self._count[...] = count
 
     @property
     def count(self) -> int:
-        """Number of records written."""
+        """Count of the newest record."""
         return int(self._count)
 
     def fits(self, packed: Packed) -> bool:
         """Whether a record fits into a slot."""
         return packed.nbytes <= self._stride - _SLOT_HEADER_BYTES
 
-    def write(self, packed: Packed) -> int:
-        """Write a record over the oldest one; return the count."""
-        count = self.count + 1
-        start = _HEADER_BYTES + (count - 1) % self._slots * self._stride
+    def write(self, packed: Packed, count: int | None = None) -> int:
+        """Write a record over the oldest one; return its count, by default the next one."""
+        count = self.count + 1 if count is None else count
+        start = _HEADER_BYTES + self._written % self._slots * self._stride
+        self._written += 1
         state = np.ndarray((2,), np.uint64, self._view, start)
         state[0] = 2 * count - 1
         packed.write(self._view[start + _SLOT_HEADER_BYTES : start + self._stride])
@@ -83,29 +86,31 @@ class RingReader:
     """Reads the ring at a place; `OSError` if it is gone, `ValueError` if it is none of this version."""
 
     def __init__(self, place: str) -> None:
-        descriptor = os.open(place.rpartition("#")[0] or place, os.O_RDONLY)
+        file, _, serial = place.rpartition("#")
+        descriptor = os.open(file, os.O_RDONLY)
         try:
             self._memory = mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ)
         finally:
             os.close(descriptor)
-        magic, self._slots, self._stride = _FACTS.unpack(self._memory[: _FACTS.size])
-        if magic != _MAGIC or len(self._memory) < _HEADER_BYTES + self._slots * self._stride:
+        magic, self._slots, self._stride, found = _FACTS.unpack(self._memory[: _FACTS.size])
+        expected = magic == _MAGIC and found == serial.encode()
+        if not expected or len(self._memory) < _HEADER_BYTES + self._slots * self._stride:
             raise ValueError(f"{place} is no ring of this version")
 
     @property
     def count(self) -> int:
-        """Number of records written so far."""
+        """Count of the newest record."""
         return int.from_bytes(self._memory[_COUNT_AT : _COUNT_AT + 8], "little")
 
     def read(self, count: int) -> bytes | None:
         """A copy of the record with a count, from 1; None if it is overwritten, or is not there yet."""
-        start = _HEADER_BYTES + (count - 1) % self._slots * self._stride
-        state, nbytes = struct.unpack_from("<QQ", self._memory, start)
-        if count < 1 or state != 2 * count or nbytes > self._stride - _SLOT_HEADER_BYTES:
-            return None
-        copy = self._memory[start + _SLOT_HEADER_BYTES : start + _SLOT_HEADER_BYTES + nbytes]
-        (after,) = struct.unpack_from("<Q", self._memory, start)
-        return copy if after == state else None
+        for start in range(_HEADER_BYTES, _HEADER_BYTES + self._slots * self._stride, self._stride):
+            state, nbytes = struct.unpack_from("<QQ", self._memory, start)
+            if state == 2 * count > 0 and nbytes <= self._stride - _SLOT_HEADER_BYTES:
+                copy = self._memory[start + _SLOT_HEADER_BYTES : start + _SLOT_HEADER_BYTES + nbytes]
+                (after,) = struct.unpack_from("<Q", self._memory, start)
+                return copy if after == state else None
+        return None
 
     def close(self) -> None:
         """Give the memory back."""

@@ -20,7 +20,7 @@ import zmq
 
 from app.acquisition.command_queue import done
 from app.acquisition.instrument import Instrument
-from app.acquisition.place import Place, runtime_folder
+from app.acquisition.place import Place, file_of
 from app.acquisition.remote.messages import (
     MOST_BYTES,
     Accepted,
@@ -102,9 +102,10 @@ class Server:
             sinks=(partial(self._publish, is_shown_only=False),),
             on_show=partial(self._publish, is_shown_only=True),
         )
-        self._unwritten: tuple[Measurement, bool] | None = None  # and whether it is shown only
+        self._published = 0  # number of measurements
+        self._unwritten: deque[tuple[int, Measurement, bool]] = deque(maxlen=1)  # number; whether it is shown only
         self._pause_s, self._written_s = math.inf, -math.inf
-        self._folder = runtime_folder()
+        self._ring_file = file_of(place.name, "ring")
         self._ring: RingWriter | None = None
         self._older_rings: deque[RingWriter] = deque()
         self._writing, self._travellers = Lock(), Travellers()
@@ -172,33 +173,32 @@ class Server:
     def _publish(self, measurement: Measurement, *, is_shown_only: bool) -> None:
         """Write a measurement into the ring, unless a newer one follows at once; called by the worker."""
         if measurement.problem != SKIPPED:
-            self._unwritten = measurement, is_shown_only
+            self._published += 1
+            self._unwritten.append((self._published, measurement, is_shown_only))
             self._write_if_due()
 
     def _write_if_due(self) -> None:
         """Write twice as often as a client reads, so that it reads what is new: each frame takes milliseconds."""
-        if time.monotonic() > self._written_s + self._pause_s / 2:
+        if time.monotonic() >= self._written_s + self._pause_s / 2:
             self._write()
 
     def _write(self) -> None:
         """Write the newest measurement into the ring, if that has not been done; without clients it waits for one."""
         with self._writing:
-            newest, self._unwritten = self._unwritten, None
-            if newest is None:
+            try:
+                number, measurement, is_shown_only = self._unwritten.pop()
+            except IndexError:
                 return
-            measurement, is_shown_only = newest
             lean = replace(measurement, wavefront=None, start=None)
             record = RingRecord(lean, measurement.wavefront is not None, is_shown_only)
             packed = Packed(record, self._travellers.number)
             if self._ring is None or not self._ring.fits(packed):
-                count = 0
                 if self._ring is not None:
-                    count = self._ring.count
                     self._older_rings.append(self._ring)  # the newest: a reader may be about to open it
                     while len(self._older_rings) > 1:
                         self._older_rings.popleft().close()
-                self._ring = RingWriter(int(_SPARE * packed.nbytes), self._folder, count=count)
-            self._ring.write(packed)
+                self._ring = RingWriter(int(_SPARE * packed.nbytes), self._ring_file, count=number - 1)
+            self._ring.write(packed, number)
             self._written_s = time.monotonic()
         self._wake.notify()
 

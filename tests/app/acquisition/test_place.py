@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from app.acquisition.place import Place, runtime_folder, taken_place
+from app.acquisition.place import Place, clear_abandoned, file_of, runtime_folder, taken_place
 from app.acquisition.remote.connection import reach
+from app.acquisition.remote.ring import RingWriter
 from app.errors import InputError, RunError
 
 pytestmark = pytest.mark.usefixtures("runtime_folder")
@@ -21,6 +22,22 @@ def test_without_an_instrument_the_sentence_says_how_to_start_one() -> None:
     with pytest.raises(RunError, match="no instrument runs"):
         reach("test")
     assert [each.name for each in runtime_folder().iterdir()] == ["instrument.lock"]
+
+
+def test_the_ring_of_a_killed_instrument_is_removed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Under Linux it has no file."""
+    for name in ("instrument", "other"):
+        with monkeypatch.context() as elsewhere:
+            elsewhere.setattr("sys.platform", "darwin")
+            ring = RingWriter(1000, file_of(name, "ring"))
+        ring._file, file = None, ring._file
+        ring.close()  # all that a kill closes
+        assert file is not None
+        assert file.exists()
+    clear_abandoned("instrument")
+    left = {each.name for each in runtime_folder().iterdir()}
+    assert left == {"instrument.lock", file.name}
+    assert file.name.startswith("other.ring-")
 
 
 def test_a_place_belongs_to_one_instrument() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -64,6 +66,25 @@ def test_live_bench_in_another_process_works_as_in_this(server: Server, tmp_path
     with ConnectedBench("other") as again:
         again.shut_down()
         wait_until(lambda: again.failure)
+
+
+@pytest.mark.usefixtures("server")
+def test_every_measurement_comes_once_and_those_missed_are_counted(fake_camera: FakeCamera) -> None:
+    with connect() as bench:
+        newest(bench._connection)
+        every = bench.every()
+        seen = [measurement.counts.acquired for measurement in islice(every, 10)]
+        assert seen == list(range(seen[0], seen[0] + 10))
+        assert bench.overtaken == 0
+        fake_camera.period_s = 0.01
+        time.sleep(0.5)
+        seen += [measurement.counts.acquired for measurement in islice(every, 10)]
+        assert bench.overtaken == seen[-1] - seen[0] + 1 - 20 > 0
+        bench.shut_down()
+        with pytest.raises(RunError, match="was shut down"):
+            list(every)
+    with pytest.raises(WrongState, match="its with block has ended"):
+        bench.every()
 
 
 def measured_attached(out: Path) -> Measured:

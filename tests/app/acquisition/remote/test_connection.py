@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -16,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zmq
-from support.gui_bench import BENCH, FakeCamera, make_frame
+from support.gui_bench import BENCH, FakeCamera
 from support.patience import HANG_S, wait_until
 from support.served import connected, newest, served
 
@@ -24,11 +21,8 @@ from app.acquisition.instrument import Instrument
 from app.acquisition.light_switch import LightSwitch
 from app.acquisition.place import taken_place
 from app.acquisition.remote.connection import Connection, reach
-from app.acquisition.remote.frames import NewestFrames
-from app.acquisition.remote.messages import Command, Notice, RingRecord
-from app.acquisition.remote.ring import RingWriter
+from app.acquisition.remote.messages import Command, RingRecord
 from app.acquisition.remote.server import Server
-from app.acquisition.remote.wire import Packed
 from app.acquisition.start_up import start_up
 from app.errors import InputError, RunError
 from app.measurement.measurement import Assumptions, Measurement, RefinementState
@@ -38,34 +32,6 @@ from drivers.interface import BadValue, Disconnected, WrongState
 from reconstruction.layers.layered_wavefront import FREE
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder")]  # each prepares a reference
-
-
-ONE_THREAD = """
-import time
-import scipy.linalg
-from threadpoolctl import threadpool_info
-from app.acquisition.remote.frames import NewestFrames
-
-def threads():
-    return max(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas")
-
-before = threads()
-frames = NewestFrames(lambda _: None, (), 0.0)
-while threads() == before:
-    time.sleep(0.01)
-during = threads()
-frames.close()
-frames.join()
-print(before, during, threads())
-"""
-
-
-@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="BLAS has as many threads as processors at most")
-def test_client_keeps_to_one_thread_of_blas() -> None:
-    """Others would wait busily: the client would take seven times the processor time, of the instrument, too."""
-    environment, command = os.environ | {"OPENBLAS_NUM_THREADS": "2"}, [sys.executable, "-c", ONE_THREAD]
-    said = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, timeout=HANG_S, check=True)  # noqa: S603 - our own program
-    assert said.stdout == "2 1 2\n"
 
 
 def test_wavefronts_are_those_of_the_instrument(server: Server) -> None:
@@ -265,23 +231,6 @@ def test_a_bias_that_the_instrument_subtracted_is_subtracted_here() -> None:
         assert made.wavefront is not None
         np.testing.assert_array_equal(found.wavefront.views, reconstructor.solve(made.registered, bias=bias).views)
         assert np.nanmax(np.abs(found.wavefront.views - made.wavefront.views)) > 0.01
-
-
-def test_frames_measured_before_a_command_are_shown_but_no_longer_passed_on(tmp_path: Path) -> None:
-    passed: list[int] = []
-    frames = NewestFrames(lambda _: None, (lambda made: passed.append(made.frame.index),), 0.0)
-    with closing(RingWriter(10_000, tmp_path)) as ring:
-        for index in range(3):
-            if index == 1:
-                frames.outdate(2)
-            frame = make_frame(np.zeros((3, 4), np.uint16), index=index)
-            frames.announce(
-                Notice(ring.place, ring.write(Packed(RingRecord(Measurement(frame, None, "x"), False, False))))
-            )
-            wait_until(lambda: frames.newest is not None and frames.newest.frame.index == index)  # noqa: B023 - at once
-        frames.close()
-        frames.join()
-    assert passed == [0, 2]
 
 
 @pytest.mark.usefixtures("server")

@@ -23,7 +23,7 @@ def ring(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
     with monkeypatch.context() as elsewhere:
         if request.param == "file":  # as on other systems than Linux
             elsewhere.setattr(sys, "platform", "darwin")
-        writer = RingWriter(20_000, tmp_path, slots=4)
+        writer = RingWriter(20_000, tmp_path / "ring", slots=4)
     with closing(writer):
         yield writer
 
@@ -53,10 +53,17 @@ def test_larger_records_do_not_fit(ring: RingWriter) -> None:
 
 
 def test_counts_go_on_in_the_next_ring(tmp_path: Path) -> None:
-    with closing(RingWriter(20_000, tmp_path, count=41)) as ring, closing(RingReader(ring.place)) as reader:
+    with closing(RingWriter(20_000, tmp_path / "ring", count=41)) as ring, closing(RingReader(ring.place)) as reader:
         assert ring.write(record(42)) == 42
         assert reader.read(42) is not None
         assert reader.read(41) is None
+
+
+def test_counts_that_are_left_out_take_no_slot(ring: RingWriter) -> None:
+    with closing(RingReader(ring.place)) as reader:
+        for count in range(1, 41, 4):
+            assert ring.write(record(count), count) == reader.count == count
+        assert [count for count in range(50) if reader.read(count) is not None] == [25, 29, 33, 37]
 
 
 def test_a_record_being_written_is_not_returned(ring: RingWriter) -> None:
@@ -134,7 +141,7 @@ import sys, time
 from pathlib import Path
 from app.acquisition.remote.ring import RingWriter
 from app.acquisition.remote.wire import Packed
-ring = RingWriter(1000, Path(sys.argv[1]))
+ring = RingWriter(1000, Path(sys.argv[1], "ring"))
 ring.write(Packed("whole"))
 print(ring.place, flush=True)
 time.sleep(600)
@@ -162,6 +169,12 @@ def test_another_file_is_no_ring(tmp_path: Path) -> None:
     other = tmp_path / "other"
     other.write_bytes(b"x" * 1000)
     with pytest.raises(ValueError, match="no ring"):
-        RingReader(str(other))
+        RingReader(f"{other}#1234")
     with pytest.raises(OSError, match="nothing"):
-        RingReader(str(tmp_path / "nothing"))
+        RingReader(str(tmp_path / "nothing#1234"))
+
+
+def test_ring_of_another_process_at_the_same_place_is_refused(ring: RingWriter) -> None:
+    """As in another container, where a process may have the same number."""
+    with pytest.raises(ValueError, match="no ring"):
+        RingReader(f"{ring.place.partition('#')[0]}#another")

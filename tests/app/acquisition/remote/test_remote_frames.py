@@ -1,0 +1,145 @@
+"""Frames of another process's instrument: the newest or every one, what was overtaken, and a ring out of reach."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.gui_bench import make_frame
+from support.patience import HANG_S, wait_until
+
+from app.acquisition.remote.frames import RemoteFrames
+from app.acquisition.remote.messages import Notice, RingRecord
+from app.acquisition.remote.ring import RingReader, RingWriter
+from app.acquisition.remote.wire import Packed
+from app.measurement.measurement import Measurement
+
+ONE_THREAD = """
+import time
+import scipy.linalg
+from threadpoolctl import threadpool_info
+from app.acquisition.remote.frames import RemoteFrames
+
+def threads():
+    return max(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas")
+
+before = threads()
+frames = RemoteFrames(lambda _: None, (), 0.0)
+while threads() == before:
+    time.sleep(0.01)
+during = threads()
+frames.close()
+frames.join()
+print(before, during, threads())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="BLAS has as many threads as processors at most")
+def test_client_keeps_to_one_thread_of_blas() -> None:
+    """Others would wait busily: the client would take seven times the processor time, of the instrument, too."""
+    environment, command = os.environ | {"OPENBLAS_NUM_THREADS": "2"}, [sys.executable, "-c", ONE_THREAD]
+    said = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, timeout=HANG_S, check=True)  # noqa: S603 - our own program
+    assert said.stdout == "2 1 2\n"
+
+
+def test_frames_measured_before_a_command_are_shown_but_no_longer_passed_on(tmp_path: Path) -> None:
+    passed: list[int] = []
+    frames = RemoteFrames(lambda _: None, (lambda made: passed.append(made.frame.index),), 0.0)
+    with closing(RingWriter(10_000, tmp_path / "ring")) as ring:
+        for index in range(3):
+            if index == 1:
+                frames.outdate(2)
+            frame = make_frame(np.zeros((3, 4), np.uint16), index=index)
+            frames.announce(
+                Notice(ring.place, ring.write(Packed(RingRecord(Measurement(frame, None, "x"), False, False))))
+            )
+            wait_until(lambda: frames.newest is not None and frames.newest.frame.index == index)  # noqa: B023 - at once
+        frames.close()
+        frames.join()
+    assert passed == [0, 2]
+
+
+def publish(ring: RingWriter, frames: RemoteFrames, count: int, *, is_shown_only: bool = False) -> None:
+    """Let an instrument write a record whose frame has the index `count`, and tell of it."""
+    made = Measurement(make_frame(np.zeros((3, 4), np.uint16), index=count), None, "x")
+    ring.write(Packed(RingRecord(made, has_wavefront=False, is_shown_only=is_shown_only)), count)
+    frames.announce(Notice(ring.place, count))
+
+
+def indices(measurements: Iterator[Measurement], count: int) -> list[int]:
+    return [made.frame.index for made in islice(measurements, count)]
+
+
+@pytest.fixture
+def frames() -> Iterator[RemoteFrames]:
+    made = RemoteFrames(lambda _: None, (), 0.0)
+    yield made
+    made.close()
+    made.join()
+
+
+def test_every_frame_comes_once_and_in_order_and_those_overtaken_are_counted(
+    frames: RemoteFrames, tmp_path: Path
+) -> None:
+    with closing(RingWriter(10_000, tmp_path / "ring")) as ring:
+        publish(ring, frames, 1)
+        wait_until(lambda: frames.newest)
+        every = frames.every()  # from now on
+        for count in (2, 3, 4):
+            publish(ring, frames, count, is_shown_only=count == 3)
+        assert indices(every, 2) == [2, 4]
+        wait_until(lambda: frames.newest is not None and frames.newest.frame.index == 4)
+        assert frames.overtaken == 0
+        for count in range(5, 16):  # three more than the ring has slots
+            publish(ring, frames, count)
+        assert indices(every, 8) == list(range(8, 16))
+        assert frames.overtaken == 3
+        publish(ring, frames, 20)  # nobody was there to read those between
+        assert indices(every, 1) == [20]
+        assert frames.overtaken == 7
+        with closing(RingWriter(20_000, tmp_path / "ring", count=22)) as larger:
+            for count in (21, 22):
+                publish(ring, frames, count)
+            for count in (23, 24):
+                publish(larger, frames, count)
+            assert indices(every, 1) == [21]
+            frames.close()  # the instrument is gone: what is left is read
+            assert [made.frame.index for made in every] == [22, 23, 24]
+        assert frames.overtaken == 7
+
+
+def test_newest_frame_that_is_overtaken_while_it_is_copied_is_counted(
+    frames: RemoteFrames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = RingReader.read
+    monkeypatch.setattr(RingReader, "read", lambda ring, count: None if count == 2 else read(ring, count))
+    with closing(RingWriter(10_000, tmp_path / "ring")) as ring:
+        publish(ring, frames, 1)
+        wait_until(lambda: frames.newest)
+        publish(ring, frames, 2)
+        wait_until(lambda: frames.overtaken == 1)
+        publish(ring, frames, 3)
+        wait_until(lambda: frames.newest is not None and frames.newest.frame.index == 3)
+        assert frames.overtaken == 1
+
+
+def test_memory_that_cannot_be_opened_is_told(frames: RemoteFrames, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As from another container; one that was replaced is no longer the place of the newest notice."""
+    monkeypatch.setattr("app.acquisition.remote.frames._REPLACED_S", 0.3)
+    frames.announce(Notice("/proc/0/fd/3#replaced", 1))
+    time.sleep(0.2)
+    frames.announce(Notice("/proc/0/fd/4#elsewhere", 1))
+    time.sleep(0.2)
+    assert frames.error is None
+    wait_until(lambda: frames.error)
+    assert "cannot be opened from here ([Errno 2] No such file or directory" in str(frames.error)
+    assert "start it where the instrument runs" in str(frames.error)
