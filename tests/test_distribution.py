@@ -20,9 +20,9 @@ pytestmark = pytest.mark.slow
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
 EXTRAS = {  # by what they make possible; hcipy is not installed here
     "batch": "bokeh, distributed",
-    "genicam": "drivers.genicam.library",
+    "genicam": "drivers.genicam._library",
     "mask": "ezdxf, gdstk",
-    "micro-manager": "pymmcore, drivers.micro_manager.core",
+    "micro-manager": "pymmcore, drivers.micro_manager._core",
     "peers": "SimpleITK, pyrtc.slopes_process, skimage, reconstruction.registration.itk_affine",
 }
 PACKAGES = {"app", "drivers", "reconstruction", "simulated_devices", "svwfs"}

@@ -1,7 +1,8 @@
-"""The source code of product and tests: every exception from a check of style or types says why."""
+"""The source code: exceptions from checks of style or types say why, and private modules belong to their room."""
 
 from __future__ import annotations
 
+import ast
 import re
 
 import pytest
@@ -21,3 +22,19 @@ def test_every_exception_has_a_reason(room: str) -> None:
     }
     assert found, "no exception is recognised"
     assert not {place: text for place, text in found.items() if not _WITH_REASON.match(text)}
+
+
+@pytest.mark.parametrize("package", ["app", "drivers", "reconstruction", "simulated_devices"])
+def test_modules_with_an_underscore_are_imported_in_their_room_only(package: str) -> None:
+    found, elsewhere = 0, list[str]()
+    for path in sorted((ROOT / package).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                module = f"{node.module}."
+                names = [module, *(f"{module}{each.name}." for each in node.names)]
+                rooms = {name[: name.index("._")] for name in names if "._" in name and "__" not in name}
+                found += len(rooms)
+                here = ".".join(path.relative_to(ROOT).parent.parts)
+                elsewhere += [f"{path}: {module}" for room in rooms if room != here]
+    assert found or package == "app", "no private module is recognised"
+    assert not elsewhere

@@ -10,9 +10,10 @@ from contextlib import ExitStack, contextmanager, suppress
 from ctypes import byref
 
 from drivers.camera import NOT_STARTED, Camera, CameraCapabilities, Frame, Region
-from drivers.dcam import DcamSettings, session
-from drivers.dcam import property_ids as ids
-from drivers.dcam.capabilities import (
+from drivers.dcam import DcamSettings
+from drivers.dcam import _property_ids as ids
+from drivers.dcam import _session as session
+from drivers.dcam._capabilities import (
     AMPLIFIERS,
     FILTERS,
     TRIGGERS,
@@ -22,10 +23,10 @@ from drivers.dcam.capabilities import (
     read_region,
     set_region,
 )
-from drivers.dcam.capture import Capture
-from drivers.dcam.library import DcamLibrary, DeviceOpen, load_library, sized
-from drivers.dcam.properties import Properties
-from drivers.dcam.property_ids import Id
+from drivers.dcam._capture import Capture
+from drivers.dcam._library import DcamLibrary, DeviceOpen, load_library, sized
+from drivers.dcam._properties import Properties
+from drivers.dcam._property_ids import Id
 from drivers.device import DiscoveredDevice, Property
 from drivers.errors import REFUSALS, DeviceError, Unsupported, WrongState, attempt
 

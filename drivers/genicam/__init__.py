@@ -8,7 +8,7 @@ from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
 from drivers.camera import Region
-from drivers.genicam.frames import PIXEL_FORMATS
+from drivers.genicam._frames import PIXEL_FORMATS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

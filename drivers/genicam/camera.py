@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from drivers.camera import Camera, CameraCapabilities, Frame, Region, SettingsInForce
 from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, attempt, undone_if_refused
-from drivers.genicam import GenicamSettings, features, frames
-from drivers.genicam.connection import GenicamConnection, chosen, update_list
-from drivers.genicam.library import STATUS_SUCCESS, load_aravis
+from drivers.genicam import GenicamSettings
+from drivers.genicam import _features as features
+from drivers.genicam import _frames as frames
+from drivers.genicam._connection import GenicamConnection, chosen, update_list
+from drivers.genicam._library import STATUS_SUCCESS, load_aravis
 
 _SLICE_S: Final = 0.1  # of silence, after which the connection is watched; the longest wait in the library
 # properties, if the camera has them

@@ -24,7 +24,7 @@ from drivers.errors import (
     undone_if_refused,
 )
 from drivers.micro_manager import MicroManagerSettings
-from drivers.micro_manager.core import LABEL, LoadedCamera, load_pymmcore
+from drivers.micro_manager._core import LABEL, LoadedCamera, load_pymmcore
 
 _POLL_S: Final = 1e-3  # between two looks for a frame: the core offers no event
 _CHECK_S: Final = 0.1  # between two checks of a silent camera

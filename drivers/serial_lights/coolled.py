@@ -14,8 +14,8 @@ from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import BadValue, DeviceError, Unsupported
 from drivers.light_source import LightSource
 from drivers.serial_lights import CoolLEDSettings
-from drivers.serial_lights.line import Dialect, SerialLine, Wire, find_port
-from drivers.serial_lights.line import discover as discover_on_ports
+from drivers.serial_lights._line import Dialect, SerialLine, Wire, find_port
+from drivers.serial_lights._line import discover as discover_on_ports
 
 _DIALECT = Dialect("CoolLED", end=b"\r", baudrate=57600)
 _MODEL = r"XMODEL[:=\s]*(.*pE-(300|340|4000).*)"

@@ -15,8 +15,8 @@ from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import DeviceError, DeviceTimeout, WrongState
 from drivers.light_source import LedDriver
 from drivers.serial_lights import DC4100Settings
-from drivers.serial_lights.line import Dialect, SerialLine, Wire, find_port
-from drivers.serial_lights.line import discover as discover_on_ports
+from drivers.serial_lights._line import Dialect, SerialLine, Wire, find_port
+from drivers.serial_lights._line import discover as discover_on_ports
 
 _DIALECT = Dialect("DC4100", end=b"\r\n")
 _MODEL = r".*\b(DC4100|DC4104|LEDD4)\b.*"  # as in Micro-Manager

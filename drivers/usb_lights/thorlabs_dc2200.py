@@ -15,8 +15,9 @@ from usb.backend import IBackend
 from drivers.device import DiscoveredDevice, Property, Range, choose
 from drivers.errors import DeviceError, Disconnected, Unsupported, WrongState
 from drivers.light_source import LedDriver
-from drivers.usb_lights import DC2200Settings, usbtmc
-from drivers.usb_lights.usbtmc import Usbtmc
+from drivers.usb_lights import DC2200Settings
+from drivers.usb_lights import _usbtmc as usbtmc
+from drivers.usb_lights._usbtmc import Usbtmc
 
 _VENDOR_ID, _PRODUCT_IDS = 0x1313, (0x80C8, 0x80C0)  # the second one if firmware updates are enabled
 _STEP_A = 1e-4  # resolution of the commands

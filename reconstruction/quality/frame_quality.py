@@ -24,7 +24,7 @@ from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.polynomials import number_up_to
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.quality.stray_light import StrayLight
+from reconstruction.quality._stray_light import StrayLight
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings, Warp

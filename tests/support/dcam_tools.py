@@ -13,9 +13,10 @@ from typing import Any
 
 import pytest
 
-from drivers.dcam import DcamSettings, session
+from drivers.dcam import DcamSettings
+from drivers.dcam import _session as session
+from drivers.dcam._library import DcamLibrary, load_library
 from drivers.dcam.camera import DcamCamera
-from drivers.dcam.library import DcamLibrary, load_library
 from support.wires.dcam.build import NoCompiler, build
 from support.wires.dcam.stand_in import StandIn
 

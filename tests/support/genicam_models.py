@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.genicam.frames import PIXEL_FORMATS
+from drivers.genicam._frames import PIXEL_FORMATS
 from support.genicam_descriptions import PFNC, Description
 from support.gige_camera import GigeCamera, Image
 

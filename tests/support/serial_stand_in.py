@@ -8,7 +8,7 @@ from typing import Any, get_args
 import pytest
 from hypothesis import strategies as st
 
-from drivers.serial_lights.line import Wire
+from drivers.serial_lights._line import Wire
 from simulated_devices.clock import ManualClock
 from support.light_contract import LightFaultContract
 from support.light_storm import LightStorm

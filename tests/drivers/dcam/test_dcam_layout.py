@@ -10,8 +10,8 @@ import pytest
 from support.dcam_tools import compiling
 from support.wires.dcam.build import SOURCES, build_program
 
-from drivers.dcam import library
-from drivers.dcam.library import ERRORS, PROTOTYPES, DcamLibrary, Denied, NotThere, error_of
+from drivers.dcam import _library as library
+from drivers.dcam._library import ERRORS, PROTOTYPES, DcamLibrary, Denied, NotThere, error_of
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
 
 # Name in C, size and some offsets, as gcc gave them for Hamamatsu's own header with 64-bit pointers.

@@ -6,8 +6,8 @@ import pytest
 from support.dcam_tools import open_camera
 from support.wires.dcam.stand_in import StandIn
 
+from drivers.dcam._property_ids import Id
 from drivers.dcam.camera import DcamCamera
-from drivers.dcam.property_ids import Id
 from drivers.interface import BadValue, DeviceError, Range, Region, Unsupported
 
 SENSOR = Region(0, 0, 512, 512)

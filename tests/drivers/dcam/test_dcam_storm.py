@@ -12,8 +12,8 @@ from support.dcam_tools import dcam_stand_in, open_camera
 from support.storm import storm_settings
 from support.wires.dcam.stand_in import Plug, StandIn
 
+from drivers.dcam._library import ERRORS, PROTOTYPES, NotThere
 from drivers.dcam.camera import DcamCamera
-from drivers.dcam.library import ERRORS, PROTOTYPES, NotThere
 from drivers.interface import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, Region, Unsupported
 
 

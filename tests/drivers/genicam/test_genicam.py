@@ -24,8 +24,8 @@ from support.storm import storm_settings
 from drivers.camera import Camera, Frame, Region
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
 from drivers.genicam import GenicamSettings
+from drivers.genicam._library import load_aravis
 from drivers.genicam.camera import GenicamCamera, discover
-from drivers.genicam.library import load_aravis
 
 NOTICED_S = 2.0  # until a loss must be noticed
 # The fake camera scales its pattern by 1 + log10(exposure / 10 ms): at 10 ms its pixels encode the frame number.

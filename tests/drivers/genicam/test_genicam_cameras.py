@@ -40,8 +40,8 @@ from drivers.contract.camera import (
 )
 from drivers.errors import DeviceError, Unsupported
 from drivers.genicam import GenicamSettings
+from drivers.genicam._library import load_aravis
 from drivers.genicam.camera import GenicamCamera
-from drivers.genicam.library import load_aravis
 
 try:
     load_aravis()

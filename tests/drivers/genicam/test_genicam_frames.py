@@ -17,10 +17,10 @@ from support.patience import HANG_S, wait_until
 from drivers.camera import SettingsInForce
 from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
 from drivers.genicam import GenicamSettings
+from drivers.genicam._connection import PatientCalls
+from drivers.genicam._frames import FrameCount
+from drivers.genicam._library import Aravis, kinds_of_errors, load_aravis, load_library
 from drivers.genicam.camera import discover
-from drivers.genicam.connection import PatientCalls
-from drivers.genicam.frames import FrameCount
-from drivers.genicam.library import Aravis, kinds_of_errors, load_aravis, load_library
 from reconstruction.annotated_settings import check
 
 
@@ -104,7 +104,7 @@ def test_hanging_call_is_given_up() -> None:
 
 def test_overdue_answer_is_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Both the answer and the timeout fall into a stall of this computer."""
-    monkeypatch.setattr("drivers.genicam.connection._GRACE_S", HANG_S)
+    monkeypatch.setattr("drivers.genicam._connection._GRACE_S", HANG_S)
     calls, coming = PatientCalls("test"), threading.Timer(0.05, lambda: None)
     coming.start()
     assert calls.make(coming.join, 0.0) is None
@@ -169,12 +169,12 @@ def test_functions_are_found_in_the_libraries_of_windows(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(ctypes, "CDLL", Part)
     monkeypatch.setattr(ctypes.util, "find_library", find)
-    monkeypatch.setattr("drivers.genicam.library.sys.platform", "win32")
+    monkeypatch.setattr("drivers.genicam._library.sys.platform", "win32")
     assert Aravis().call("arv_get_major_version") == 0
 
 
 def test_old_library_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.genicam.library.load_library", lambda: (object(),))
+    monkeypatch.setattr("drivers.genicam._library.load_library", lambda: (object(),))
     with pytest.raises(Unsupported, match=r"too old, it lacks \w+: 0\.8\.20 or later is needed"):
         Aravis()
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.genicam.frames import (
+from drivers.genicam._frames import (
     PIXEL_FORMATS,
     ByteOrder,
     PixelFormat,

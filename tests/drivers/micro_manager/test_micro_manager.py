@@ -33,8 +33,8 @@ from drivers.interface import (
     WrongState,
 )
 from drivers.micro_manager import MicroManagerSettings
+from drivers.micro_manager._core import LoadedCamera
 from drivers.micro_manager.camera import MicroManagerCamera, discover
-from drivers.micro_manager.core import LoadedCamera
 from reconstruction.annotated_settings import check
 
 

@@ -16,8 +16,8 @@ from support.wires.serial import FaultKind, LineFault
 
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, Unsupported
 from drivers.serial_lights import CoolLEDSettings
+from drivers.serial_lights._line import Wire
 from drivers.serial_lights.coolled import CoolLED
-from drivers.serial_lights.line import Wire
 from reconstruction.annotated_settings import check
 from simulated_devices.clock import ManualClock
 

@@ -15,7 +15,7 @@ from support.wires.serial import FaultKind, LineFault
 
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, WrongState
 from drivers.serial_lights import DC4100Settings
-from drivers.serial_lights.line import Wire
+from drivers.serial_lights._line import Wire
 from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100, faults, is_at_limit
 from reconstruction.annotated_settings import check
 from simulated_devices.clock import ManualClock

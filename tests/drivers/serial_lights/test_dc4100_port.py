@@ -21,7 +21,7 @@ from support.wires.serial import LineFault
 
 from drivers.errors import Busy, DeviceError, Disconnected
 from drivers.serial_lights import DC4100Settings
-from drivers.serial_lights.line import Wire
+from drivers.serial_lights._line import Wire
 from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
 
 

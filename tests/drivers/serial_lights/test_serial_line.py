@@ -10,7 +10,7 @@ from support.serial_stand_in import wire_to
 from support.wires.serial import LineDevice, LineFault, MemoryPort
 
 from drivers.errors import DeviceError, DeviceTimeout
-from drivers.serial_lights.line import Dialect, SerialLine, Wire
+from drivers.serial_lights._line import Dialect, SerialLine, Wire
 from simulated_devices.clock import ManualClock
 
 DIALECT = Dialect("counter", end=b"\r\n", timeout_s=0.5)

@@ -9,7 +9,7 @@ from serial.tools.list_ports_common import ListPortInfo
 
 from drivers.errors import Disconnected
 from drivers.serial_lights import coolled, thorlabs_dc4100
-from drivers.serial_lights.line import find_port
+from drivers.serial_lights._line import find_port
 
 
 def port(device: str, *, maker: str = "", product: str = "n/a", serial_number: str = "") -> ListPortInfo:

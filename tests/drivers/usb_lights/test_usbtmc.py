@@ -12,8 +12,8 @@ from support.usb_stand_in import IN, Bus, Plug
 from support.wires.usbtmc import UsbFault, UsbFaultKind, UsbtmcWire
 
 from drivers.errors import Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported
-from drivers.usb_lights import usbtmc
-from drivers.usb_lights.usbtmc import Usbtmc
+from drivers.usb_lights import _usbtmc as usbtmc
+from drivers.usb_lights._usbtmc import Usbtmc
 from simulated_devices.clock import ManualClock
 
 

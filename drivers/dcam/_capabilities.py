@@ -4,9 +4,9 @@ import math
 from contextlib import suppress
 
 from drivers.camera import CameraCapabilities, Region
-from drivers.dcam import property_ids as ids
-from drivers.dcam.properties import Properties
-from drivers.dcam.property_ids import Id
+from drivers.dcam import _property_ids as ids
+from drivers.dcam._properties import Properties
+from drivers.dcam._property_ids import Id
 from drivers.device import Range
 from drivers.errors import DeviceError, Unsupported
 

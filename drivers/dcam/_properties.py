@@ -5,7 +5,7 @@ from contextlib import suppress
 from ctypes import byref, c_double, c_int32, create_string_buffer
 from dataclasses import dataclass
 
-from drivers.dcam.library import (
+from drivers.dcam._library import (
     GONE,
     TEXT_BYTES,
     DcamLibrary,
@@ -15,7 +15,7 @@ from drivers.dcam.library import (
     PropertyValueText,
     sized,
 )
-from drivers.dcam.property_ids import ALIVE_ONLINE, OPTION_NEXT, TYPE_MASK, TYPE_REAL, Attribute, Id
+from drivers.dcam._property_ids import ALIVE_ONLINE, OPTION_NEXT, TYPE_MASK, TYPE_REAL, Attribute, Id
 from drivers.device import Property, Range
 from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected
 

@@ -8,9 +8,9 @@ from ctypes import Structure, byref, c_int32
 import numpy as np
 
 from drivers.camera import STOPPED, Frame, SettingsInForce
-from drivers.dcam.library import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
-from drivers.dcam.properties import Properties
-from drivers.dcam.property_ids import PRODUCER_NONE, Id
+from drivers.dcam._library import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
+from drivers.dcam._properties import Properties
+from drivers.dcam._property_ids import PRODUCER_NONE, Id
 from drivers.errors import DeviceError, DeviceTimeout, FrameLost, WrongState
 
 _SLICE_S = 0.1  # longest wait in the library; after that much silence the camera's status is polled

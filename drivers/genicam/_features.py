@@ -7,7 +7,7 @@ from typing import Final
 from drivers.camera import Region
 from drivers.device import Range
 from drivers.errors import BadValue, Unsupported, attempt
-from drivers.genicam.connection import GenicamConnection
+from drivers.genicam._connection import GenicamConnection
 
 # In this order: the exposure mode, for example, may lock the automatic exposure. The first value that fits is set.
 _OFF: Final = ("false", "Off", "Disabled", "ContrastMode_Off")

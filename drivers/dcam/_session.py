@@ -5,7 +5,7 @@ from contextlib import suppress
 from ctypes import byref
 from dataclasses import dataclass
 
-from drivers.dcam.library import DcamLibrary, DeviceString, Init, sized
+from drivers.dcam._library import DcamLibrary, DeviceString, Init, sized
 from drivers.device import choose
 from drivers.errors import DeviceError, Disconnected
 

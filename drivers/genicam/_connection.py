@@ -13,7 +13,7 @@ from typing import Any, Final, TypeVar
 from drivers.device import choose
 from drivers.errors import Busy, DeviceError, Disconnected, Unsupported, attempt
 from drivers.genicam import GenicamSettings
-from drivers.genicam.library import PACKET_SOCKET_DISABLED, READ_WRITE, SOCKET_BUFFER_FIXED, Aravis, load_aravis
+from drivers.genicam._library import PACKET_SOCKET_DISABLED, READ_WRITE, SOCKET_BUFFER_FIXED, Aravis, load_aravis
 
 PATIENCE_S: Final = 1.1  # three attempts of Aravis: one lost packet is no disconnection
 _DISCOVERY_S: Final = 2.0  # cameras in the network have one second to answer
