@@ -111,7 +111,7 @@ class Estimator:
 
         The wavefront is refined in at most `rounds`, of which `seen` is told; fewer where it settles.
         """
-        sample = sample or self.reconstructor.find_sample(registered)
+        sample = self.reconstructor.find_sample(registered) if sample is None else sample
         step = None
         for step in self.refinement.rounds(registered, rounds, sample) if rounds else ():
             seen(step)

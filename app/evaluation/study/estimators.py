@@ -115,7 +115,7 @@ class WarpEstimators:
                     wavefront = estimator.reconstructor.solve(displacement, sample=found)
                     yield compared(f"{curve} layers", at, wavefront, truth, views=views)
                     curve += " refined"
-                    wavefront, _ = estimator.rounds(displacement, sample=found)[-1]
+                    wavefront, _ = estimator.solve(displacement, sample=found, rounds=ROUNDS)
                     yield compared(curve, at, wavefront, truth, views=views)
             except ReconstructionError:
                 lenslets = estimator.reconstructor.sensor.lenslet_rows * estimator.reconstructor.sensor.lenslet_columns

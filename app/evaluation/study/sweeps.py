@@ -20,7 +20,7 @@ from app.evaluation.study.estimators import AUTOMATIC, REFINED, ROUNDS, WARPS, W
 from app.progress import Progress
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
-from reconstruction.layers.layered_wavefront import AssumedSample
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.settings import ReconstructionSettings, Warp
 from reconstruction.wavefront import Wavefront, mean_rms
 from simulated_devices.optics.source import source_points
@@ -303,7 +303,8 @@ def _dead(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult
             yield from estimators.compare(frame.photons * light, frame.truth, fraction)
             if fraction > 0:
                 cubic, curve = estimators.by_warp["cubic"], "cubic refined, at the dead ones"
-                wavefront, _ = cubic.rounds(cubic.reconstructor.register(frame.photons * light))[-1]
+                displacement = cubic.reconstructor.register(frame.photons * light)
+                wavefront, _ = cubic.solve(displacement, sample=FREE, rounds=ROUNDS)
                 yield compared(curve, fraction, wavefront, frame.truth, lenslets=alive == 0.0)
 
 
