@@ -8,35 +8,11 @@ from typing import Any
 from app.acquisition.carrier import Carrier
 from app.acquisition.start_up import start_up
 from app.errors import InputError, RunError
-from app.measurement.measurement import SKIPPED, Measurement
+from app.measurement.measurement import SKIPPED
 from app.measurement.routines import Cancelled
 from app.progress import Progress
 
 _HOPELESS_FRAMES = 20  # without a wavefront, when the bench is calibrated
-
-
-class FirstWavefront:
-    """Waits for the first wavefront of an acquisition, which a loop or the timer of a window polls."""
-
-    def __init__(self, within_s: float) -> None:
-        """Give up after this time, or some frames without a wavefront."""
-        self._within_s, self._began_s = within_s, time.perf_counter()
-        self.came_s: float | None = None  # by time.perf_counter()
-        self._failed, self._problem = 0, ""
-
-    def take(self, measurement: Measurement) -> None:
-        """Take note of a frame of the calibrated bench."""
-        if measurement.wavefront is not None:
-            self.came_s = time.perf_counter() if self.came_s is None else self.came_s
-        elif measurement.problem != SKIPPED:
-            self._failed, self._problem = self._failed + 1, measurement.problem
-
-    def check(self) -> None:
-        """Raise `RunError` if it has not come, and there is no hope of it."""
-        if self.came_s is None and self._failed >= _HOPELESS_FRAMES:
-            raise RunError(f"no wavefront in the first {self._failed} frames: {self._problem}")
-        if self.came_s is None and time.perf_counter() > self._began_s + self._within_s:
-            raise RunError(f"no wavefront within {self._within_s:g} s: {self._problem or 'no frame came'}")
 
 
 class Course:
@@ -56,18 +32,27 @@ class Course:
         return sent
 
     def first_wavefront(self, within_s: float) -> Generator[None, None, float]:
-        """Wait for the first wavefront after all commands; return when it came, by time.perf_counter()."""
-        acquisition, first, seen = self.acquisition, FirstWavefront(within_s), None
-        while first.came_s is None:
+        """Wait for the first wavefront after all commands; return when it came, by time.perf_counter().
+
+        `RunError` if it does not come in that time, or in some frames.
+        """
+        acquisition, seen, failed, problem = self.acquisition, None, 0, ""
+        end_s = time.perf_counter() + within_s
+        while True:
             self._check()
             newest = acquisition.newest
             if newest is not None and newest is not seen and all(step.done() for step in self._expected):
-                first.take(newest)
+                if newest.wavefront is not None:
+                    return time.perf_counter()
+                if newest.problem != SKIPPED:
+                    failed, problem = failed + 1, newest.problem
             seen = newest
-            first.check()
+            if failed >= _HOPELESS_FRAMES:
+                raise RunError(f"no wavefront in the first {failed} frames: {problem}")
+            if time.perf_counter() > end_s:
+                raise RunError(f"no wavefront within {within_s:g} s: {problem or 'no frame came'}")
             self._progress(acquisition.activity.text or "waiting for the first wavefront", 0.0)
             yield
-        return first.came_s
 
     def until(
         self, is_over: Callable[[], bool], text: str = "", fraction: Callable[[], float] = lambda: 0.0

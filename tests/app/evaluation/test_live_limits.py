@@ -8,10 +8,10 @@ import os
 import shutil
 import signal
 import sys
-from copy import copy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -19,13 +19,14 @@ from support.gui_bench import BENCH, make_measurement
 
 import app.commands.benchmark
 from app import cli
-from app.acquisition.course import FirstWavefront
+from app.acquisition.carrier import Activity, Carrier
+from app.acquisition.course import Course
 from app.bench.config import load_bench
 from app.bench.device_kinds import RecordingSettings
 from app.commands.benchmark import print_figures
 from app.errors import InputError, Interrupted, RunError, ended_by
 from app.evaluation.benchmark.live_path import LiveFigures, LivePlan, Span, recording_folder, resident_mb, share
-from app.measurement.measurement import SKIPPED, FrameTotals
+from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
 from app.recording.recorder import RecordingState
 from app.timing import TimedStage, Timings
 
@@ -35,24 +36,28 @@ def test_share_counts_lost_frames() -> None:
     assert math.isnan(share(FrameTotals()))
 
 
+def first_wavefront(frames: list[Measurement | None], within_s: float = 100.0) -> tuple[int, str]:
+    """Poll frames that an instrument has as its newest; return how many were asked for, and why there is no hope."""
+    instrument = SimpleNamespace(error=None, activity=Activity(), newest=None)
+    steps = Course(cast("Carrier", instrument)).first_wavefront(within_s)
+    for asked, frame in enumerate(frames, 1):
+        instrument.newest = frame
+        try:
+            next(steps)
+        except StopIteration:
+            return asked, ""
+        except RunError as error:
+            return asked, str(error)
+    return len(frames), "it waits"
+
+
 def test_first_wavefront_is_hopeless_after_twenty_failed_frames() -> None:
     made = make_measurement(np.zeros((300, 430), np.uint16), np.zeros((3, 3, 9, 13)))
-    first = FirstWavefront(100.0)
-    for _ in range(25):
-        first.take(replace(made, wavefront=None, problem=SKIPPED))
-    for _ in range(19):
-        first.take(replace(made, wavefront=None, problem="too dark"))
-        first.check()
-    hopeful = copy(first)
-    first.take(replace(made, wavefront=None, problem="too dark"))
-    with pytest.raises(RunError, match="no wavefront in the first 20 frames: too dark"):
-        first.check()
-    hopeful.take(made)
-    hopeful.take(replace(made, wavefront=None, problem="too dark"))
-    hopeful.check()
-    assert hopeful.came_s is not None
-    with pytest.raises(RunError, match="no wavefront within 0 s: no frame came"):
-        FirstWavefront(0.0).check()
+    skipped = [replace(made, wavefront=None, problem=SKIPPED) for _ in range(25)]
+    failed = [replace(made, wavefront=None, problem="too dark") for _ in range(20)]
+    assert first_wavefront([*skipped, *failed]) == (45, "no wavefront in the first 20 frames: too dark")
+    assert first_wavefront([*skipped, *failed[:19], failed[18], made]) == (46, "")  # a frame counts once
+    assert first_wavefront([None], 0.0) == (1, "no wavefront within 0 s: no frame came")
 
 
 def span_of(
