@@ -12,8 +12,7 @@ import numpy as np
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, Outcomes, RegistrationMethod
 from reconstruction.errors import ReconstructionError, TooManyModes
-from reconstruction.frame.camera import KnownCamera
-from reconstruction.frame.pixels import TOO_BRIGHT, AboveDark, find_bad_pixels
+from reconstruction.frame.pixels import TOO_BRIGHT, AboveDark, KnownCamera, find_bad_pixels
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.layers.layer_search import find_layers
 from reconstruction.layers.layer_solver import FrameEquations, LayerModes, LayerSolver

@@ -81,10 +81,20 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+class FinderHere(Finder):
+    """A finder with the interface of its process."""
+
+    def stop(self) -> None:
+        """Let what runs come to its end."""
+
+    def close(self) -> None:
+        """Release nothing."""
+
+
 @pytest.fixture(autouse=True)
 def _finders_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Search for layers in this process: another takes a second to start, and its code cannot be replaced."""
-    monkeypatch.setattr(live_solver, "FinderProcess", Finder)
+    monkeypatch.setattr(live_solver, "FinderProcess", FinderHere)
 
 
 @pytest.fixture(autouse=True)

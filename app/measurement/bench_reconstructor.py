@@ -17,9 +17,8 @@ from app.measurement.calibration import Calibration
 from app.measurement.estimator import Estimator, mask_sentence
 from reconstruction.arrays import Counts
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.noise import KnownNoise, TransferCurve
-from reconstruction.frame.pixels import AboveDark
+from reconstruction.frame.pixels import AboveDark, KnownCamera
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import survey
 from reconstruction.layers.layer_solver import FrameEquations

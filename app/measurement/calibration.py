@@ -16,9 +16,8 @@ from app.bench.config import Bench
 from app.bench.imaging_model import lenslet_model
 from app.measurement.averages import Average
 from reconstruction.arrays import Counts
-from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.noise import KnownNoise, TransferCurve, image_transfer, photon_transfer
-from reconstruction.frame.pixels import find_bad_pixels, repaired
+from reconstruction.frame.pixels import KnownCamera, find_bad_pixels, repaired
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey, survey
 from reconstruction.pipeline import NO_OWN, OwnMethods, Reconstructor

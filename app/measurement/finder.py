@@ -78,12 +78,6 @@ class Finder:
             self._found = self._found._replace(problem=str(error), idle_s=0.0)
         return self._found
 
-    def stop(self) -> None:
-        """Let what runs come to its end."""
-
-    def close(self) -> None:
-        """Release nothing."""
-
     def _find(self, newest: Solved, before: Found) -> Found:
         sample, correction = before.sample, newest.assumed.refinement
         begin_s = time.monotonic()

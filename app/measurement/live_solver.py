@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from app.measurement.estimator import Estimator
-from app.measurement.finder import Finder, FinderProcess, Found, Solved
+from app.measurement.finder import FinderProcess, Found, Solved
 from app.measurement.measurement import Assumptions, RefinementStage, RefinementState
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
@@ -87,7 +87,7 @@ class LiveSolver:
         problem = self._found.problem
         return RefinementState("failed" if problem else "preparing", problem=problem)
 
-    def _work(self, finder: Finder | FinderProcess) -> None:
+    def _work(self, finder: FinderProcess) -> None:
         """Let the finder look at the newest frame again and again; it rests as long as it worked, or is idle."""
         if sys.platform == "linux":  # threads have their own priority only here
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)

@@ -1,6 +1,7 @@
 """From the counts of an image to its light: dark, nonlinearity, saturated and clipped pixels, dead and hot pixels."""
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -10,8 +11,8 @@ from scipy import ndimage
 
 from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.camera import KnownCamera
-from reconstruction.frame.linearity import LINEAR
+from reconstruction.frame.linearity import LINEAR, Linearity
+from reconstruction.frame.noise import KnownNoise
 from reconstruction.runtime.compilation import compiled
 
 _SATURATED_FRACTION = 0.01  # of the image's pixels; with more, it is rejected
@@ -25,6 +26,16 @@ def require_unsaturated(saturated: int, pixels: int, name: str) -> None:
     """Raise a `ReconstructionError`, which says `name`, if too many of an image's pixels are saturated."""
     if saturated > _SATURATED_FRACTION * pixels:
         raise ReconstructionError(f"the {name} is saturated: {TOO_BRIGHT}", image=name)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownCamera:
+    """Dark, saturation, nonlinearity and noise of the camera that took the reference and the frames."""
+
+    dark: Counts | None = None  # (row, column); None: the background is the darkest percent of each image
+    full_scale: float = math.inf  # count from which on a pixel is saturated
+    linearity: Linearity | None = None  # corrected in every image, dark subtracted
+    noise: KnownNoise = KnownNoise()  # of images so corrected
 
 
 class AboveDark:

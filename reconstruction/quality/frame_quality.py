@@ -18,8 +18,7 @@ import numpy as np
 
 from reconstruction.arrays import Booleans, Counts, Floats
 from reconstruction.displacement import Displacement, Outcome
-from reconstruction.frame.camera import KnownCamera
-from reconstruction.frame.pixels import BACKGROUND_PERCENT, CLIPPED, TOO_BRIGHT, clipped_fraction
+from reconstruction.frame.pixels import BACKGROUND_PERCENT, CLIPPED, TOO_BRIGHT, KnownCamera, clipped_fraction
 from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.polynomials import number_up_to

@@ -10,9 +10,8 @@ import math
 import numpy as np
 
 from reconstruction.arrays import Counts, Floats, Image
-from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.noise import TransferCurve
-from reconstruction.frame.pixels import CLIPPED, TOO_BRIGHT, clipped_fraction
+from reconstruction.frame.pixels import CLIPPED, TOO_BRIGHT, KnownCamera, clipped_fraction
 from reconstruction.frame.spline import sample
 from reconstruction.geometry import Lattice, Sensor, centered_steps, lenslet_centers
 from reconstruction.quality.verdict import Fault, Quality

@@ -10,8 +10,8 @@ from support.optics import SmallBench
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import RegistrationMethod
-from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.noise import CameraNoise, KnownNoise
+from reconstruction.frame.pixels import KnownCamera
 from reconstruction.frame.spline import noise_power
 from reconstruction.modes.polynomials import legendre, legendre_gradients
 from reconstruction.registration import prepare_registration

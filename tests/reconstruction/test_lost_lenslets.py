@@ -13,8 +13,8 @@ from support.optics import FIELD, SmallBench
 
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.pixels import KnownCamera
 from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.settings import RegistrationSettings
 from reconstruction.wavefront import rms

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, diagonal_covariance
-from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.noise import CameraNoise, KnownNoise
+from reconstruction.frame.pixels import KnownCamera
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.pipeline import Reconstructor

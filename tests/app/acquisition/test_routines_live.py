@@ -24,8 +24,8 @@ from app.measurement.averages import Average
 from app.measurement.routines import Cancelled, Circumstances, RoutineError
 from app.measurement.sensor_region import SensorArea
 from drivers.interface import Devices, DeviceTimeout, Region
-from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.noise import CameraNoise, KnownNoise
+from reconstruction.frame.pixels import KnownCamera
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from simulated_devices.camera import SimulatedCamera
 

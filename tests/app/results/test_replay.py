@@ -29,8 +29,8 @@ from app.results import dataset
 from app.results.replay import Replay, change_of, replay
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.noise import KnownNoise
+from reconstruction.frame.pixels import KnownCamera
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.camera import KnownCamera
-from reconstruction.frame.pixels import AboveDark
+from reconstruction.frame.pixels import AboveDark, KnownCamera
 
 SHAPE = (40, 56)
 DARK = np.random.default_rng(1).normal(100.0, 3.0, SHAPE)

@@ -11,9 +11,8 @@ import pytest
 from reconstruction.annotated_settings import SettingError
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.linearity import Exposures, Linearity, MeasuredLinearity
-from reconstruction.frame.pixels import AboveDark
+from reconstruction.frame.pixels import AboveDark, KnownCamera
 
 FULL = 60_000.0  # counts above the dark
 TIMES = np.geomspace(0.1, 1.0, 8)

@@ -14,8 +14,8 @@ from support.optics import FIELD, SmallBench, converged
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.noise import CameraNoise, KnownNoise
+from reconstruction.frame.pixels import KnownCamera
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge

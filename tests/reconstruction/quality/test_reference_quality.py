@@ -11,9 +11,8 @@ import pytest
 from support.optics import SmallBench
 
 from reconstruction.arrays import Counts
-from reconstruction.frame.camera import KnownCamera
 from reconstruction.frame.noise import CameraNoise, KnownNoise
-from reconstruction.frame.pixels import clipped_fraction
+from reconstruction.frame.pixels import KnownCamera, clipped_fraction
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import survey
 from reconstruction.quality.reference_quality import lattice_error_px, reference_quality
