@@ -24,7 +24,7 @@ import numpy as np
 
 from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Booleans, Floats, Image, median
-from reconstruction.displacement import Displacement, Outcome, RegistrationMethod, Transmission
+from reconstruction.displacement import Displacement, Outcome, Transmission
 from reconstruction.frame.spline import noise_power, noise_power_polynomial
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis, polynomial_modes
@@ -51,6 +51,7 @@ from reconstruction.registration.gauss_newton.template import (
     visible_warp,
 )
 from reconstruction.registration.own_wavefronts import OwnWavefront
+from reconstruction.registration.response import WarpRegistration
 from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.runtime.threads import worker_pool
 from reconstruction.settings import FIELD_MODES, RegistrationSettings
@@ -156,7 +157,7 @@ _INFORMATION_LEFT = 0.75  # of a lenslet's pixels; with less it is lost
 
 def prepare(
     reference: ReferenceSubimages, settings: RegistrationSettings, field: Field, model: LensletModel | None
-) -> RegistrationMethod:
+) -> WarpRegistration:
     """Prepare the method `gauss_newton` with the warp of the settings."""
     modes = polynomial_modes(field, FIELD_MODES[settings.warp or "quadratic"])
     return GaussNewton(
