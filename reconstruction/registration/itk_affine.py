@@ -22,7 +22,7 @@ from reconstruction.displacement import Displacement, Outcome, RegistrationMetho
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.registration.gauss_newton.template import SteepestDescent, coefficient_covariance, prepare_template
+from reconstruction.registration.gauss_newton import SteepestDescent, coefficient_covariance, prepare_template
 from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.settings import RegistrationSettings
 

@@ -39,7 +39,7 @@ from reconstruction.registration.gauss_newton._lenslet_fits import (
     new_workplace,
     propagate,
 )
-from reconstruction.registration.gauss_newton.template import (
+from reconstruction.registration.gauss_newton._template import (
     LINEAR,
     SteepestDescent,
     Template,

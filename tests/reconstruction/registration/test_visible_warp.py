@@ -14,7 +14,8 @@ from app.bench.imaging_model import lenslet_model
 from reconstruction.arrays import Image
 from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
-from reconstruction.registration.gauss_newton import GaussNewton, template
+from reconstruction.registration.gauss_newton import GaussNewton
+from reconstruction.registration.gauss_newton import _template as template
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import FIELD_MODES, Warp
 from reconstruction.solve.modal import ModalSolution
