@@ -14,7 +14,7 @@ import typer
 
 from app.commands import options, terminal
 from app.errors import InputError, RunError
-from app.files import atomic_write
+from app.files import write_whole
 from app.images import FORMATS
 from app.progress import Progress
 
@@ -240,9 +240,7 @@ def write_found(bench: Bench, name: str, source: str, path: Path) -> None:
     """Write a bench with its section `name`, keeping the comments of `source`, a TOML file or preset."""
     from app.bench.bench_files import bench_file, read_bench_text
 
-    text = bench_text(read_bench_text(bench_file(source)), bench, name)
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, "utf-8")
+    write_whole(path, bench_text(read_bench_text(bench_file(source)), bench, name))
 
 
 def bench_text(text: str, bench: Bench, name: str = "lattice") -> str:

@@ -47,15 +47,6 @@ def one_page(page: Page) -> Figure:
     return figure
 
 
-def all_pages(pages: Sequence[Page]) -> Figure:
-    """Return a figure with all pages, one below the other."""
-    width, height = PAGE_INCHES
-    figure = Figure(figsize=(width, height * len(pages)), layout=_spaced())
-    for page, place in zip(pages, figure.subfigures(len(pages), 1, squeeze=False)[:, 0], strict=True):
-        page(place)
-    return figure
-
-
 def _page_parts(
     figure: FigureBase, title: str, sentence: str, shares: Sequence[float], *, head: float = TITLE_INCHES
 ) -> list[SubFigure]:
@@ -289,7 +280,11 @@ def write_pages(out: Path, summary: Summary, residual: Residual | None, progress
         drawn.append(partial(draw_comparison, residual=residual))
     with atomic_write(out) as temporary:
         if out.suffix.lower() == ".png":
-            all_pages(drawn).savefig(temporary, dpi=_PNG_DPI)
+            width, height = PAGE_INCHES
+            whole = Figure(figsize=(width, height * len(drawn)), layout=_spaced())
+            for page, place in zip(drawn, whole.subfigures(len(drawn), 1, squeeze=False)[:, 0], strict=True):
+                page(place)
+            whole.savefig(temporary, dpi=_PNG_DPI)
             return
         with PdfPages(temporary) as file:
             for index, page in enumerate(drawn):
