@@ -124,7 +124,7 @@ def test_recovery_without_any_calibration_fails(
     assert "reference.npz" in said.out
 
 
-@pytest.mark.parametrize("command", ["replay {}", "export {} --to csv --out {}.csv"])
+@pytest.mark.parametrize("command", ["replay {}", "export {} --to csv --out {}.csv", "field {} --out {}.csv"])
 def test_frames_without_a_line_are_told(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], recording: Recording, command: str
 ) -> None:
