@@ -64,15 +64,13 @@ class _Windows:
         return np.ascontiguousarray(cells.reshape(-1, pitch_px, pitch_px))
 
 
-def simple_itk(frames: TimedFrames) -> Register:
-    """Prepare SimpleITK's affine registration."""
+def _simple_itk(frames: TimedFrames) -> Register:
     affine, zonal = RegistrationSettings(method="itk_affine"), ReconstructionSettings(method="zonal")
     reconstructor = frames.reconstructor(affine, zonal)
     return lambda frame: coefficients_of(reconstructor.register(frame))
 
 
-def opencv_ecc(frames: TimedFrames, *, is_warm: bool = True, threads: int = _THREADS) -> Register:
-    """Prepare OpenCV's maximisation of the enhanced correlation coefficient."""
+def _opencv_ecc(frames: TimedFrames, *, is_warm: bool = True, threads: int = _THREADS) -> Register:
     windows = _Windows(frames)
     references = windows(frames.reference)
     brightest = references.max()
@@ -108,8 +106,7 @@ def opencv_ecc(frames: TimedFrames, *, is_warm: bool = True, threads: int = _THR
     return register
 
 
-def scikit_image(frames: TimedFrames) -> Register:
-    """Prepare scikit-image's phase correlation."""
+def _scikit_image(frames: TimedFrames) -> Register:
     correlate = import_module("skimage.registration").phase_cross_correlation  # an optional extra
     windows = _Windows(frames)
     references = fft.fft2(windows(frames.reference), workers=_THREADS)
@@ -157,13 +154,13 @@ def _free_px(frames: TimedFrames) -> int:
 
 
 PEERS: dict[str, Callable[[TimedFrames], Register]] = {
-    "simpleitk_affine": simple_itk,
-    "opencv_ecc_affine": opencv_ecc,
-    "skimage_phase_correlation": scikit_image,
+    "simpleitk_affine": _simple_itk,
+    "opencv_ecc_affine": _opencv_ecc,
+    "skimage_phase_correlation": _scikit_image,
     "pyrtc_correlation": pyrtc,
     # other uses of these
-    "opencv_ecc_affine_cold": partial(opencv_ecc, is_warm=False),
-    "opencv_ecc_affine_one_thread": partial(opencv_ecc, threads=1),
+    "opencv_ecc_affine_cold": partial(_opencv_ecc, is_warm=False),
+    "opencv_ecc_affine_one_thread": partial(_opencv_ecc, threads=1),
     "pyrtc_correlation_narrow": partial(pyrtc, reach_px=_NARROW_PX),
 }
 
@@ -171,13 +168,12 @@ WARPS: tuple[Warp, ...] = ("affine", "quadratic", "cubic")
 THREADS = (1, 2)
 
 
-def name_of(warp: Warp, *, is_warm: bool, threads: int) -> str:
-    """Return the name of a contestant."""
+def _name_of(warp: Warp, *, is_warm: bool, threads: int) -> str:
     return f"{warp}, {'warm' if is_warm else 'cold'}, {threads} thread{'s' * (threads > 1)}"
 
 
-OURS = name_of("quadratic", is_warm=True, threads=2)
-OURS_ONE_THREAD = name_of("quadratic", is_warm=True, threads=1)
+OURS = _name_of("quadratic", is_warm=True, threads=2)
+OURS_ONE_THREAD = _name_of("quadratic", is_warm=True, threads=1)
 
 
 def ours(frames: TimedFrames) -> Iterator[tuple[str, Callable[[], Wavefront]]]:
@@ -188,7 +184,7 @@ def ours(frames: TimedFrames) -> Iterator[tuple[str, Callable[[], Wavefront]]]:
         for is_warm in (False, True):
             start = before if is_warm else None
             yield (
-                name_of(warp, is_warm=is_warm, threads=threads),
+                _name_of(warp, is_warm=is_warm, threads=threads),
                 lambda reconstructor=reconstructor, start=start: reconstructor.solve(  # type: ignore[misc] # bound now
                     reconstructor.register(frames.frame, start=start)
                 ),

@@ -4,7 +4,7 @@ import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -211,8 +211,9 @@ class ComparisonTable(Study):
     The cases have `views` and `truth`, rad, (view_row, view_column, lenslet_row, lenslet_column).
     """
 
-    paper: Mapping[str, tuple[float, float, float]]  # by method, see PAPER_NUMBERS, rad; with neglected propagation
-    compared_to: str  # where the true wavefronts are from
+    # by method, see PAPER_NUMBERS, rad; with neglected propagation
+    paper: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    compared_to: str = "truth"  # where the true wavefronts are from
 
     dims: ClassVar = ("method", "light")
 
@@ -305,7 +306,6 @@ def table1(*, peers: bool) -> ComparisonTable:
         title="Simulation: residual RMS (rad) against the truth",
         measure=partial(_in_both_lights, partial(_table1, methods)),
         paper=PAPER_TABLE_1,
-        compared_to="truth",
     )
 
 
@@ -331,8 +331,6 @@ def sources() -> ComparisonTable:
         name="sources",
         title="Other sources: residual RMS (rad) against the truth",
         measure=partial(_in_both_lights, _sources),
-        paper={},
-        compared_to="truth",
     )
 
 
