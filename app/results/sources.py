@@ -113,17 +113,14 @@ def _origin_of(source: Path) -> tuple[str, str]:
 def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:
     """Return bench and coefficients of one frame, counted from 0, of a recording or a results file.
 
-    A results file has the standard deviations of e_pq without their covariance: they are taken as uncorrelated. Raises
-    `InputError` if there is no such frame, or it has no coefficients.
+    A results file has the standard deviations of e_pq without their covariance: they are taken as uncorrelated.
+    `InputError` if there is no such frame, that or `ReconstructionError` if it has no coefficients.
     """
     from reconstruction.field_coefficients import ModalFit
 
-    try:
-        if source.is_dir():
-            calibration, wavefront = recorded_frame(source, frame)
-            return calibration.bench, ModalFit.of(wavefront)
-    except ReconstructionError as error:
-        raise InputError(f"{source}: {error}") from error
+    if source.is_dir():
+        calibration, wavefront = recorded_frame(source, frame)
+        return calibration.bench, ModalFit.of(wavefront)
     bench, results = stored_frame(source, frame, "coefficients_sigma", "wavefront")
     names = ("coefficients", "coefficients_sigma")
     rad, sigma = (results[name].transpose("pupil_mode", "field_mode").values for name in names)
@@ -246,19 +243,16 @@ _ROUNDING = 1e-6  # singular value over the largest, below which displacements a
 def measured_frame(source: Path, frame: int) -> tuple[Bench, FrameEquations]:
     """Return bench and equations of one frame, counted from 0, of a recording or a results file.
 
-    Raises `InputError` if there is no such frame, or it cannot tell of layers.
+    Raises `InputError` if there is no such frame, `ReconstructionError` if it cannot tell of layers.
     """
-    try:
-        if source.is_dir():
-            calibration, wavefront = recorded_frame(source, frame)
-            return calibration.bench, calibration.reconstructor().layers(wavefront.displacement)
-        bench, results = stored_frame(source, frame, "displacement", "displacement_sigma", "valid")
-        sigma_px = results["displacement_sigma"].values[results["valid"].values.astype(bool)]
-        if not ((sigma_px > 0) & np.isfinite(sigma_px)).all():
-            raise InputError(f"{source}: is damaged: the error of a displacement must be above 0 px and finite")
-        return bench, _equations(results, bench)
-    except ReconstructionError as error:
-        raise InputError(f"{source}: {error}") from error
+    if source.is_dir():
+        calibration, wavefront = recorded_frame(source, frame)
+        return calibration.bench, calibration.reconstructor().layers(wavefront.displacement)
+    bench, results = stored_frame(source, frame, "displacement", "displacement_sigma", "valid")
+    sigma_px = results["displacement_sigma"].values[results["valid"].values.astype(bool)]
+    if not ((sigma_px > 0) & np.isfinite(sigma_px)).all():
+        raise InputError(f"{source}: is damaged: the error of a displacement must be above 0 px and finite")
+    return bench, _equations(results, bench)
 
 
 def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
