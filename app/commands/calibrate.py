@@ -62,8 +62,6 @@ def calibrate(
 
     Example: svwfs calibrate --linearity --bench small_demo --set camera.nonlinearity=0.04 --out linear.toml
     """
-    from app.results.figures import lattice_figure
-
     loaded = options.load(bench, setting)
     if linearity:
         if not all(given is None for given in (reference, dark, plot)):
@@ -80,6 +78,8 @@ def calibrate(
         raise InputError("give the reference frame; only --linearity takes its own")
     if average is not None:
         raise InputError("--average belongs to --linearity")
+    from app.results.figures import lattice_figure
+
     options.check_images(reference, dark)
     reads = (reference, dark, *options.files_of_bench(bench, loaded))
     job = options.Job(out, reads=reads, suffixes=(".toml",), plot=plot, overwrite=overwrite)
