@@ -142,6 +142,7 @@ def test_no_part_of_another_recording_is_overwritten(
         ("export run --to csv --out r.xlsx", "end it with .csv"),
         ("export run --to psf --out r.nc", "end it with .tif"),
         ("deconvolve frame.tif --with run --out r.nc", "end it with .tif"),
+        *((f"report run --out {name}", "ends in one of .pdf, .png") for name in ("r.html", "r", "r.txt")),
         ("paper table1 --out a --out b", "--out is given 2 times: give it once"),
         ("layers run --out=", "--out is empty: give the name of a file or folder"),
         ("layers run --out r.nc --distance 0.1 --distance nan", "--distance: give a finite number"),

@@ -301,14 +301,6 @@ def test_texts_of_any_length_leave_the_page_whole(mine: Recording, tmp_path: Pat
     assert len(shown) < 5000
 
 
-@pytest.mark.parametrize("name", ["r.html", "r", "r.txt"])
-def test_other_formats_are_refused_at_once(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str
-) -> None:
-    assert run(monkeypatch, "report", tmp_path / "nowhere", "--out", tmp_path / name) == 2
-    assert "ends in one of .pdf, .png" in capsys.readouterr().err
-
-
 def test_folder_that_is_no_recording_is_refused(mine: Recording, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no recording"):
         reported(tmp_path, tmp_path / "r.pdf")
