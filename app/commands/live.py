@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.acquisition.place import NAME
+from app.acquisition.place import NAME, file_of
 from app.bench.config import load_bench
 from app.bench.presets import DEFAULT
 from app.bench.trusted_libraries import unconfirmed
@@ -164,7 +164,12 @@ def _run(open_first: Callable[[MainWindow], object], own: OwnInstrument) -> int:
         return opened[-1]
 
     status = run_window(open_first, make_for=make_for)
-    if opened and opened[-1].bench.has_manual_light and not opened[-1].goes_on:
+    if opened and opened[-1].goes_on:
+        place = opened[-1].place
+        terminal.print_sentence(
+            f"the instrument goes on as process {place.process}; its messages go to {file_of(place.name, 'log')}"
+        )
+    elif opened and opened[-1].bench.has_manual_light:
         terminal.remind(terminal.LIGHT_BY_HAND)
     return status
 

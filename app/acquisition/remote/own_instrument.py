@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from app.acquisition.carrier import CLOSING_S
-from app.acquisition.place import NAME, Place, is_taken
+from app.acquisition.place import NAME, Place, file_of, is_taken
 from app.acquisition.remote.connection import Connection
 from app.bench.config import Bench, save_bench
 from app.errors import RunError
@@ -103,18 +103,25 @@ class OwnInstrument:
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: OwnConnection | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="svwfs-", ignore_cleanup_errors=True)
-        self._said = Path(self._folder.name, "said.txt")
+
+    @property
+    def _said(self) -> Path:
+        """File of what the process prints, also when it goes on without this window."""
+        return file_of(self._name, "log")
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        """End the process, unless it is to go on."""
+        """End the process, unless it is to go on: then its log stays."""
         if self._connection is not None:
             self._connection.close(_LEAVES_S)
         else:
             self._end()
         self._tell_crash()
+        if self._process is not None and not is_taken(self._name):
+            with suppress(OSError):  # Windows keeps an open file
+                self._said.unlink()
         self._folder.cleanup()
 
     def start(self, bench: Bench) -> subprocess.Popen[bytes]:
@@ -136,7 +143,8 @@ class OwnInstrument:
         save_bench(file, bench)
         program, arguments = command_line("serve", "--bench", file, "--name", self._name, "--idle")
         try:
-            with self._said.open("wb") as said:
+            with self._said.open("ab") as said:  # another window may do the same at this moment
+                said.truncate(0)
                 self._process = subprocess.Popen(  # noqa: S603 - this program
                     [program, *arguments],
                     stdin=subprocess.DEVNULL,

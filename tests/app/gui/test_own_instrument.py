@@ -17,7 +17,7 @@ from support.recordings import record
 from support.served import connected
 from support.window_tools import choose_button, said_in
 
-from app.acquisition.place import NAME, is_taken, taken_place
+from app.acquisition.place import NAME, file_of, is_taken, taken_place
 from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
 from app.bench.config import Bench, load_bench, save_bench
@@ -150,13 +150,19 @@ def test_instrument_of_a_window_goes_on_if_its_user_says_so(
 
     assert live_window(monkeypatch, small_toml, act) == 0
     assert started[0].poll() is None
+    log = file_of(NAME, "log")
+    goes_on = f"the instrument goes on as process {started[0].pid}; its messages go to {log}\n"
+    assert goes_on in capsys.readouterr().out
     assert live_window(monkeypatch, small_toml, lambda _: pytest.fail("a second instrument of this name")) == 1
     assert "an instrument runs as instrument already: svwfs live --attach shows it" in capsys.readouterr().err
     with connected("notebook") as notebook:
         assert notebook.has_control
         wait_until(lambda: notebook.newest is not None)
-        notebook.shut_down()
-    assert started[0].wait(HANG_S) == 0
+        started[0].send_signal(signal.SIGSEGV)
+        wait_until(lambda: not notebook.is_alive)
+    assert started[0].wait(HANG_S) == -signal.SIGSEGV
+    assert "Segmentation fault" in log.read_text()  # its last words, though nobody was there
+    assert sorted(each.name for each in log.parent.iterdir()) == ["instrument.lock", "instrument.log"]
 
 
 @pytest.mark.long
