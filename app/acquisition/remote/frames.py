@@ -194,7 +194,7 @@ class _Follower:
                 self._missing = place, now_s
             if now_s > self._missing[1] + _REPLACED_S:
                 raise RunError(
-                    f"the instrument's memory cannot be opened from here ({error}): this program may run in another"
+                    f"its memory cannot be opened from here ({error}): this program may run in another"
                     " container; start it where the instrument runs"
                 ) from error
             return None

@@ -30,14 +30,11 @@ def test_the_ring_of_a_killed_instrument_is_removed(monkeypatch: pytest.MonkeyPa
         with monkeypatch.context() as elsewhere:
             elsewhere.setattr("sys.platform", "darwin")
             ring = RingWriter(1000, file_of(name, "ring"))
-        ring._file, file = None, ring._file
+        ring._file = None
         ring.close()  # all that a kill closes
-        assert file is not None
-        assert file.exists()
     clear_abandoned("instrument")
-    left = {each.name for each in runtime_folder().iterdir()}
-    assert left == {"instrument.lock", file.name}
-    assert file.name.startswith("other.ring-")
+    left = sorted(each.name.partition("-")[0] for each in runtime_folder().iterdir())
+    assert left == ["instrument.lock", "other.ring"]
 
 
 def test_a_place_belongs_to_one_instrument() -> None:

@@ -5,28 +5,28 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.gui_bench import make_frame
 from support.patience import HANG_S, wait_until
 
-from app.acquisition.remote.frames import RemoteFrames
+from app.acquisition.remote.frames import RemoteFrames, _Follower
 from app.acquisition.remote.messages import Notice, RingRecord
 from app.acquisition.remote.ring import RingReader, RingWriter
 from app.acquisition.remote.wire import Packed
+from app.errors import RunError
 from app.measurement.measurement import Measurement
 
 ONE_THREAD = """
-import time
 import scipy.linalg
 from threadpoolctl import threadpool_info
-from app.acquisition.remote.frames import RemoteFrames
+from app.acquisition.remote.frames import RemoteFrames, _Follower
 
 def threads():
     return max(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas")
@@ -133,13 +133,18 @@ def test_newest_frame_that_is_overtaken_while_it_is_copied_is_counted(
 
 
 def test_memory_that_cannot_be_opened_is_told(frames: RemoteFrames, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As from another container; one that was replaced is no longer the place of the newest notice."""
-    monkeypatch.setattr("app.acquisition.remote.frames._REPLACED_S", 0.3)
-    frames.announce(Notice("/proc/0/fd/3#replaced", 1))
-    time.sleep(0.2)
-    frames.announce(Notice("/proc/0/fd/4#elsewhere", 1))
-    time.sleep(0.2)
-    assert frames.error is None
+    """As from another container."""
+    monkeypatch.setattr("app.acquisition.remote.frames._REPLACED_S", 0.0)
+    frames.announce(Notice("/proc/0/fd/3#elsewhere", 1))
     wait_until(lambda: frames.error)
     assert "cannot be opened from here ([Errno 2] No such file or directory" in str(frames.error)
     assert "start it where the instrument runs" in str(frames.error)
+
+
+def test_memory_that_was_replaced_may_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    times_s, follower = iter((0.0, 2.9, 3.1, 6.0, 6.2)), _Follower()
+    monkeypatch.setattr("app.acquisition.remote.frames.time", SimpleNamespace(monotonic=lambda: next(times_s)))
+    for place in ("3#replaced", "3#replaced", "4#missing", "4#missing"):
+        assert follower.next(f"/proc/0/fd/{place}") is None
+    with pytest.raises(RunError, match="cannot be opened"):
+        follower.next("/proc/0/fd/4#missing")
