@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 from app.acquisition.instrument import Instrument, Status
+from app.acquisition.process_state import ProcessState
 from app.bench.config import Bench
 from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.sensor_region import SensorArea
@@ -41,6 +42,8 @@ class Carrier(Protocol):
     def timings(self) -> Timings: ...
     @property
     def status(self) -> Status | None: ...  # None until the devices are open
+    @property
+    def processes(self) -> tuple[ProcessState, ...]: ...
     @property
     def activity(self) -> Activity: ...
     @property

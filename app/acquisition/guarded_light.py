@@ -49,6 +49,11 @@ class GuardedLight(LightSource):
             found: dict[str, Property] = self._guardian.call("properties")
             return found | {"lit_s": self.lit_s}
 
+    @property
+    def guardian(self) -> subprocess.Popen[bytes]:
+        """The process that holds the light."""
+        return self._guardian._process  # noqa: SLF001 - same module
+
     def keep_alive(self, within_s: float) -> None:
         """Send the guardian a sign of life, several times a second at most."""
         now_s = time.monotonic()

@@ -12,7 +12,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
 
+from app.acquisition.guarded_light import GuardedLight
 from app.acquisition.kept_averages import AverageState, KeptAverages
+from app.acquisition.process_state import ProcessState
 from app.bench.config import Bench, changes_in_words, with_known
 from app.measurement.auto_exposure import AutoExposure, auto_expose
 from app.measurement.averages import Average, BackgroundCheck, check_background, take_dark, take_reference
@@ -116,6 +118,16 @@ class Instrument:
     def properties(self) -> dict[str, dict[str, Property]]:
         """All properties of the devices, for a recording."""
         return {name: getattr(self.devices, name).properties() for name in ("camera", "light", "stage")}
+
+    def processes(self) -> tuple[ProcessState, ...]:
+        """State of the processes that were started for it; any thread may ask, also while a device does not answer."""
+        light, solver = self.devices.light, self._solver
+        guardian = light.guardian if isinstance(light, GuardedLight) else None
+        finder = None if solver is None else solver.process
+        return (
+            *([] if guardian is None else [ProcessState.of("guardian", guardian)]),
+            *([] if finder is None else [ProcessState.of("finder", finder)]),
+        )
 
     def status(self) -> Status:
         """Query the devices."""

@@ -21,6 +21,7 @@ from app.acquisition.command_queue import CommandQueue, done
 from app.acquisition.frame_path import FramePath, read_frame
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.light_switch import LightSwitch
+from app.acquisition.process_state import ProcessState
 from app.acquisition.streams.publisher import stream_sinks
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError
@@ -78,6 +79,7 @@ class Acquisition:
         self._status_due_s = -math.inf  # time of the next poll
         self.activity = Activity("opening the devices")
         self._keep_alive: Callable[[float], None] = lambda _: None
+        self._find_processes: Callable[[], tuple[ProcessState, ...]] = tuple
         self._first_frames = 0  # to come, after the last preparation
         self.error: Exception | None = None  # why the worker ended without being asked to
 
@@ -213,6 +215,11 @@ class Acquisition:
         return self._path.counts
 
     @property
+    def processes(self) -> tuple[ProcessState, ...]:
+        """State of the processes that hold the light and search for layers, if there are any."""
+        return self._find_processes()
+
+    @property
     def newest(self) -> Measurement | None:
         """The mailbox: the newest measurement."""
         return self._path.newest
@@ -260,6 +267,7 @@ class Acquisition:
                 self._path.sinks += published
                 self._light_switch.attach(devices.light)
                 self._keep_alive = devices.light.keep_alive
+                self._find_processes = instrument.processes
                 self.activity = Activity()
                 self._update_status(instrument)
                 while not self._stopping.is_set():

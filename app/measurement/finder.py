@@ -9,6 +9,7 @@ import pickle
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from subprocess import Popen
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,6 +51,8 @@ class Found(NamedTuple):
 
 class Finder:
     """Finds sample and bias for the frames of one estimator, one frame after the other."""
+
+    process: Popen[bytes] | None = None  # of its own
 
     def __init__(self, estimator: Estimator) -> None:
         self._estimator, self._reconstructor = estimator, estimator.reconstructor
@@ -116,6 +119,7 @@ class FinderProcess:
         """Start the process; later, frames may change what the estimator remembers while it is pickled."""
         self._estimator = pickle.dumps(estimator, pickle.HIGHEST_PROTOCOL)
         self._process = BackgroundProcess(_work)
+        self.process = self._process.process
         self._sample: AssumedSample | None = FREE
 
     def prepare(self) -> None:

@@ -10,6 +10,7 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import replace
+from subprocess import Popen
 
 from app.measurement.estimator import Estimator
 from app.measurement.finder import FinderProcess, Found, Solved
@@ -42,6 +43,11 @@ class LiveSolver:
         self._finder = FinderProcess(estimator) if self.prepares else None
         if self._finder is not None:
             threading.Thread(target=self._work, args=(self._finder,), name="live-solver", daemon=True).start()
+
+    @property
+    def process(self) -> Popen[bytes] | None:
+        """The process of the finder, if it has one."""
+        return None if self._finder is None else self._finder.process
 
     def close(self) -> None:
         """Stop at once."""

@@ -20,6 +20,7 @@ from zmq.utils.monitor import recv_monitor_message
 from app.acquisition.carrier import WINDOW, Activity
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.place import DYING_S, NAME, Place, clear_abandoned
+from app.acquisition.process_state import Condition, ProcessState
 from app.acquisition.remote.frames import RemoteFrames
 from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Hello, Notice, Sign, State, Traveller, Wanted
 from app.acquisition.remote.outbox import ANSWER_S, Outbox
@@ -88,6 +89,8 @@ class Connection:
         self.place, self._controls = place, controls
         self.timings = _Timings()
         self._activity = Activity("starting the instrument", may_cancel=False)
+        self._started: tuple[ProcessState, ...] = ()  # by the instrument
+        self._is_gone = False  # whether the instrument's process is
         self._has_state, self._closing = threading.Event(), threading.Event()
         self._ended: Exception | None = None
         self._outbox = Outbox(lambda: self.error or RunError(_CLOSED))
@@ -115,6 +118,13 @@ class Connection:
         if self.is_silent:
             return Activity("the instrument's process does not answer", may_cancel=False)
         return self._activity
+
+    @property
+    def processes(self) -> tuple[ProcessState, ...]:
+        """State of the instrument's process, and of those that it has started, of which only that one knows."""
+        condition: Condition = "gone" if self._is_gone else "frozen" if self.is_silent else "alive"
+        started = () if condition == "frozen" else self._started
+        return ProcessState("instrument", self.place.process, condition), *started
 
     @property
     def is_reached(self) -> bool:
@@ -310,6 +320,7 @@ class Connection:
             for message in self._arrivals.receive(self._socket.recv()):
                 self._take(message)
         if is_gone and self._ended is None:
+            self._is_gone, self._started = True, ()
             clear_abandoned(self.place.name, DYING_S)
             process = f"the instrument's process {self.place.process}"
             advice = "its light should be off; if it shines, switch it off by hand or with svwfs light-off"
@@ -349,7 +360,8 @@ class Connection:
         self.counts, self.recording, self.kept = state.counts, state.recording, state.kept
         self.clients, self.controller = state.clients, state.controller
         self.timings.there = dict(state.timings)
-        if not state.is_alive and self._ended is None:
+        self._started, self._is_gone = state.processes, not state.is_alive
+        if self._is_gone and self._ended is None:
             ended_by = state.ended_by
             self._ended = RunError("the instrument was shut down") if ended_by is None else ended_by.error()
         self._has_state.set()

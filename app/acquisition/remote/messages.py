@@ -11,6 +11,7 @@ from typing import Any
 
 from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Status
+from app.acquisition.process_state import ProcessState
 from app.acquisition.remote.wire import Absent, unpacked
 from app.bench.config import Bench
 from app.errors import InputError, RunError
@@ -101,6 +102,7 @@ class State:
 
     bench: Bench  # as given
     status: Status | None
+    processes: tuple[ProcessState, ...]  # that it has started
     activity: Activity
     counts: FrameTotals
     recording: RecordingState | None

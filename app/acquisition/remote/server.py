@@ -327,6 +327,7 @@ class Server:
             bench=acquisition.bench,
             activity=acquisition.activity,  # before the status, which is that after a routine as soon as it ends
             status=acquisition.status,
+            processes=acquisition.processes,
             counts=acquisition.counts,
             recording=acquisition.recording,
             kept=acquisition.kept,

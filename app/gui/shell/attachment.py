@@ -4,12 +4,14 @@ from collections.abc import Callable
 
 from PyQt6.QtWidgets import QMessageBox, QWidget
 
+from app.acquisition.process_state import ProcessState
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.messages import watching
 from app.acquisition.remote.own_instrument import OwnConnection
 from app.gui.shell.controller import Controller
 
 _NOT_ATTACHED = "this window runs the instrument itself: svwfs live --attach opens one on another process"
+_OVERTAKEN = "frames overtaken: replaced by the instrument while this window read them"
 _STARTS = "the instrument is starting: wait until it is reached"
 
 
@@ -48,12 +50,23 @@ class Attachment:
         return watching(connection.controller)
 
     @property
-    def place(self) -> str:
-        """Process that has the devices, and its clients; empty if it is this one."""
-        connection = self.connection
-        if connection is None:
-            return ""
-        return f"in process {connection.place.process}, connected: {', '.join(connection.clients)}"
+    def processes(self) -> str:
+        """State of each process of the instrument, its clients, and the frames that it was too fast for; in lines."""
+        acquisition = self._controller.acquisition
+        lines = [f"{each.name}: process {each.number}, {each.condition}" for each in self._processes]
+        if isinstance(acquisition, Connection):
+            lines += [f"connected: {', '.join(acquisition.clients)}", f"{acquisition.overtaken} {_OVERTAKEN}"]
+        return "\n".join(lines)
+
+    @property
+    def trouble(self) -> str:
+        """The process that is not alive, and its state; empty if all are."""
+        return next((f"{each.name} {each.condition}" for each in self._processes if each.condition != "alive"), "")
+
+    @property
+    def _processes(self) -> tuple[ProcessState, ...]:
+        acquisition = self._controller.acquisition
+        return () if acquisition is None else acquisition.processes
 
     def take_control(self) -> None:
         if (connection := self.connection) is None:

@@ -332,7 +332,7 @@ class MainWindow(BaseWindow):
             panel.show_liveness()
         self.recording_bar.refresh()
         timings = acquisition.timings if acquisition else None
-        self.status_line.update_text(status, timings, self.attachment.place, is_silent=self._is_silent)
+        self.status_line.update_text(status, timings, self.attachment.processes, trouble=self.attachment.trouble)
         self.status_line.show_verdict(shown.verdict)
         self.messages.show_state(
             failure=self._failure,

@@ -94,11 +94,11 @@ class StatusLine(QWidget):
         self.assumed.setText("")
 
     def update_text(
-        self, status: Status | None, timings: Timings | None, place: str = "", *, is_silent: bool = False
+        self, status: Status | None, timings: Timings | None, processes: str = "", *, trouble: str = ""
     ) -> None:
         """Update the numbers, those of the tool tip once a second.
 
-        `place` tells which process has the devices; `is_silent`, that it does not answer.
+        `processes` tells the state of each one; `trouble`, which is not alive.
         """
         if timings is not None and (time.monotonic() > self._times_due_s or self.timing_row.isVisible()):
             self._times_due_s = time.monotonic() + _TIMES_INTERVAL_S
@@ -107,8 +107,9 @@ class StatusLine(QWidget):
             self.delay.setToolTip(f"<p>{_DELAY}.</p>{_timing_table(summary)}")
         if status is not None:
             self.simulated.setVisible(status.bench.is_simulated)
-            self.devices.setText("silent" if is_silent else "running" if status.is_running else "stopped")
-            self.devices.setToolTip("\n".join(filter(None, [status.camera_name, status.light_name, place])))
+            _write(self.devices, trouble or ("running" if status.is_running else "stopped"))
+            colour_text(self.devices, theme.RED if trouble else theme.DIM)
+            self.devices.setToolTip("\n".join(filter(None, [status.camera_name, status.light_name, processes])))
         last = self._newest
         if last is None:
             return

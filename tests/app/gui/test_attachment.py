@@ -14,6 +14,7 @@ from support.served import connected, served
 from support.window_tools import MakeWindow, choose_button, said_in, wait_for_wavefront
 
 from app.acquisition.instrument import Instrument
+from app.acquisition.process_state import ProcessState
 from app.acquisition.remote.connection import reach
 from app.acquisition.remote.server import Server
 from app.acquisition.worker import Acquisition
@@ -36,7 +37,7 @@ def window(make_window: MakeWindow, server: Server, qtbot: QtBot) -> MainWindow:
 @pytest.mark.long
 def test_window_shows_and_commands_the_instrument(window: MainWindow, server: Server, qtbot: QtBot) -> None:
     assert window.windowTitle().endswith(", attached")
-    assert f"in process {server.place.process}" in window.status_line.devices.toolTip()
+    assert f"instrument: process {server.place.process}, alive" in window.status_line.devices.toolTip()
     assert "window" in window.status_line.devices.toolTip()
     window.controls.requested.emit("dark", 3)
     qtbot.waitUntil(lambda: "dark taken" in said_in(window))
@@ -77,6 +78,22 @@ def test_closing_asks_whether_the_instrument_goes_on(
         assert window.controller.left == "the instrument goes on"
 
 
+def test_state_of_each_process_is_shown(
+    window: MainWindow, server: Server, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = [ProcessState("guardian", 7, "alive"), ProcessState("finder", 8, "alive")]
+    monkeypatch.setattr(server.acquisition, "_find_processes", lambda: tuple(started))
+    devices = window.status_line.devices
+    qtbot.waitUntil(lambda: "guardian: process 7, alive\nfinder: process 8, alive\n" in devices.toolTip())
+    assert "\n0 frames overtaken: replaced" in devices.toolTip()
+    assert devices.text() == "running"
+    started[1] = ProcessState("finder", 8, "gone")
+    qtbot.waitUntil(lambda: devices.text() == "finder gone")
+    assert "finder: process 8, gone\n" in devices.toolTip()
+    server.end()
+    qtbot.waitUntil(lambda: f"instrument: process {server.place.process}, gone" in devices.toolTip())
+
+
 @pytest.mark.long
 def test_silence_of_the_instrument_is_shown_until_it_answers(
     window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
@@ -84,7 +101,7 @@ def test_silence_of_the_instrument_is_shown_until_it_answers(
     line, controls = window.status_line, window.controls
     with monkeypatch.context() as silence:
         silence.setattr("app.acquisition.remote.connection._SILENT_S", -1.0)
-        qtbot.waitUntil(lambda: line.devices.text() == "silent")
+        qtbot.waitUntil(lambda: line.devices.text() == "instrument frozen")
         qtbot.waitUntil(lambda: "does not answer: if that lasts, end it" in said_in(window))
         assert not controls.isEnabled()
         assert controls.light.text() == "Light not\nreached"
@@ -145,7 +162,7 @@ def test_window_goes_on_with_an_instrument_that_was_started_again(
         assert connection is not None
         assert connection.has_control
         qtbot.waitUntil(lambda: "shut down" not in said_in(window))
-        assert f"in process {second.place.process}" in window.status_line.devices.toolTip()
+        assert f"instrument: process {second.place.process}, alive" in window.status_line.devices.toolTip()
         window.controls.requested.emit("dark", 3)
         qtbot.waitUntil(lambda: "dark taken" in said_in(window))
 
