@@ -42,6 +42,11 @@ class BackgroundProcess:
         )
         self._messages, self._answers = cast("IO[bytes]", self._process.stdin), cast("IO[bytes]", self._process.stdout)
 
+    @property
+    def process(self) -> subprocess.Popen[bytes]:
+        """The process."""
+        return self._process
+
     def send(self, message: object) -> None:
         """Send a message; `OSError` if the process has ended."""
         pickle.dump(message, self._messages, pickle.HIGHEST_PROTOCOL)

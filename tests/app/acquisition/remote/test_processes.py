@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -23,6 +24,7 @@ from app.acquisition.place import NAME, is_taken, runtime_folder
 from app.acquisition.remote.connection import Connection, reach
 from app.bench.config import load_bench, save_bench
 from app.errors import RunError
+from app.recording.folder import FRAME_LINES
 from app.recording.reader import Recording
 
 pytestmark = [
@@ -36,12 +38,34 @@ CRASHES = [signal.SIGSEGV] if KILLS > 1 else []  # for the others the same as a 
 
 CLIENT = """
 import sys, time
-from app.acquisition.remote.connection import Connection, reach
+from pathlib import Path
+from app.acquisition.remote.connection import reach
 connection = reach("client")
 while connection.newest is None or connection.newest.wavefront is None:
     time.sleep(0.01)
+if connection.has_control:
+    connection.start_recording(Path(sys.argv[1])).result()
 print("sees", flush=True)
 time.sleep(600)
+"""
+WINDOW = """
+import sys
+from functools import partial
+from pathlib import Path
+from app.acquisition.remote.connection import reach
+from app.gui.application import run_window, unattended_steps
+from app.gui.shell.access import Access
+
+def steps(window):
+    yield from unattended_steps(window, 0.5)
+    connection = window.attachment.connection
+    connection.start_recording(Path(sys.argv[1])).result()
+    print("sees", flush=True)
+    while True:
+        yield
+
+access = Access(partial(reach, "client"), begin=lambda _: ())
+run_window(lambda window: window.open(access), steps=steps)
 """
 
 
@@ -80,8 +104,9 @@ def wait_for_more(connection: Connection, frames: int = 3) -> None:
 
 
 @contextmanager
-def watching_client() -> Iterator[subprocess.Popen[str]]:
-    with program("-c", CLIENT) as made:
+def recording_client(folder: Path, code: str = CLIENT) -> Iterator[subprocess.Popen[str]]:
+    """A client, or window, that sees wavefronts and records them if it has control."""
+    with program("-c", code, str(folder)) as made:
         assert made.stdout is not None
         assert made.stdout.readline() == "sees\n"
         yield made
@@ -116,34 +141,65 @@ def test_a_frozen_instrument_is_shown_and_goes_on(small_toml: Path) -> None:
         wait_for_more(connection)
 
 
+def test_clients_see_the_state_of_each_process(small_toml: Path, tmp_path: Path) -> None:
+    save_bench(refining := tmp_path / "refining.toml", load_bench(small_toml, ("reconstruction.refine=true",)))
+    with instrument(refining) as running, connected() as connection:
+
+        def are(*conditions: str) -> None:
+            wanted = list(zip(("instrument", "finder"), conditions, strict=False))
+            wait_until(lambda: [(each.name, each.condition) for each in connection.processes] == wanted)
+
+        wait_for_wavefront(connection)
+        are("alive", "alive")
+        assert connection.processes[0].number == running.pid
+        finder = connection.processes[1].number
+        os.kill(finder, signal.SIGSTOP)
+        are("alive", "frozen")
+        os.kill(finder, signal.SIGKILL)
+        are("alive", "gone")
+        running.send_signal(signal.SIGSTOP)
+        are("frozen")
+        running.send_signal(signal.SIGKILL)
+        are("gone")
+
+
 @pytest.mark.parametrize("how", [signal.SIGKILL, *CRASHES, signal.SIGSTOP])
+@pytest.mark.parametrize("code", [CLIENT, pytest.param(WINDOW, marks=pytest.mark.long)], ids=["client", "window"])
 def test_a_client_that_dies_or_freezes_changes_nothing_but_who_has_control(
-    how: signal.Signals, small_toml: Path, tmp_path: Path
+    how: signal.Signals, code: str, small_toml: Path, tmp_path: Path
 ) -> None:
-    with instrument(small_toml):
+    with instrument(small_toml) as running:
+        files = set(runtime_folder().iterdir())
         for turn in range(KILLS):
-            with connected(controls=False) as watching, watching_client() as client:
+            folder = tmp_path / f"run{turn}"
+            with connected(controls=False) as watching, recording_client(folder, code) as client:
                 wait_for_wavefront(watching)
-                wait_until(lambda: watching.controller.startswith("client"))
+                assert watching.controller.startswith("client")
                 client.send_signal(how)
                 wait_until(lambda: not watching.controller)
+                assert (client.poll() is None) is (how == signal.SIGSTOP)
                 watching.take_control().result(HANG_S)
-                folder = tmp_path / f"run{turn}"
-                watching.start_recording(folder).result(HANG_S)
                 wait_for_more(watching)
+                state = watching.recording
+                assert state is not None
+                assert (state.stage, state.folder, state.gaps) == ("recording", folder, ())
                 watching.stop_recording()
                 wait_until(lambda: is_finished(watching))
-                assert len(Recording(folder)) > 1
+                lines = [json.loads(line) for line in (folder / FRAME_LINES).read_text().splitlines()]
+                assert {line["lost"] for line in lines} == {0}
+                assert [line["index"] for line in lines] == list(range(lines[0]["index"], lines[-1]["index"] + 1))
+            assert set(runtime_folder().iterdir()) == files
+            assert running.poll() is None
 
 
 def is_finished(connection: Connection) -> bool:
     return connection.recording is not None and connection.recording.stage == "finished"
 
 
-def test_a_frozen_client_that_wakes_up_only_watches(small_toml: Path) -> None:
+def test_a_frozen_client_that_wakes_up_only_watches(small_toml: Path, tmp_path: Path) -> None:
     with instrument(small_toml), connected("first") as first:
         wait_for_wavefront(first)
-        with watching_client() as client:
+        with recording_client(tmp_path) as client:
             client.send_signal(signal.SIGSTOP)
             wait_until(lambda: first.clients == (first.name,))
             client.send_signal(signal.SIGCONT)
