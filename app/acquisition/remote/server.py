@@ -313,7 +313,10 @@ class Server:
         count = 0 if self._ring is None else self._ring.count
         result = None if error is not None else future.result()
         failure = None if error is None else Failure.of(error)
-        self._tell(identity, self._present())
+        self._tell_state(has_new_timings=False)  # they would delay it by milliseconds
+        client = self._clients.get(identity)
+        if client is None or client.is_behind:  # it gets no news
+            self._tell(identity, self._present())
         try:
             self._tell(identity, Answer(number, result, failure, count))
         except TypeError as unsendable:
@@ -338,9 +341,10 @@ class Server:
             controller="" if controller is None else controller.name,
         )
 
-    def _tell_state(self, *, is_over: bool = False) -> None:
+    def _tell_state(self, *, is_over: bool = False, has_new_timings: bool = True) -> None:
+        """Send the state to all clients if it differs from the last one, or that was long ago."""
         now_s = time.monotonic()
-        if now_s > self._timings_s + _PULSE_S:  # not for an answer, which it would delay by milliseconds
+        if has_new_timings and now_s > self._timings_s + _PULSE_S:
             self._timings, self._timings_s = self.acquisition.timings.summary(), now_s
         state = self._present(is_over=is_over)
         if state != self._state or now_s > self._sent_s + _PULSE_S:

