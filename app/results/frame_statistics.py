@@ -10,6 +10,7 @@ from scipy.ndimage import map_coordinates
 
 from reconstruction.arrays import Floats
 from reconstruction.frame.pixels import is_piled_up
+from reconstruction.geometry import Field, Sensor
 from reconstruction.runtime.compilation import compiled
 
 NEARLY_FULL = 0.95  # of the level at which pixels clip
@@ -84,10 +85,36 @@ def profile(
     return along * length_px, counts
 
 
-def pixels_within(
-    pixels: NDArray[np.integer[Any]], x_px: tuple[float, float], y_px: tuple[float, float]
-) -> NDArray[np.integer[Any]] | None:
-    """Return the pixels (row, column) whose centres lie in the rectangle, edges included; None if there are none."""
+def lengths_of(length_px: float, sensor: Sensor, field: Field) -> tuple[float, float, float]:
+    """Return a length on the camera in m, as an angle within a subimage in rad, and at the source in m."""
+    length_m = length_px * sensor.pixel_pitch_m
+    angle_rad = length_m / sensor.lenslet_focal_length_m
+    return length_m, angle_rad, angle_rad * field.collimator_focal_length_m
+
+
+@dataclass(frozen=True, slots=True)
+class AreaStatistics:
+    """Statistics of the counts in a rectangle."""
+
+    rows: int
+    columns: int
+    mean: float
+    sigma: float
+    lowest: int
+    highest: int
+    clipped: int  # number of pixels
+
+
+def area_statistics(
+    pixels: NDArray[np.integer[Any]], x_px: tuple[float, float], y_px: tuple[float, float], clip_level: float = math.inf
+) -> AreaStatistics | None:
+    """Take those of the pixels (row, column) whose centres lie in it, edges included; None if there are none.
+
+    Pixels are clipped from `clip_level` on.
+    """
     first_row, first_column = (max(math.ceil(low), 0) for low, _ in (y_px, x_px))
     inside = pixels[first_row : max(math.floor(y_px[1]) + 1, 0), first_column : max(math.floor(x_px[1]) + 1, 0)]
-    return inside if inside.size else None
+    if not inside.size:
+        return None
+    numbers = float(inside.mean()), float(inside.std()), int(inside.min()), int(inside.max())
+    return AreaStatistics(*inside.shape, *numbers, int(np.count_nonzero(inside >= clip_level)))

@@ -20,9 +20,10 @@ from reconstruction.geometry import Field
 from reconstruction.layers.layered_wavefront import AssumedSample
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.circulation import Circulation
-from reconstruction.wavefront import Wavefront, rms
+from reconstruction.wavefront import Wavefront, mean_rms, rms
 
 _RESULTS, _DARK, _REFERENCE = MEASURED
+_WEAK_RAD = 0.1  # RMS from which on noise is not looked at: it takes some milliseconds
 ROTATES = (
     "the subimages rotate, which thin layers cannot cause: look for a cylinder lens, different magnifications"
     " along x and y, or a camera turned since the reference; keep registration.rotation = true"
@@ -96,6 +97,15 @@ def rms_noise(wavefront: Wavefront) -> Floats:
     with np.errstate(invalid="ignore"):
         mean = np.sum(variance, axis=(2, 3), where=known) / np.count_nonzero(known, axis=(2, 3))
     return np.asarray(np.sqrt(mean))
+
+
+def noise_above_rms(wavefront: Wavefront) -> float | None:
+    """Return the noise of a single frame's wavefront, rad, if it hides the mean RMS, else None."""
+    shown_rad = mean_rms(wavefront.views)
+    if not shown_rad < _WEAK_RAD:
+        return None
+    noise_rad = float(np.sqrt(np.nanmean(rms_noise(wavefront) ** 2)))
+    return noise_rad if shown_rad < noise_rad else None
 
 
 def rms_text(rms_rad: float, noise_rad: float) -> str:

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from app.files import write_csv
-from drivers.interface import Frame
+from app.measurement.measurement import Measurement
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import Wavefront, rms
 
@@ -130,16 +130,16 @@ class History:
 
 
 def sample(
-    frame: Frame, shown: Wavefront | None, *, full_scale: float, delay_s: float, temperature_c: float | None
-) -> dict[str, float]:
-    """Return what is always recorded of a frame: mean RMS of the shown views, fill, delay and temperature."""
-    values = {DELAY: delay_s * 1e3}
+    measurement: Measurement, shown: Wavefront | None, *, full_scale: float, temperature_c: float | None
+) -> tuple[float, dict[str, float]]:
+    """Return the time of a frame, s, and what is always recorded: mean RMS of the views, fill, delay, temperature."""
+    values = {DELAY: measurement.latency_s * 1e3}
     if full_scale:
-        values[FILL] = 100 * float(frame.pixels.max()) / full_scale
+        values[FILL] = 100 * float(measurement.frame.pixels.max()) / full_scale
     if temperature_c is not None:
         values[TEMPERATURE] = temperature_c
     if shown is not None:
         of_views = rms(shown.views)
         if np.isfinite(of_views).any():
             values[RMS] = float(np.nanmean(of_views))
-    return values
+    return measurement.frame.host_time_s, values

@@ -144,6 +144,30 @@ class QuantityMaps:
     light_reach_rad: float = math.nan  # how far there is light
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TransmissionMaps:
+    """Transmission of the sample at every view, and its statistics over all known values."""
+
+    values: Floats  # (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown
+    mean: float
+    sigma: float  # standard deviation
+    noise: float  # mean standard error
+    lowest: float
+    highest: float
+
+
+def transmission_maps(wavefront: Wavefront) -> TransmissionMaps | None:
+    """Return the transmission, with numbers of NaN if none is known; None if the method does not measure it."""
+    if wavefront.transmission is None:
+        return None
+    values, error = wavefront.transmission
+    known = np.isfinite(values)
+    if not known.any():
+        return TransmissionMaps(values, *[math.nan] * 5)
+    numbers = values[known].mean(), values[known].std(), np.nanmean(error), values[known].min(), values[known].max()
+    return TransmissionMaps(values, *map(float, numbers))
+
+
 def quantity_maps(
     wavefront: Wavefront, quantity: Quantity, settings: ReconstructionSettings, reach_rad: float | None = None
 ) -> QuantityMaps | None:

@@ -141,7 +141,7 @@ class Photographer:
             if name == "Lenslet":
                 window.panels.lenslet.inspect(7, 7)
             window.docks.show_panel(panel)
-            if panel.is_slow:
+            if panel.has_own_thread:
                 thread = window.analyses.threads[panel]
                 self._wait(lambda panel=panel, thread=thread: panel in thread.requests and not thread.is_busy)  # type: ignore[misc] # mypy and defaults
             self._save(name.lower(), window)

@@ -82,6 +82,19 @@ def wait_for_wavefront(qtbot: QtBot, window: MainWindow) -> None:
     qtbot.waitUntil(lambda: window.controller.is_settled)
 
 
+def count_pixels(qtbot: QtBot, window: MainWindow) -> None:
+    """Wait until the pixels of the shown frame are counted, and show the numbers."""
+    panel = window.panels.camera
+    thread = window.analyses.threads[panel]
+
+    def are_counted() -> bool:
+        request = thread.requests.get(panel)
+        return request is not None and request.of is window.shown.measurement and not thread.is_busy
+
+    qtbot.waitUntil(are_counted)
+    window.update_text()
+
+
 def press(qtbot: QtBot, widget: QWidget, key: Qt.Key) -> None:
     qtbot.keyClick(widget, key)  # type: ignore[no-untyped-call] # pytest-qt declares no types for it
 

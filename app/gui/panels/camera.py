@@ -9,7 +9,7 @@ from PyQt6.QtCore import QPoint, QPointF, Qt, pyqtSignal
 from PyQt6.QtWidgets import QApplication, QMenu
 
 from app.acquisition.instrument import Status
-from app.gui.panels.panel import Entries, Panel, Shown
+from app.gui.panels.panel import Entries, Panel, Request, Shown
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice, Toggle
 from app.gui.widgets.camera_image import (
@@ -35,6 +35,7 @@ from app.gui.widgets.texts import ElidedLabel, colour_text, label
 from app.gui.widgets.timers import timer
 from app.measurement.measurement import Measurement
 from app.progress import counted
+from app.results.frame_statistics import FrameStatistics, frame_statistics
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
@@ -69,7 +70,7 @@ Lenslet = tuple[int, int]  # row and column
 class CameraPanel(Panel):
     """Shows frames as the camera sees them: +x to the right, +y down."""
 
-    title, place = "Camera", "left"
+    title, place, has_own_thread = "Camera", "left", True
     about = (
         "Its picture with the lattice of the lenslets (G) and their mean displacement (A). The wheel zooms,"
         " a double click shows the whole picture, a click on a lenslet inspects it. The tools below it measure and"
@@ -172,8 +173,18 @@ class CameraPanel(Panel):
 
     def forget_bench(self) -> None:
         self.put_tool_away()
-        self._lattice = self._sensor = self._displacement = self._inspected = None
+        self._lattice = self._sensor = self._displacement = self._inspected = self.shown.statistics = None
         self._show_overlay()
+
+    def request(self) -> Request | None:
+        """Count the pixels for all panels, also while this one is hidden."""
+        measurement, full_scale = self.shown.measurement, self.full_scale
+        if measurement is None:
+            return None
+        return Request(measurement, full_scale, lambda _: frame_statistics(measurement.frame.pixels, full_scale))
+
+    def show_result(self, found: FrameStatistics) -> None:
+        self.shown.statistics = found
 
     def propose(self, survey: Survey | None) -> None:
         for item in (self._proposed_lines, self._proposed_boxes):

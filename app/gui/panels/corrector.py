@@ -26,7 +26,7 @@ _CORRECTORS = (
 class CorrectorPanel(Panel):
     """Asks for the residuals of a corrector while it is visible, and shows them."""
 
-    title, is_slow = "Corrector", True
+    title, has_own_thread = "Corrector", True
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from PyQt6.QtGui import QShowEvent
@@ -9,7 +10,7 @@ from PyQt6.QtWidgets import QApplication, QScrollArea, QWidget
 
 from app.errors import RunError
 from app.gui.panels.limits_form import LimitsForm
-from app.gui.panels.panel import Entries, Panel, Shown, Verdict
+from app.gui.panels.panel import Entries, Panel, Request, Shown, Verdict
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file
@@ -17,7 +18,6 @@ from app.gui.widgets.layouts import column, row, unfocused
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import NOTHING, number
 from app.gui.widgets.texts import ElidedLabel, colour_text
-from app.measurement.measurement import Measurement
 from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, Drift, History, LimitWatch, SeriesLimits, sample
 from reconstruction.arrays import Floats
 
@@ -29,6 +29,7 @@ _ABOUT = {
     TEMPERATURE: "Temperature of the camera's sensor",
 }
 _NAME = "000.0 % of full scale"  # its width is that of all names and values
+_INTERVAL_S = 0.18  # every fifth time that the analyses are polled: five samples a second
 _NEAR = 1.0  # ranges of the curve: a limit that is nearer to it is shown
 _TICK_LINES = 1.1  # height between two numbers of an axis
 _DRIFT = "mean \N{MINUS SIGN}0.0000  \N{GREEK SMALL LETTER SIGMA} 0.0000"  # the width of the statistics
@@ -85,12 +86,11 @@ class StripChart(QWidget):
 class HistoryPanel(Panel):
     """Charts of the chosen series."""
 
-    title = "History"
+    title, has_own_thread = "History", True
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
         self.history, self._watch = History(), LimitWatch()
-        self._measurement: Measurement | None = None  # the last one of the history
         self._newest: tuple[float, dict[str, float]] | None = None  # time and values of the newest sample
         self._pinned = ""  # name of a coefficient
         self.toggles = {
@@ -150,12 +150,9 @@ class HistoryPanel(Panel):
 
     def forget_bench(self) -> None:
         self.history, self._watch = History(), LimitWatch()
-        self._measurement = self._newest = None
+        self._newest = None
 
     def show_numbers(self) -> None:
-        measurement, status = self.shown.measurement, self.shown.status
-        if measurement is not None and status is not None and measurement is not self._measurement:
-            self.record(measurement, status.capabilities.full_scale, status.temperature_c)
         self.shown.verdict = self._judge(self.form.limits())
 
     def _judge(self, limits: Mapping[str, SeriesLimits]) -> Verdict:
@@ -194,14 +191,20 @@ class HistoryPanel(Panel):
         """Return the unit in which a series is shown, and the factor of its values."""
         return (UNITS[name], 1.0) if name in UNITS else (self.shown.unit, self.shown.per_rad)
 
-    def record(self, measurement: Measurement, full_scale: float, temperature_c: float | None) -> None:
-        self._measurement, shown, delay_s = measurement, self.shown, measurement.latency_s
-        values = sample(
-            measurement.frame, shown.wavefront, full_scale=full_scale, delay_s=delay_s, temperature_c=temperature_c
-        )
-        if self._pinned and shown.pinned_rad is not None:
-            values[self._pinned] = shown.pinned_rad
-        self.add(measurement.frame.host_time_s, values)
+    def request(self) -> Request | None:
+        """Sample the measurement, also while the panel is hidden."""
+        measurement, wavefront, status = self.shown.measurement, self.shown.wavefront, self.shown.status
+        if measurement is None or status is None:
+            return None
+        full_scale, temperature_c = status.capabilities.full_scale, status.temperature_c
+        take = partial(sample, measurement, wavefront, full_scale=full_scale, temperature_c=temperature_c)
+        return Request(measurement, None, lambda _: take(), _INTERVAL_S)
+
+    def show_result(self, found: tuple[float, dict[str, float]]) -> None:
+        time_s, values = found
+        if self._pinned and self.shown.pinned_rad is not None:
+            values[self._pinned] = self.shown.pinned_rad
+        self.add(time_s, values)
 
     def pin(self, name: str) -> None:
         if self._pinned and self._pinned != name:

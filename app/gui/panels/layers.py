@@ -79,7 +79,7 @@ class DistancePlot(Plot):
 class LayersPanel(Panel):
     """Asks for layers while it is visible, and shows them."""
 
-    title, is_slow = "Layers", True
+    title, has_own_thread = "Layers", True
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)

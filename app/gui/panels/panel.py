@@ -47,7 +47,7 @@ class Shown(QObject):
         self.wanted: Mapping[str, Any] = {}  # settings that are not in force yet, by their name in the controls
         self.is_settled = True  # whether all commands are finished
         self.measurement: Measurement | None = None
-        self.statistics: FrameStatistics | None = None  # of a frame at most 0.2 s old
+        self.statistics: FrameStatistics | None = None  # of a recent frame
         self.wavefront: Wavefront | None = None  # of the measurement, with the display options applied to its views
         self.unit, self.wavelength_m = Unit.RAD, float("nan")
         self.pinned_rad: float | None = None  # present value of the pinned coefficient
@@ -97,7 +97,7 @@ class Panel(QWidget):
     title: ClassVar[str]
     place: ClassVar[Literal["left", "right", "tab", "strip"]] = "tab"  # of the default layout
     about: ClassVar[str] = ""  # a sentence or two for the tour
-    is_slow: ClassVar[bool] = False  # its results take seconds: they have a thread of their own
+    has_own_thread: ClassVar[bool] = False  # for results that take seconds, or that no other may delay
 
     warned = pyqtSignal(str)  # why something was not done
     informed = pyqtSignal(str)  # what was done

@@ -1,6 +1,6 @@
 """The transmission panel: what the sample lets through, at every view of the field."""
 
-import numpy as np
+import math
 
 from app.gui.panels.panel import Panel, Request, Shown
 from app.gui.widgets.layouts import column
@@ -8,7 +8,7 @@ from app.gui.widgets.presentation import number
 from app.gui.widgets.scales import ColourScale
 from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import Maps, ViewGrid
-from reconstruction.arrays import Floats
+from app.results.view_analysis import TransmissionMaps, transmission_maps
 
 _STEP = 0.1  # of the ends of the colour scale
 
@@ -33,23 +33,19 @@ class TransmissionPanel(Panel):
         wavefront = self.shown.wavefront
         if wavefront is None or not self.isVisible():
             return None
-        return Request(wavefront, None, lambda _: wavefront.transmission)
+        return Request(wavefront, None, lambda _: transmission_maps(wavefront))
 
-    def show_result(self, found: tuple[Floats, Floats] | None) -> None:
-        known = np.zeros(0) if found is None else found[0][np.isfinite(found[0])]
-        if found is None or not known.size:
+    def show_result(self, found: TransmissionMaps | None) -> None:
+        if found is None or math.isnan(found.mean):
             self.show_nothing()
             unknown = "This registration method does not measure the transmission"
             self.sentence.setText(unknown if found is None else "No lenslet has a transmission")
             return
-        values, sigma = found
-        low, high = np.floor(known.min() / _STEP) * _STEP, np.ceil(known.max() / _STEP) * _STEP
-        scale = ColourScale("inferno", float(low), float(max(high, low + _STEP)), "", (0.0, 0.5, 1.0))
-        self.grid.show_maps(Maps(values, scale, lambda *at: "row {}, column {}: ".format(*at) + number(at[-1])))
-        self.sentence.setText(
-            f"Mean {number(float(known.mean()))}, RMS {number(float(known.std()))},"
-            f" error {number(float(np.nanmean(sigma)))} by noise"
-        )
+        low, high = math.floor(found.lowest / _STEP) * _STEP, math.ceil(found.highest / _STEP) * _STEP
+        scale = ColourScale("inferno", low, max(high, low + _STEP), "", (0.0, 0.5, 1.0))
+        self.grid.show_maps(Maps(found.values, scale, lambda *at: "row {}, column {}: ".format(*at) + number(at[-1])))
+        mean, sigma, noise = map(number, (found.mean, found.sigma, found.noise))
+        self.sentence.setText(f"Mean {mean}, RMS {sigma}, error {noise} by noise")
 
     def show_nothing(self) -> None:
         self.grid.show_maps(None)

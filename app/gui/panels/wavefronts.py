@@ -28,15 +28,13 @@ from app.gui.widgets.view_grid import Maps, ViewGrid
 from app.measurement.measurement import Measurement
 from app.progress import run_in_thread
 from app.results.dataset import write_shown
-from app.results.frame_tallies import rms_noise
+from app.results.frame_tallies import noise_above_rms
 from app.results.shown_wavefront import StoredWavefront, Unit, WavefrontDisplay
 from app.results.view_analysis import Quantity, QuantityMaps, quantity_maps
 from drivers.interface import Range
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import aligned
-from reconstruction.wavefront import Wavefront, mean_rms
-
-_WEAK_RAD = 0.1  # mean RMS from which on noise is not looked at: it takes some milliseconds
+from reconstruction.wavefront import Wavefront
 
 
 class WavefrontPanel(Panel):
@@ -52,6 +50,7 @@ class WavefrontPanel(Panel):
         super().__init__(shown)
         self._newest: Wavefront | None = None  # as measured
         self._display = WavefrontDisplay()
+        self._noise_rad: float | None = None  # that hides the wavefront of a single frame
         self._maps: tuple[Quantity, Floats] | None = None  # the maps in the grid, in the shown unit
         self._limits = {(one.family, unit): AdaptiveScale() for one in PRESENTATIONS.values() for unit in Unit}
         self._reach_mrad = AdaptiveScale()  # half width of PSF maps
@@ -132,27 +131,32 @@ class WavefrontPanel(Panel):
         self.show_wavefront(None)
         self._reading = None
         self._reading_timer.stop()
-        self._display = WavefrontDisplay()
+        self._display, self._noise_rad = WavefrontDisplay(), None
         self.menu.change(stored=None)
 
     def request(self) -> Request | None:
-        """Frame the chosen view, and return the maps to compute; those of the wavefront are known."""
+        """Frame the chosen view, and request its maps, for a wavefront only the noise that may hide it."""
         self.grid.select(self.shown.view if self.shown.has_open_tabs else None)
         wavefront, quantity, settings = self.shown.wavefront, self.quantity, self.shown.settings
-        if wavefront is None or settings is None or quantity is Quantity.WAVEFRONT:
+        newest = self._newest
+        if newest is not None and quantity is Quantity.WAVEFRONT:
+            return Request(newest, quantity, lambda _: noise_above_rms(newest))
+        if wavefront is None or settings is None:
             return None
         reach_rad = self.reach_rad if quantity is Quantity.PSF else None
         choice = (quantity, settings, reach_rad, wavefront.field)
         return Request(wavefront, choice, lambda _: quantity_maps(wavefront, quantity, settings, reach_rad))
 
-    def show_result(self, result: QuantityMaps | None) -> None:
-        if result is None:
-            self._show_maps(None)
-        elif self.shown.wavefront is not None:
+    def show_result(self, result: QuantityMaps | float | None) -> None:
+        if isinstance(result, QuantityMaps):
             if self.quantity is Quantity.PSF:
                 self._follow(self._reach_mrad, result.light_reach_rad * 1e3)
             self._show(result)
             self.show_numbers()
+        elif self.quantity is Quantity.WAVEFRONT:
+            self._noise_rad = result
+        else:
+            self._show_maps(None)
 
     def show_numbers(self) -> None:
         if self._maps is None or self.shown.wavefront is None:
@@ -179,12 +183,9 @@ class WavefrontPanel(Panel):
         """Say that the shown wavefront cannot be told from a flat one; empty if it can, or is no single frame's."""
         options = self.menu.options
         is_single = self.quantity is Quantity.WAVEFRONT and options.averaged == 1 and options.stored is None
-        if self._newest is None or not is_single or not mean_rms(self._newest.views) < _WEAK_RAD:
+        if self._noise_rad is None or not is_single:
             return ""
-        noise_rad = float(np.sqrt(np.nanmean(rms_noise(self._newest) ** 2)))
-        if mean_rms(self._newest.views) >= noise_rad:
-            return ""
-        return f"mean RMS below noise ({number(noise_rad * self.shown.per_rad)} {self.shown.unit})"
+        return f"mean RMS below noise ({number(self._noise_rad * self.shown.per_rad)} {self.shown.unit})"
 
     def enlarge(self) -> None:
         if self._enlarged is None:

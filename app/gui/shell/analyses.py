@@ -80,7 +80,7 @@ class AnalysisThread:
 
 
 class Analyses(QObject):
-    """Asks the panels what to compute; quick results share a thread, each slow one has its own."""
+    """Asks the panels what to compute; they share a thread unless they have their own."""
 
     failed = pyqtSignal(str)
 
@@ -89,7 +89,7 @@ class Analyses(QObject):
         self._panels, self._shown = tuple(panels), shown
         self.is_closing = False
         quick = AnalysisThread(self._check)
-        self.threads = {panel: AnalysisThread(self._check) if panel.is_slow else quick for panel in self._panels}
+        self.threads = {panel: AnalysisThread(self._check) if panel.has_own_thread else quick for panel in self._panels}
         shown.view_chosen.connect(self.poll)
         self._timer = timer(self, REFRESH_MS, self.poll)
         self._timer.start()

@@ -49,7 +49,6 @@ from app.gui.widgets.timers import REFRESH_MS, timer
 from app.images import SUFFIXES
 from app.measurement.measurement import Measurement
 from app.recording.folder import read_run
-from app.results.frame_statistics import frame_statistics
 from drivers.light_source import MAY_BE_ON
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
@@ -321,8 +320,6 @@ class MainWindow(BaseWindow):
     def update_text(self) -> None:
         acquisition, status, shown = self.controller.acquisition, self._status, self.shown
         measurement = shown.measurement
-        if measurement is not None:
-            shown.statistics = frame_statistics(measurement.frame.pixels, self.panels.camera.full_scale)
         shown.status = self.controller.status
         alarm = self._situation.alarm(status, self._activity, measurement)
         shown.liveness = liveness(status, self._failure, self._activity, measurement)

@@ -12,7 +12,7 @@ from app.gui.widgets.layouts import column
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import number
 from app.gui.widgets.texts import ElidedLabel
-from app.results.frame_statistics import FrameStatistics, pixels_within, profile
+from app.results.frame_statistics import FrameStatistics, area_statistics, lengths_of, profile
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
@@ -110,25 +110,22 @@ class Measuring(QWidget):
         sensor, field = self._sensor, self._field
         if sensor is None or field is None:
             return f"{length_px:.1f} px"
-        length_m = length_px * sensor.pixel_pitch_m
-        angle = length_m / sensor.lenslet_focal_length_m
-        source_mm = angle * field.collimator_focal_length_m * 1e3
+        length_m, angle_rad, source_m = lengths_of(length_px, sensor, field)
         return (
             f"{length_px:.1f} px = {number(length_m * 1e6, 4)} {_MICRO} on the sensor; within a subimage"
-            f" {number(angle * 1e3)} mrad, {number(source_mm)} mm of the source"
+            f" {number(angle_rad * 1e3)} mrad, {number(source_m * 1e3)} mm of the source"
         )
 
     def _statistics_of(self, frame: Frame) -> str:
         place, size = self.area.pos(), self.area.size()
-        inside = pixels_within(frame.pixels, (place.x(), place.x() + size.x()), (place.y(), place.y() + size.y()))
-        if inside is None:
-            return "no pixel lies in the area"
+        sides = (place.x(), place.x() + size.x()), (place.y(), place.y() + size.y())
         clip_level = math.inf if self._statistics is None else self._statistics.clip_level
-        rows, columns = inside.shape
+        if (found := area_statistics(frame.pixels, *sides, clip_level)) is None:
+            return "no pixel lies in the area"
         pitch_um = math.nan if self._sensor is None else self._sensor.pixel_pitch_m * 1e6
-        size_um = f" = {number(columns * pitch_um, 4)} x {number(rows * pitch_um, 4)} {_MICRO}"
+        size_um = f" = {number(found.columns * pitch_um, 4)} x {number(found.rows * pitch_um, 4)} {_MICRO}"
         return (
-            f"{columns} x {rows} px{size_um * (self._sensor is not None)}: mean {number(float(inside.mean()), 5)},"
-            f" \N{GREEK SMALL LETTER SIGMA} {number(float(inside.std()), 4)}, {inside.min()} ... {inside.max()} counts,"
-            f" {np.count_nonzero(inside >= clip_level)} saturated"
+            f"{found.columns} x {found.rows} px{size_um * (self._sensor is not None)}: mean {number(found.mean, 5)},"
+            f" \N{GREEK SMALL LETTER SIGMA} {number(found.sigma, 4)}, {found.lowest} ... {found.highest} counts,"
+            f" {found.clipped} saturated"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from PyQt6.QtCore import QEvent, QPoint
 from PyQt6.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
 from support.gui_bench import FULL_SCALE, LATTICE, SENSOR, make_measurement
-from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
+from support.window_tools import LENSLETS, MakeWindow, count_pixels, dim_frame, picture, views
 
 from app.gui.widgets.camera_image import arrow_length_px
 from app.results.frame_statistics import FrameStatistics, frame_statistics
@@ -98,23 +100,27 @@ def test_arrows_point_along_the_displacement(make_window: MakeWindow) -> None:
     np.testing.assert_allclose([x[1] - x[0], y[1] - y[0]], [1.2 * magnification, 0.3 * magnification])
 
 
-def test_pointer_computes_no_statistics(make_window: MakeWindow, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pixels_are_counted_once_beside_the_window(
+    make_window: MakeWindow, monkeypatch: pytest.MonkeyPatch, qtbot: QtBot
+) -> None:
     window = make_window()
-    window.show_measurement(make_measurement(dim_frame(), views()))
-    counted: list[object] = []
+    counted: list[threading.Thread] = []
 
     def count(pixels: NDArray[np.uint16], full_scale: int) -> FrameStatistics:
-        counted.append(pixels)
+        counted.append(threading.current_thread())
         return frame_statistics(pixels, full_scale)
 
-    monkeypatch.setattr("app.gui.shell.main_window.frame_statistics", count)
+    monkeypatch.setattr("app.gui.panels.camera.frame_statistics", count)
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    count_pixels(qtbot, window)
     panel = window.panels.camera
     for x in range(30):
         panel._graphics.scene().sigMouseMoved.emit(panel._view.mapViewToScene(QPoint(x, 5).toPointF()))
         assert f"x {x}  y 5: 1000 counts" in panel.caption.text()
-    assert not counted
     window.update_text()  # five times a second
+    qtbot.wait(300)
     assert len(counted) == 1
+    assert counted[0] is not threading.current_thread()
 
 
 def test_pixel_is_named_only_under_the_pointer(make_window: MakeWindow) -> None:

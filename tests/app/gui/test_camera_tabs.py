@@ -15,7 +15,7 @@ from pytestqt.qtbot import QtBot
 from support.gaussian_lenslets import inspected
 from support.gui_bench import BENCH, FULL_SCALE, LATTICE, SENSOR, FakeCamera, make_measurement
 from support.wavefronts import bowl
-from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
+from support.window_tools import LENSLETS, MakeWindow, count_pixels, dim_frame, picture, views
 
 from app.gui.panels.camera import CameraPanel
 from app.gui.panels.lenslet import LensletPanel
@@ -43,11 +43,11 @@ def click_lenslet(panel: CameraPanel, row: int, column: int) -> None:
     QtBot.mouseClick(viewport, Qt.MouseButton.LeftButton, pos=QPoint(at.x(), at.y()))  # type: ignore[no-untyped-call] # pytest-qt declares no types
 
 
-def show_pixels(window: MainWindow, pixels: NDArray[np.uint16]) -> None:
+def show_pixels(qtbot: QtBot, window: MainWindow, pixels: NDArray[np.uint16]) -> None:
     """Show a frame twice: a full well below full scale is found in the first one."""
     for _ in range(2):
         window.show_measurement(make_measurement(pixels, views()))
-        window.update_text()
+        count_pixels(qtbot, window)
     QApplication.processEvents()
 
 
@@ -65,31 +65,31 @@ def redness(window: MainWindow) -> int:
     ],
 )
 def test_clipped_pixels_are_red_and_nearly_clipped_ones_warned_of(
-    window: MainWindow, level: int, text: str, is_red: bool
+    window: MainWindow, qtbot: QtBot, level: int, text: str, is_red: bool
 ) -> None:
     pixels = dim_frame()
     pixels[100:130, 50:90] = level if is_red else np.linspace(0.9 * level, level, 40)
-    show_pixels(window, pixels)
+    show_pixels(qtbot, window, pixels)
     assert text in window.panels.camera.caption.text()
     assert (redness(window) > 300) is is_red
-    show_pixels(window, dim_frame())
+    show_pixels(qtbot, window, dim_frame())
     assert "saturated" not in window.panels.camera.caption.text()
     assert redness(window) == 0
 
 
-def test_full_well_below_full_scale_is_red(window: MainWindow) -> None:
+def test_full_well_below_full_scale_is_red(window: MainWindow, qtbot: QtBot) -> None:
     pixels = dim_frame()
     pixels[100:130, 50:90] = np.random.default_rng(2).integers(63990, 64000, (30, 40), np.uint16)
-    show_pixels(window, pixels)
+    show_pixels(qtbot, window, pixels)
     assert "peak 98 % of full scale, 0.9 % of the pixels clipped" in window.panels.camera.caption.text()
     assert redness(window) > 300
 
 
-def test_histogram_follows_the_frame_while_it_is_shown(window: MainWindow) -> None:
+def test_histogram_follows_the_frame_while_it_is_shown(window: MainWindow, qtbot: QtBot) -> None:
     panel = window.panels.histogram
     pixels = np.random.default_rng(1).integers(0, 60000, (300, 430), np.uint16)
     window.show_measurement(make_measurement(pixels, views()))
-    window.update_text()
+    count_pixels(qtbot, window)
     assert panel.curve.getData()[1].size == 1  # hidden: nothing is drawn
     window.docks.show_panel(panel)
     QApplication.processEvents()

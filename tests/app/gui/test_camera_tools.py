@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 import time
 from dataclasses import replace
 
@@ -12,11 +13,11 @@ from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FIELD, FULL_SCALE, LATTICE, SENSOR, FakeCamera, make_measurement
-from support.window_tools import LENSLETS, MakeWindow, dim_frame, press, views, wait_for_wavefront
+from support.window_tools import LENSLETS, MakeWindow, count_pixels, dim_frame, press, views, wait_for_wavefront
 
 from app.gui.panels.camera import CameraPanel
 from app.gui.shell.main_window import MainWindow
-from app.results.frame_statistics import pixels_within, profile
+from app.results.frame_statistics import AreaStatistics, area_statistics, lengths_of, profile
 
 
 @pytest.fixture
@@ -57,11 +58,16 @@ def test_profile_of_a_plane_is_a_straight_line() -> None:
 
 def test_pixels_within_a_rectangle_are_those_whose_centres_are() -> None:
     pixels = np.arange(20, dtype=np.uint16).reshape(4, 5)
-    found = pixels_within(pixels, (0.6, 3.0), (-7.0, 1.4))
-    assert found is not None
-    np.testing.assert_array_equal(found, [[1, 2, 3], [6, 7, 8]])
+    inside = [1, 2, 3, 6, 7, 8]
+    found = area_statistics(pixels, (0.6, 3.0), (-7.0, 1.4), clip_level=7)
+    assert found == AreaStatistics(2, 3, 4.5, pytest.approx(statistics.pstdev(inside)), 1, 8, clipped=2)
     for x_px, y_px in (((0.2, 0.8), (0, 3)), ((-9, -2), (0, 3)), ((5, 9), (0, 3))):
-        assert pixels_within(pixels, x_px, y_px) is None
+        assert area_statistics(pixels, x_px, y_px) is None
+
+
+def test_length_on_the_camera_is_an_angle_and_a_length_of_the_source() -> None:
+    sensor = replace(SENSOR, pixel_pitch_m=16e-6, lenslet_focal_length_m=0.04)
+    assert lengths_of(50.0, sensor, FIELD) == pytest.approx((0.8e-3, 0.02, 0.02 * FIELD.collimator_focal_length_m))
 
 
 def test_line_shows_length_and_profile_of_each_frame(window: MainWindow, qtbot: QtBot) -> None:
@@ -101,7 +107,7 @@ def test_area_counts_its_pixels(window: MainWindow, qtbot: QtBot) -> None:
     pixels[100, 200:205] = FULL_SCALE
     qtbot.keyClick(window, Qt.Key.Key_M, Qt.KeyboardModifier.ShiftModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
     window.show_measurement(make_measurement(pixels, views()))
-    window.update_text()
+    count_pixels(qtbot, window)
     drag(panel, (240, 140), (199, 99))  # from the lower right corner
     assert panel.measuring.area.isVisible()
     assert not panel.measuring.plot.isVisible()

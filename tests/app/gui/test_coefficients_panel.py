@@ -17,7 +17,7 @@ from support.window_tools import MakeWindow, click, dim_frame, tab, views
 from app.gui.panels.coefficients import CoefficientsPanel
 from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
-from app.results.history import DELAY, RMS, TEMPERATURE
+from app.results.history import DELAY, RMS, TEMPERATURE, sample
 from app.results.shown_wavefront import Unit
 
 
@@ -26,6 +26,12 @@ def measurement(defocus: float) -> Measurement:
     coefficients = np.zeros((6, 3))
     coefficients[3, 0], coefficients[2, 1] = defocus, 0.4
     return replace(make_measurement(dim_frame(), views()), wavefront=modal(coefficients))
+
+
+def record(window: MainWindow) -> None:
+    assert window.shown.measurement is not None
+    found = sample(window.shown.measurement, window.shown.wavefront, full_scale=65535, temperature_c=-60.0)
+    window.panels.history.show_result(found)
 
 
 def open_tab(window: MainWindow, title: str) -> None:
@@ -82,8 +88,7 @@ def test_click_on_a_bar_maps_and_records_it_until_the_next_click(window: MainWin
         before = panel._found
         window.show_measurement(measurement(defocus))
         qtbot.waitUntil(lambda before=before: panel._found is not before)
-        assert window.shown.measurement is not None
-        window.panels.history.record(window.shown.measurement, full_scale=65535, temperature_c=-60.0)
+        record(window)
     time_s, values = window.panels.history.history.series("L2 P1(y), view")
     np.testing.assert_allclose(values, 0, atol=1e-4)
     assert len(values) == 2
@@ -147,8 +152,7 @@ def test_history_of_phases_follows_the_unit(window: MainWindow) -> None:
     for unit, per_rad in ((0, 1.0), (1, 1 / (2 * np.pi)), (2, 462 / (2 * np.pi))):
         window.panels.wavefronts.menu.units[unit].trigger()
         window.show_measurement(measurement(0.5))
-        assert window.shown.measurement is not None
-        window.panels.history.record(window.shown.measurement, full_scale=65535, temperature_c=None)
+        record(window)
         rms_rad = history.history.series(RMS)[1][-1]
         value, name = history.charts[RMS].value.text().split(" ")
         assert name == window.panels.wavefronts.menu.unit

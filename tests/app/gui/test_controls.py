@@ -12,7 +12,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
-from support.window_tools import MakeWindow, press, wait_for_wavefront
+from support.window_tools import MakeWindow, count_pixels, press, wait_for_wavefront
 
 from app.acquisition.kept_averages import AverageState
 from app.bench.config import AUTOMATIC
@@ -235,7 +235,7 @@ def test_steps_show_time_and_brightness_in_the_order_of_work(live: tuple[MainWin
     assert controls.dark.text() == f"3 Dark  {taken}"
     assert window.shown.measurement is not None
     share = window.shown.measurement.frame.pixels.max() / 65535
-    window.update_text()
+    count_pixels(qtbot, window)
     assert controls.auto_exposure.text() == f"2 Exposure  {100 * share:.0f} %"
     assert "Good" in controls.auto_exposure.toolTip()
     camera.light.set_on(False)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.gui_bench import make_frame
+from support.gui_bench import make_measurement
 from support.wavefronts import bowl
 
 from app.errors import RunError
@@ -51,10 +52,12 @@ def test_sample_of_a_frame() -> None:
     pixels[2, 3] = 3000
     wavefront = bowl()
     wavefront.views[0, 0] = np.nan
-    found = sample(make_frame(pixels), wavefront, full_scale=4000, delay_s=0.0123, temperature_c=-65.0)
+    measurement = replace(make_measurement(pixels, wavefront.views), latency_s=0.0123)
+    time_s, found = sample(measurement, wavefront, full_scale=4000, temperature_c=-65.0)
+    assert time_s == measurement.frame.host_time_s
     expected = np.nanmean([rms(view) for view in wavefront.views.reshape(9, *wavefront.views.shape[2:])[1:]])
     assert found == pytest.approx({RMS: expected, FILL: 75.0, DELAY: 12.3, TEMPERATURE: -65.0})
-    assert sample(make_frame(pixels), None, full_scale=0, delay_s=0.01, temperature_c=None) == {DELAY: 10.0}
+    assert sample(measurement, None, full_scale=0, temperature_c=None)[1] == {DELAY: 12.3}
 
 
 def test_drift_is_that_of_the_known_values() -> None:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from support.gui_bench import BENCH, SENSOR
 from support.wavefronts import U, V, bowl
 
-from app.results.view_analysis import Quantity, QuantityMaps, quantity_maps
+from app.results.frame_tallies import noise_above_rms
+from app.results.view_analysis import Quantity, QuantityMaps, quantity_maps, transmission_maps
+from reconstruction.displacement import Transmission
 from reconstruction.quality.image_quality import diffraction_rad
 from reconstruction.wavefront import Wavefront, without_piston
 
@@ -55,3 +60,34 @@ def test_uncertainty_is_the_sigma_of_the_wavefront() -> None:
 def test_wavefront_is_its_own_map() -> None:
     wavefront = bowl()
     assert maps_of(Quantity.WAVEFRONT, wavefront).values is wavefront.views
+
+
+def test_numbers_of_the_transmission_leave_out_what_is_unknown() -> None:
+    wavefront = bowl()
+    lenslets = wavefront.displacement.valid.shape
+    coefficients, covariance = np.zeros((*lenslets, 6)), np.zeros((*lenslets, 6, 6))
+    coefficients[..., 0], covariance[..., 0, 0] = 0.7, 0.02**2
+    coefficients[:3, :, 0], coefficients[3, :, 0] = 0.9, np.nan
+    displacement = replace(wavefront.displacement, transmission_source=Transmission(coefficients, covariance))
+    found = transmission_maps(replace(wavefront, displacement=displacement))
+    assert found is not None
+    high = 3 / (lenslets[0] - 1)  # share of the rows that let more through
+    numbers = (0.7 + 0.2 * high, 0.2 * np.sqrt(high * (1 - high)), 0.02, 0.7, 0.9)
+    assert (found.mean, found.sigma, found.noise, found.lowest, found.highest) == pytest.approx(numbers)
+    coefficients[:] = np.nan
+    unknown = transmission_maps(replace(wavefront, displacement=displacement))
+    assert unknown is not None
+    assert np.isnan(unknown.mean)
+    assert transmission_maps(wavefront) is None
+
+
+def test_noise_is_told_if_it_hides_the_wavefront() -> None:
+    wavefront = bowl()
+    noise_rad = float(np.sqrt(np.mean(wavefront.sigma() ** 2)))
+    assert noise_rad < 0.1
+    for share in (0.5, 2.0):
+        views = np.zeros_like(wavefront.views)
+        views[..., ::2, :], views[..., 1::2, :] = share * noise_rad, -share * noise_rad
+        views -= views.mean(axis=(2, 3), keepdims=True)
+        found = noise_above_rms(replace(wavefront, views=views))
+        assert found == (pytest.approx(noise_rad) if share < 1 else None)
