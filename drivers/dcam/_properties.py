@@ -119,7 +119,9 @@ class Properties:
             self.set(identifier, value)
 
     def values(self, identifier: int) -> tuple[int, ...]:
-        """All present values of a mode or an integer."""
+        """All present values of a mode or an integer; (1,), the common default, if the camera lacks it."""
+        if not self.has(identifier):
+            return (1,)
         allowed = self.limits(identifier).range
         value = c_double(allowed.minimum)
         values = [round(value.value)]

@@ -59,6 +59,8 @@ class Id(IntEnum):
     SYSTEM_ALIVE = 0x00FF0010
 
 
+SUBARRAY_POSITION = (Id.SUBARRAYVPOS, Id.SUBARRAYHPOS)  # rows before columns
+SUBARRAY_SIZE = (Id.SUBARRAYVSIZE, Id.SUBARRAYHSIZE)
 OFF, ON = 1, 2  # of every mode that is one or the other
 CCDMODE_NORMAL, CCDMODE_EM = 1, 2
 EMGAINWARNING_WARNING, EMGAINWARNING_PROTECTED = 2, 3
@@ -67,11 +69,34 @@ GLOBALEXPOSURE_DELAYED = 3  # rolling shutter; larger numbers expose rows unequa
 PRODUCER_NONE = 1
 ALIVE_ONLINE = 2
 COOLERSTATUS_WARNING = 5  # errors are negative
+AMPLIFIERS = {CCDMODE_NORMAL: "normal", CCDMODE_EM: "em"}
 TRIGGER_SOURCES = {"internal": 1, "external": 2, "software": 3}
+TRIGGERS = {number: name for name, number in TRIGGER_SOURCES.items()}
 TRIGGER_ACTIVE = {"edge": 1, "level": 2, "synchronous": 3}
 POLARITIES = {"negative": 1, "positive": 2}
 COOLER = {"off": 1, "on": 2, "max": 4}
 OUTPUTS = {"low": 1, "exposure": 2, "programmable": 3, "trigger ready": 4, "high": 5}
+
+# Harmless value, and the effect of any other.
+FILTERS = {
+    Id.RECURSIVEFILTER: (OFF, "the camera's recursive filter averages frames, which lowers their noise"),
+    Id.FRAMEAVERAGINGMODE: (OFF, "the camera averages frames, which lowers their noise"),
+    Id.SPOTNOISEREDUCER: (OFF, "the camera's spot noise reducer changes single pixels"),
+    Id.SUBTRACT: (OFF, "the camera subtracts a stored image: the counts are no longer those of the sensor"),
+    Id.SHADINGCORRECTION: (OFF, "the camera's shading correction scales the pixels"),
+    Id.INTENSITYLUT_MODE: (1, "the camera maps the counts by a table"),
+    Id.PHOTONIMAGINGMODE: (0, "the camera's photon imaging mode changes the counts"),
+    Id.CAPTUREMODE: (1, "the camera takes calibration frames, no images"),
+    Id.EMCCD_CALIBRATIONMODE: (OFF, "the camera calibrates its EM gain: its frames are no images"),
+    Id.SENSORMODE: (1, "the camera's sensor mode is not AREA: it may count photons, or expose line by line"),
+    Id.OUTPUTDATA_ORIENTATION: (1, "the camera mirrors or flips the image: signs of wavefronts are wrong"),
+    Id.OUTPUT_INTENSITY: (1, "the camera sends a test pattern"),
+    Id.HIGHDYNAMICRANGE_MODE: (OFF, "the camera's high dynamic range mode changes the counts"),
+    Id.REALTIMEGAINCORRECT_MODE: (OFF, "the camera's real-time gain correction scales the pixels"),
+    Id.DEFECTCORRECT_MODE: (OFF, "the camera's defect correction replaces single pixels"),
+    Id.INTENSITY_GAMMA: (1, "the camera's gamma bends the counts"),
+    Id.ADVANCEDEDGEENHANCEMENT_MODE: (OFF, "the camera sharpens the image"),
+}
 
 
 class Attribute(IntFlag):

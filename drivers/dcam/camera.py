@@ -13,26 +13,17 @@ from drivers.camera import NOT_STARTED, Camera, CameraCapabilities, Frame, Regio
 from drivers.dcam import DcamSettings
 from drivers.dcam import _property_ids as ids
 from drivers.dcam import _session as session
-from drivers.dcam._capabilities import (
-    AMPLIFIERS,
-    FILTERS,
-    TRIGGERS,
-    has_em_gain,
-    pixel_warnings,
-    read_capabilities,
-    read_region,
-    set_region,
-)
 from drivers.dcam._capture import Capture
 from drivers.dcam._library import DcamLibrary, DeviceOpen, load_library, sized
 from drivers.dcam._properties import Properties
 from drivers.dcam._property_ids import Id
-from drivers.device import DiscoveredDevice, Property
+from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import REFUSALS, DeviceError, Unsupported, WrongState, attempt
 
+_SQUARE = 100  # larger numbers of a binning are oblong: 102 is 1 x 2
 # A running camera may deny reading these.
 _MODE = (
-    *(Id.CCDMODE, Id.READOUTSPEED, Id.BINNING, Id.TRIGGERSOURCE, Id.TRIGGERACTIVE, *FILTERS),
+    *(Id.CCDMODE, Id.READOUTSPEED, Id.BINNING, Id.TRIGGERSOURCE, Id.TRIGGERACTIVE, *ids.FILTERS),
     *(Id.SUBARRAYMODE, Id.SUBARRAYHPOS, Id.SUBARRAYHSIZE, Id.SUBARRAYVPOS, Id.SUBARRAYVSIZE),
 )
 
@@ -85,13 +76,30 @@ class DcamCamera(Camera):
     def warnings(self) -> tuple[str, ...]:
         """Settings and states in which the pixels are not proportional to photons, in words."""
         with self._access():
-            return pixel_warnings(self._values, has_em_gain=has_em_gain(self._values))
+            values, has_em_gain = self._values, self._has_em_gain()
+            harmful = (key for key, (harmless, _) in ids.FILTERS.items() if values.get_or(key, harmless) != harmless)
+            warnings = [ids.FILTERS[key][1] for key in harmful]
+            triggered = values.get_or(Id.TRIGGERSOURCE, 1) == ids.TRIGGER_SOURCES["external"]
+            if triggered and values.get_or(Id.TRIGGERACTIVE, 1) != ids.TRIGGER_ACTIVE["edge"]:
+                warnings.append("the trigger pulses determine the exposure, not the set time")
+            if has_em_gain and values.get_or(Id.DIRECTEMGAIN_MODE, ids.OFF) != ids.ON:
+                warnings.append("the EM gain is a number on the camera's own scale, not the true multiplication")
+            match values.get_or(Id.EMGAINWARNING_STATUS, 1) if has_em_gain else 1:
+                case ids.EMGAINWARNING_WARNING:
+                    warnings.append("too much light for this EM gain: it ages the multiplication register")
+                case ids.EMGAINWARNING_PROTECTED:
+                    warnings.append("the camera protects its EM register from too much light: its frames are black")
+            cooler = values.get_or(Id.SENSORCOOLERSTATUS, 0)
+            if cooler < 0 or cooler == ids.COOLERSTATUS_WARNING:
+                temperature = values.get(Id.SENSORTEMPERATURE)
+                warnings.append(f"the sensor's cooler reports a fault at {temperature:g} degC: dark current is high")
+            return tuple(warnings)
 
     def _set_up(self, settings: DcamSettings) -> None:
         self._take_16_bits()
         self._apply(amplifier=settings.amplifier)
         with self._access():
-            if has_em_gain(self._values):
+            if self._has_em_gain():
                 self._prepare_em_gain()
         self._apply(readout_speed=settings.readout_speed, binning=settings.binning)
         self._apply(region=settings.region or self.capabilities.sensor)
@@ -134,7 +142,42 @@ class DcamCamera(Camera):
             step(*arguments)
 
     def _read_capabilities(self) -> CameraCapabilities:
-        return read_capabilities(self._values, self._settings.pixel_pitch_m)
+        values = self._values
+        whole, step_px = self._sensor()
+        speeds = values.limits(Id.READOUTSPEED).range if values.has(Id.READOUTSPEED) else Range(1, 1)
+        triggers = values.values(Id.TRIGGERSOURCE)
+        return CameraCapabilities(
+            rows=round(values.get(Id.IMAGE_HEIGHT)),
+            columns=round(values.get(Id.IMAGE_WIDTH)),
+            pixel_pitch_m=self._pixel_pitch_m() * self._read_binning(),
+            full_scale=2 ** round(values.get(Id.BITSPERCHANNEL)) - 1,
+            exposure_range_s=values.limits(Id.EXPOSURETIME).range,
+            em_gain_range=values.limits(Id.SENSITIVITY).range if self._has_em_gain() else Range(1.0, 1.0),
+            amplifiers=tuple(ids.AMPLIFIERS[mode] for mode in values.values(Id.CCDMODE) if mode in ids.AMPLIFIERS),
+            readout_speeds=tuple(range(round(speeds.minimum), round(speeds.maximum) + 1)),
+            binnings=tuple(mode for mode in values.values(Id.BINNING) if mode < _SQUARE),
+            triggers=tuple(ids.TRIGGERS[mode] for mode in triggers if mode in ids.TRIGGERS),
+            sensor=whole,
+            region_step_px=step_px,
+        )
+
+    def _has_em_gain(self) -> bool:
+        """True if the amplifier in use multiplies electrons."""
+        return self._values.get_or(Id.CCDMODE, ids.CCDMODE_NORMAL) == ids.CCDMODE_EM
+
+    def _pixel_pitch_m(self) -> float:
+        pitch_m = self._settings.pixel_pitch_m or 1e-6 * self._values.get_or(Id.IMAGEDETECTOR_PIXELWIDTH, 0.0)
+        if not pitch_m:
+            raise Unsupported("this camera does not report its pixel pitch: set camera.pixel_pitch_m")
+        return pitch_m
+
+    def _sensor(self) -> tuple[Region | None, int]:
+        """Return the whole sensor, None if it has no subarrays, and their step in pixels."""
+        if not self._values.has(Id.SUBARRAYMODE):
+            return None, 1
+        rows, columns, top, left = map(self._values.limits, (*ids.SUBARRAY_SIZE, *ids.SUBARRAY_POSITION))
+        step_px = math.lcm(*(max(1, round(limits.step)) for limits in (rows, columns, top, left)))
+        return Region(0, 0, round(rows.range.maximum), round(columns.range.maximum)), step_px
 
     def _prepare_em_gain(self) -> None:
         """Select the true EM gain scale, if available, and the register protection."""
@@ -177,10 +220,10 @@ class DcamCamera(Camera):
         return None if math.isnan(temperature_c) else temperature_c
 
     def _read_em_gain(self) -> float:
-        return self._values.get(Id.SENSITIVITY) if has_em_gain(self._values) else 1.0
+        return self._values.get(Id.SENSITIVITY) if self._has_em_gain() else 1.0
 
     def _set_em_gain(self, em_gain: float) -> float:
-        if not has_em_gain(self._values):
+        if not self._has_em_gain():
             return 1.0
         with self._restored_on_failure(Id.SENSITIVITY):
             taken = self._values.set(Id.SENSITIVITY, em_gain)
@@ -189,7 +232,7 @@ class DcamCamera(Camera):
         return taken
 
     def _read_amplifier(self) -> str:
-        return AMPLIFIERS[round(self._values.get_or(Id.CCDMODE, ids.CCDMODE_NORMAL))]
+        return ids.AMPLIFIERS[round(self._values.get_or(Id.CCDMODE, ids.CCDMODE_NORMAL))]
 
     def _set_amplifier(self, amplifier: str) -> None:
         if amplifier == self._read_amplifier():  # setting it again would reset the camera to its defaults
@@ -213,18 +256,43 @@ class DcamCamera(Camera):
         self._values.set_if_present(Id.BINNING, binning)
 
     def _read_trigger(self) -> str:
-        return TRIGGERS.get(round(self._values.get_or(Id.TRIGGERSOURCE, 1)), "internal")
+        return ids.TRIGGERS.get(round(self._values.get_or(Id.TRIGGERSOURCE, 1)), "internal")
 
     def _set_trigger(self, trigger: str) -> None:
         self._values.set_if_present(Id.TRIGGERSOURCE, ids.TRIGGER_SOURCES[trigger])
 
     def _read_region(self) -> Region:
         whole = self.capabilities.sensor
-        return super()._read_region() if whole is None else read_region(self._values, whole)
+        if whole is None:
+            return super()._read_region()
+        if self._values.get(Id.SUBARRAYMODE) != ids.ON:
+            return whole
+        return Region(*(round(self._values.get(each)) for each in (*ids.SUBARRAY_POSITION, *ids.SUBARRAY_SIZE)))
 
     def _set_region(self, region: Region) -> Region:
-        whole = self.capabilities.sensor
-        return region if whole is None else set_region(self._values, region, whole)
+        """Change the region and return the one in force; a failure restores the former one."""
+        before = self._read_region()
+        try:
+            self._write_region(region)
+            return self._read_region()
+        except DeviceError:
+            self._try(self._write_region, before)
+            raise
+
+    def _write_region(self, region: Region) -> None:
+        """Write position 0, size, position, so that the region lies on the sensor at every step."""
+        values = self._values
+        values.set(Id.SUBARRAYMODE, ids.OFF)
+        if region == self.capabilities.sensor:
+            return
+        for position, size, start_px, length_px in (
+            (Id.SUBARRAYHPOS, Id.SUBARRAYHSIZE, region.left, region.columns),
+            (Id.SUBARRAYVPOS, Id.SUBARRAYVSIZE, region.top, region.rows),
+        ):
+            values.set(position, 0)
+            values.set(size, length_px)
+            values.set(position, start_px)
+        values.set(Id.SUBARRAYMODE, ids.ON)
 
     def _is_running(self) -> bool:
         return self._capture is not None
@@ -279,7 +347,7 @@ class DcamCamera(Camera):
 
     def _is_protected(self) -> bool:
         protected = ids.EMGAINWARNING_PROTECTED  # also if the running camera denies its status: the frame is black
-        has_status = has_em_gain(self._values) and self._values.has(Id.EMGAINWARNING_STATUS)
+        has_status = self._has_em_gain() and self._values.has(Id.EMGAINWARNING_STATUS)
         return has_status and self._values.get_or(Id.EMGAINWARNING_STATUS, protected) == protected
 
 
