@@ -116,5 +116,7 @@ def area_statistics(
     inside = pixels[first_row : max(math.floor(y_px[1]) + 1, 0), first_column : max(math.floor(x_px[1]) + 1, 0)]
     if not inside.size:
         return None
-    numbers = float(inside.mean()), float(inside.std()), int(inside.min()), int(inside.max())
-    return AreaStatistics(*inside.shape, *numbers, int(np.count_nonzero(inside >= clip_level)))
+    rows, columns = inside.shape
+    clipped = int(np.count_nonzero(inside >= clip_level))
+    mean, sigma, lowest, highest = (float(f(inside)) for f in (np.mean, np.std, np.min, np.max))
+    return AreaStatistics(rows, columns, mean, sigma, int(lowest), int(highest), clipped)

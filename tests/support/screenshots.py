@@ -25,8 +25,8 @@ from app.acquisition.devices import open_devices
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.gui.shell.access import Access
+from app.gui.shell.help import Tour
 from app.gui.shell.main_window import MainWindow
-from app.gui.shell.tour import Tour
 from app.gui.widgets.theme import apply_theme
 from app.results.player import Player
 from app.results.view_analysis import Quantity

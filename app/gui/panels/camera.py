@@ -10,29 +10,23 @@ from PyQt6.QtWidgets import QApplication, QMenu
 
 from app.acquisition.instrument import Status
 from app.gui.panels.panel import Entries, Panel, Request, Shown
-from app.gui.widgets import theme
-from app.gui.widgets.buttons import Choice, Toggle
-from app.gui.widgets.camera_image import (
-    CameraImage,
-    ClippedPixels,
-    DrawingView,
-    Picture,
-    Segments,
-    arrow_length_px,
-    arrows,
-    cell_border,
-    lattice_lines,
-    lenslet_at,
-    lost_boxes,
-    rectangle,
-)
+from app.gui.widgets import camera_image, theme
+from app.gui.widgets.camera_image import CameraImage, ClippedPixels, DrawingView, Picture, Segments
 from app.gui.widgets.copies import add_copy_menu, as_table
-from app.gui.widgets.layouts import column, row, row_of, unfocused
+from app.gui.widgets.elements import (
+    Choice,
+    ElidedLabel,
+    Toggle,
+    colour_text,
+    column,
+    label,
+    row,
+    row_of,
+    timer,
+    unfocused,
+)
 from app.gui.widgets.measuring import Measuring
-from app.gui.widgets.presentation import percent
-from app.gui.widgets.scales import MAGNIFICATIONS, AdaptiveScale
-from app.gui.widgets.texts import ElidedLabel, colour_text, label
-from app.gui.widgets.timers import timer
+from app.gui.widgets.presentation import MAGNIFICATIONS, AdaptiveScale, percent
 from app.measurement.measurement import Measurement
 from app.progress import counted
 from app.results.frame_statistics import FrameStatistics, frame_statistics
@@ -62,6 +56,10 @@ _TOOLS = {  # what to drag over the picture
     "exclude": "a rectangle around the lenslets to leave out",
     "use again": "a rectangle around the lenslets to use again",
 }
+_TOOL_TIP = (
+    "What a drag over the picture does: move it, measure along a line (M) or in an area (Shift+M),\n"
+    "exclude all lenslets in a rectangle, or use them again. Esc ends it; the middle button always moves."
+)
 _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
 
 Lenslet = tuple[int, int]  # row and column
@@ -101,12 +99,19 @@ class CameraPanel(Panel):
         self.contrast = Choice(_CONTRAST_TIP, _CONTRASTS, self._restart_contrast, key="camera/contrast")
         self.colours = Choice(_COLOURS_TIP, ("grey", "inferno"), self._show_colours, key="camera/colours")
 
-        self.tool = Choice(
-            "What a drag over the picture does: move it, measure along a line (M) or in an area (Shift+M),\n"
-            "exclude all lenslets in a rectangle, or use them again. Esc ends it; the middle button always moves.",
-            list(_TOOLS.items()),
-            self._use_tool,
-        )
+        self.tool = Choice(_TOOL_TIP, _TOOLS.items(), self._use_tool)
+        self._make_picture()
+        self.caption = ElidedLabel("dim")
+        shown_parts = (self.lattice_toggle, self.arrows_toggle, self.contrast, self.colours)
+        self.header = row_of((label("Camera", "title"), 1), *shown_parts)
+        column(self.header, (self._graphics, 1), self.measuring, row((self.caption, 1), self.tool), parent=self)
+        self.badge, self._placeholder = label("", "badge"), label("no frame yet", "dim")
+        self.badge.hide()
+        over = column(self.badge, (self._placeholder, 1), parent=self._graphics)
+        over.setAlignment(self.badge, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop)
+        over.setAlignment(self._placeholder, Qt.AlignmentFlag.AlignCenter)
+
+    def _make_picture(self) -> None:
         self._graphics = Picture(self._zoom_out, self._point_at)
         self._view = DrawingView(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
         self._graphics.setCentralItem(self._view)
@@ -129,16 +134,6 @@ class CameraPanel(Panel):
         self._graphics.scene().sigMouseClicked.connect(self._click)
         self._click_timer = timer(self, 0, lambda: self.inspect(self._clicked_at), is_single=True)
         add_copy_menu(self._graphics, self._displacements, self._fill_menu)
-        self.caption = ElidedLabel("dim")
-        self.header = row_of(
-            (label("Camera", "title"), 1), self.lattice_toggle, self.arrows_toggle, self.contrast, self.colours
-        )
-        column(self.header, (self._graphics, 1), self.measuring, row((self.caption, 1), self.tool), parent=self)
-        self.badge, self._placeholder = label("", "badge"), label("no frame yet", "dim")
-        self.badge.hide()
-        over = column(self.badge, (self._placeholder, 1), parent=self._graphics)
-        over.setAlignment(self.badge, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop)
-        over.setAlignment(self._placeholder, Qt.AlignmentFlag.AlignCenter)
 
     def menu_entries(self) -> Mapping[str, Entries]:
         return {
@@ -190,8 +185,8 @@ class CameraPanel(Panel):
         for item in (self._proposed_lines, self._proposed_boxes):
             item.setVisible(survey is not None)
         if survey is not None:
-            self._proposed_lines.draw(lattice_lines(survey.lattice, *survey.illuminated.shape))
-            self._proposed_boxes.draw(lost_boxes(survey.lattice, ~survey.illuminated))
+            self._proposed_lines.draw(camera_image.lattice_lines(survey.lattice, *survey.illuminated.shape))
+            self._proposed_boxes.draw(camera_image.lost_boxes(survey.lattice, ~survey.illuminated))
 
     def show_measurement(self, measurement: Measurement) -> None:
         frame, wavefront = measurement.frame, measurement.wavefront
@@ -280,7 +275,7 @@ class CameraPanel(Panel):
         if tool in {"line", "area"}:
             self.measuring.place(tool, start, end)
             return
-        self._drawn.draw(np.zeros((0, 2)) if is_finished else rectangle(start, end))
+        self._drawn.draw(np.zeros((0, 2)) if is_finished else camera_image.rectangle(start, end))
         if is_finished:
             lenslets = self._lenslets_between(start, end)
             if lenslets:
@@ -319,7 +314,7 @@ class CameraPanel(Panel):
         at, sensor = self._view.mapSceneToView(position), self._sensor
         if sensor is None or self._lattice is None:
             return None
-        return lenslet_at(self._lattice, (sensor.lenslet_rows, sensor.lenslet_columns), at.x(), at.y())
+        return camera_image.lenslet_at(self._lattice, (sensor.lenslet_rows, sensor.lenslet_columns), at.x(), at.y())
 
     def inspect(self, lenslet: Lenslet | None) -> None:
         self._inspected = lenslet
@@ -346,15 +341,15 @@ class CameraPanel(Panel):
             return
         lenslets = sensor.lenslet_rows, sensor.lenslet_columns
         if has_lattice:
-            self._lines.draw(lattice_lines(lattice, *lenslets))
+            self._lines.draw(camera_image.lattice_lines(lattice, *lenslets))
             is_lost = np.zeros((1, 1), np.bool_) if displacement is None else ~displacement.valid
-            self._boxes.draw(lost_boxes(lattice, is_lost))
+            self._boxes.draw(camera_image.lost_boxes(lattice, is_lost))
         if self._inspected is not None:
-            self._inspected_box.draw(cell_border(lattice, lenslets, self._inspected))
+            self._inspected_box.draw(camera_image.cell_border(lattice, lenslets, self._inspected))
         if has_arrows and displacement is not None:
             room_px, mean_px = _ARROW_REACH * lattice.pitch_px, displacement.mean
-            self._magnification = 1 / self._reach.follow(arrow_length_px(mean_px) / room_px)
-            self._arrows.draw(arrows(lattice, mean_px, self._magnification))
+            self._magnification = 1 / self._reach.follow(camera_image.arrow_length_px(mean_px) / room_px)
+            self._arrows.draw(camera_image.arrows(lattice, mean_px, self._magnification))
 
     def _keep_in_sight(self, *_: object) -> None:
         """Keep the frame at the middle of the view, and at no less than half its size."""
@@ -385,7 +380,7 @@ class CameraPanel(Panel):
         text = f"x {x}  y {y}: {frame.pixels[y, x]} counts"
         displacement, lattice, lenslet = self._displacement, self._lattice, None
         if displacement is not None and lattice is not None:
-            lenslet = lenslet_at(lattice, displacement.outcome.shape, pointer.x(), pointer.y())
+            lenslet = camera_image.lenslet_at(lattice, displacement.outcome.shape, pointer.x(), pointer.y())
         self._graphics.setToolTip(_HINT)
         if displacement is None or lenslet is None:
             return text

@@ -2,6 +2,7 @@
 
 import math
 from functools import partial
+from itertools import chain
 
 import numpy as np
 import pyqtgraph as pg
@@ -10,16 +11,13 @@ from PyQt6.QtGui import QColor
 
 from app.gui.panels.panel import Panel, Request, Shown
 from app.gui.widgets import theme
-from app.gui.widgets.layouts import column, row
+from app.gui.widgets.elements import ElidedLabel, column, row
 from app.gui.widgets.plot import Plot
-from app.gui.widgets.presentation import number, place
-from app.gui.widgets.scales import AdaptiveScale
-from app.gui.widgets.texts import ElidedLabel
+from app.gui.widgets.presentation import AdaptiveScale, number, place
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import Mtf, mtf
 from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
 
-_NO_VALUES = np.zeros(0)
 _ERROR_DECIMALS = 6  # of the error in rad: less than a millionth is rounding
 
 
@@ -83,8 +81,7 @@ class MtfPlot(Plot):
     def show_transfer(self, transfer: Mtf | None, where: str) -> None:
         self.title.setText(f"MTF at {where}" if where else "MTF")
         if transfer is None:
-            for curve in (*self._limits, *self._curves):
-                curve.setData(_NO_VALUES, _NO_VALUES)
+            self.clear_curves()
             return
         frequencies = [one / 1e3 for one in (transfer.frequency_x_per_rad, transfer.frequency_y_per_rad)]
         self.set_ranges((0, max(float(one[-1]) for one in frequencies)), (0, 1))
@@ -123,9 +120,8 @@ class StructurePlot(Plot):
 
     def show_structure(self, found: Isoplanatism | None) -> None:
         if found is None:
-            for items in self._curves:
-                for item in items:
-                    item.setData(_NO_VALUES, _NO_VALUES)
+            for item in chain.from_iterable(self._curves):
+                item.setData([], [])
             return
         for items, curve in zip(self._curves, (found.curve_without_tilt, found.curve), strict=True):
             for item, values in zip(items, (curve.rms_rad, curve.least_rad, curve.most_rad), strict=True):

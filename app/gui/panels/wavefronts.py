@@ -1,40 +1,47 @@
-"""The wavefront panel: the chosen quantity at every view of the field."""
+"""The wavefront panel: the chosen quantity at every view of the field, and the menu of its display options."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
+from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QFileDialog
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QAction, QActionGroup
+from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
 
 from app.errors import InputError, RunError
 from app.files import check_outputs
-from app.gui.panels.display_menu import DisplayMenu
 from app.gui.panels.panel import Entries, Panel, Request, Shown
 from app.gui.widgets import theme
-from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file, write_picture
+from app.gui.widgets.elements import REFRESH_MS, Button, Choice, ElidedLabel, Toggle, colour_text, column, row_of, timer
 from app.gui.widgets.enlarged_view import EnlargedView
 from app.gui.widgets.fields import BUTTONS_WIDTH_PX, NumberField
-from app.gui.widgets.layouts import column, row_of
-from app.gui.widgets.presentation import PRESENTATIONS, Presentation, number, place
-from app.gui.widgets.scales import AdaptiveScale
-from app.gui.widgets.texts import ElidedLabel, colour_text
-from app.gui.widgets.timers import REFRESH_MS, timer
+from app.gui.widgets.presentation import PRESENTATIONS, AdaptiveScale, Presentation, number, place
 from app.gui.widgets.view_grid import Maps, ViewGrid
 from app.measurement.measurement import Measurement
 from app.progress import run_in_thread
 from app.results.dataset import write_shown
 from app.results.frame_tallies import noise_above_rms
-from app.results.shown_wavefront import StoredWavefront, Unit, WavefrontDisplay
+from app.results.shown_wavefront import (
+    MOST_AVERAGED,
+    MOST_VIEWS,
+    DisplayOptions,
+    StoredWavefront,
+    Unit,
+    WavefrontDisplay,
+)
 from app.results.view_analysis import Quantity, QuantityMaps, quantity_maps
 from drivers.interface import Range
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import aligned
 from reconstruction.wavefront import Wavefront
+
+_AVERAGES = (1, 2, 5, 10, 20, 50, MOST_AVERAGED)
 
 
 class WavefrontPanel(Panel):
@@ -311,3 +318,66 @@ def _describe_angle(
     if not np.isfinite(value):
         return "no value"
     return f"{angle_mrad[column]:+.2f}, {angle_mrad[row]:+.2f} mrad: {presentation.value(value, unit)}"
+
+
+class DisplayMenu(QMenu):
+    """Chooses what is removed from the shown wavefront, its unit and its views."""
+
+    changed = pyqtSignal()
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__("&Display", parent)
+        self.setToolTipsVisible(True)
+        self.options, self.unit = DisplayOptions(), Unit.RAD
+        self.enlarge = self._add("Enlarge the selected view", "Also by a double click")
+        self.addSeparator()
+        self.tilt, self.defocus = self._add("Remove tilt"), self._add("Remove defocus")
+        for action, option in ((self.tilt, "tilt"), (self.defocus, "defocus")):
+            action.setObjectName(f"view/{option}")  # its state is kept between two starts
+            action.setCheckable(True)
+            action.toggled.connect(lambda on, option=option: self.change(**{f"without_{option}": on}))
+        self.addSeparator()
+        self.store = self._add("Subtract the present wavefront", "The mean, if frames are averaged")
+        self.file = self._add("Subtract a wavefront from a file ...", "Results of svwfs with coefficients")
+        self.clear_stored = self._add("Subtract nothing", "Show the whole wavefront")
+        self.clear_stored.triggered.connect(lambda: self.change(stored=None))
+        self.clear_stored.setEnabled(False)
+        self.addSeparator()
+        averages = [(f"{n} frames" if n > 1 else "Off", n) for n in _AVERAGES]
+        self.averages = self._add_choices("Average", "average", averages, lambda count: self.change(averaged=count))
+        self.units = self._add_choices("Unit", "unit", [(unit.value, unit) for unit in Unit], self._choose_unit)
+        square = [(f"{n} \N{MULTIPLICATION SIGN} {n}", n) for n in range(1, MOST_VIEWS + 1)]
+        grids = [("As in the bench", None), *square]
+        self.grids = self._add_choices("Views", "grid", grids, lambda count: self.change(views=count))
+
+    def change(self, **changes: Any) -> None:
+        self.options = replace(self.options, **changes)
+        self.clear_stored.setEnabled(self.options.stored is not None)
+        self.changed.emit()
+
+    def _choose_unit(self, unit: Unit) -> None:
+        self.unit = unit
+        self.changed.emit()
+
+    def _add(self, text: str, tip: str = "") -> QAction:
+        action = QAction(text, self)
+        action.setToolTip(tip)
+        self.addAction(action)
+        return action
+
+    def _add_choices(
+        self, title: str, key: str, choices: Iterable[tuple[str, Any]], choose: Callable[[Any], None]
+    ) -> tuple[QAction, ...]:
+        menu = QMenu(title, self)
+        self.addMenu(menu)
+        group = QActionGroup(menu)
+        group.setObjectName(f"view/{key}")
+        for text, value in choices:
+            action = QAction(text, menu)
+            action.setCheckable(True)
+            action.triggered.connect(lambda _, value=value: choose(value))
+            group.addAction(action)
+            menu.addAction(action)
+        actions = tuple(group.actions())
+        actions[0].setChecked(True)
+        return actions

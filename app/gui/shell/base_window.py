@@ -76,11 +76,9 @@ class LateMeasurements:
 
     def leave_out(self, newest: Measurement, shown: Measurement | None) -> bool:
         """Return whether to leave out the redraw of the newest measurement; another one is `shown` now."""
-        if self._redraws >= _REDRAWS and shown is not None and _is_late(newest, shown):
-            self._redraws = 0
-            return True
-        self._redraws += 1
-        return False
+        leaves_out = self._redraws >= _REDRAWS and shown is not None and _is_late(newest, shown)
+        self._redraws = 0 if leaves_out else self._redraws + 1
+        return leaves_out
 
 
 def _is_late(newest: Measurement, shown: Measurement) -> bool:

@@ -16,15 +16,12 @@ from app.bench.config import Bench, load_bench, save_bench
 from app.bench.presets import DEFAULT, PRESETS
 from app.bench.trusted_libraries import unconfirmed
 from app.errors import InputError, RunError
-from app.gui.shell.controller import Controller
+from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.menus import RecentFiles, listing_menu
-from app.gui.shell.settings_control import SettingsControl
 from app.gui.shell.settings_dialog import BENCH_FILES, SettingsDialog, ask_bench_file
 from app.gui.shell.wording import as_sentence
 from app.gui.widgets import theme
-from app.gui.widgets.buttons import Button
-from app.gui.widgets.layouts import column
-from app.gui.widgets.texts import label
+from app.gui.widgets.elements import Button, column, label
 
 _LAST = "last/bench"  # key of the settings
 

@@ -9,13 +9,10 @@ from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
 from app.acquisition.instrument import DeviceSetting, Instrument
 from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, differs
 from app.gui.panels.camera import CameraPanel
-from app.gui.shell.controller import Controller
-from app.gui.shell.settings_control import SettingsControl
+from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.wording import exposure_found, lattice_found, linearity_found
 from app.gui.widgets import theme
-from app.gui.widgets.buttons import Button
-from app.gui.widgets.layouts import Scrolled, column, row, within_screen
-from app.gui.widgets.texts import label
+from app.gui.widgets.elements import Button, Scrolled, column, label, row, within_screen
 from app.measurement.auto_exposure import AutoExposure
 from app.measurement.averages import BackgroundCheck
 from app.measurement.routines import Cancelled

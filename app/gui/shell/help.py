@@ -1,20 +1,18 @@
-"""Help: keys and conventions, the message log, the documentation, how to cite, and versions."""
+"""Help: keys and conventions, the message log, the documentation, how to cite, versions, and a tour of the window."""
 
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from PyQt6.QtCore import QT_VERSION_STR, QSize, Qt, QUrl
-from PyQt6.QtGui import QFontDatabase, QImage, QTextCursor, QTextDocument
+from PyQt6.QtCore import QT_VERSION_STR, QEvent, QObject, QPoint, QRect, QSize, Qt, QUrl
+from PyQt6.QtGui import QCloseEvent, QFontDatabase, QImage, QKeyEvent, QTextCursor, QTextDocument
 from PyQt6.QtWidgets import QDialog, QFrame, QScrollArea, QTextBrowser, QWidget
 
 import app
 from app.gui.panels.panel import Entries
 from app.gui.shell.messages import MessageStrip
-from app.gui.widgets.buttons import Button
 from app.gui.widgets.copies import copy_text
-from app.gui.widgets.layouts import column, row, within_screen
-from app.gui.widgets.texts import label
+from app.gui.widgets.elements import Button, column, keeps_key, label, row, within_screen
 from app.run_facts import machine_facts, versions
 
 _CONVENTIONS = """
@@ -34,8 +32,9 @@ A click or the arrow keys select the view whose MTF is plotted.</p>
 <p>Arrows show the displacement of each lenslet, averaged over the field and magnified as stated.</p>
 """
 
-_WIDTH_PX, _MOST_WIDTH_PX = 960, 2000
-_AROUND_PX = 70  # beside the help: margins and scroll bar
+_WIDTH_PX, _MOST_WIDTH_PX = 960, 2000  # of the help
+_AROUND_PX = 70  # beside it: margins and scroll bar
+_BUBBLE_PX = 340  # width of the tour's text
 PAPER = (
     'F. Feng, C. Liang, D. Chen, K. Du, R. Yang, C. Lu, S. Chen, L. Chen, L. Tao, and H. Mao, "Space-variant '
     'Shack-Hartmann wavefront sensing based on affine transformation estimation," Applied Optics (2022), '
@@ -118,15 +117,14 @@ class _Page(QTextBrowser):
 class TextDialog(QDialog):
     """Shows a text, or a Markdown page whose links to other pages work."""
 
-    def __init__(self, name: str, title: str, parent: QWidget, *, is_fixed_width: bool = False) -> None:
+    def __init__(self, name: str, title: str, parent: QWidget, text: str = "") -> None:
         super().__init__(parent)
         self.setObjectName(name)
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle(title)
         self.view = _Page()
         self.view.setOpenExternalLinks(True)
-        if is_fixed_width:
-            self.view.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
+        self.view.setPlainText(text)
         self.back = Button("Back", "The page before (Alt+Left)", self.view.backward)
         self.back.hide()
         self.copy = Button("Copy", "Copy the whole text", lambda: copy_text(self.view.toPlainText()))
@@ -134,14 +132,6 @@ class TextDialog(QDialog):
         buttons = row(self.back, (QWidget(), 1), self.copy, close, spacing=8)
         column((self.view, 1), buttons, spacing=8, parent=self).setContentsMargins(11, 11, 11, 11)
         self.resize(within_screen(self, QSize(760, 480)))
-
-    def show_text(self, text: str) -> None:
-        self.view.setPlainText(text)
-        self.show()
-
-    def show_log(self, text: str) -> None:
-        self.view.setPlainText(text)
-        self.view.moveCursor(QTextCursor.MoveOperation.End)
 
     def show_page(self, page: QUrl) -> None:
         self.resize(within_screen(self, QSize(960, 720)))
@@ -160,10 +150,12 @@ def documentation() -> Path | None:
 
 def show_log(parent: QWidget, messages: MessageStrip) -> None:
     """Show all messages, also those that come from now on."""
-    dialog = TextDialog("log", "Message log", parent, is_fixed_width=True)
+    dialog = TextDialog("log", "Message log", parent)
+    dialog.view.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
 
     def update() -> None:
-        dialog.show_log(messages.log or f"No message so far. Shown now: {messages.text.text()}")
+        dialog.view.setPlainText(messages.log or f"No message so far. Shown now: {messages.text.text()}")
+        dialog.view.moveCursor(QTextCursor.MoveOperation.End)
 
     update()
     messages.logged.connect(update)
@@ -183,7 +175,7 @@ def show_citation(parent: QWidget) -> None:
     """Show what to cite."""
     software = f"svwfs {versions()['svwfs']}, a live instrument for space-variant wavefront sensing"
     text = f"The method:\n\n{PAPER}\n\n{_BIBTEX}\n\nThe software:\n\n{software}\n"
-    TextDialog("citation", "How to cite", parent).show_text(text)
+    TextDialog("citation", "How to cite", parent, text).show()
 
 
 def show_about(parent: QWidget, present: Mapping[str, str]) -> None:
@@ -194,4 +186,77 @@ def show_about(parent: QWidget, present: Mapping[str, str]) -> None:
     libraries = {"Qt": QT_VERSION_STR, **installed}
     text = "\n".join(f"{name}: {fact}" for name, fact in {**facts, **machine, **libraries}.items())
     about = f"svwfs: a live instrument for space-variant Shack-Hartmann wavefront sensing\n\n{text}\n"
-    TextDialog("about", "About svwfs", parent).show_text(about)
+    TextDialog("about", "About svwfs", parent, about).show()
+
+
+class Tour(QFrame):
+    """A bubble that explains one outlined part after the other; the window stays usable."""
+
+    def __init__(self, window: QWidget, steps: tuple[tuple[QWidget, str, str], ...]) -> None:
+        super().__init__(window)
+        self.setObjectName("tour")
+        self.setProperty("role", "bubble")
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self._window, self._steps, self._index = window, steps, 0
+        self._outline = QFrame(window)
+        self._outline.setProperty("role", "outline")
+        self._outline.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self.title, self.text, self.count = label("", "title"), label("", wraps=True), label("", "dim")
+        self.text.setFixedWidth(_BUBBLE_PX)
+        self.text.setAlignment(Qt.AlignmentFlag.AlignTop)
+        self.next = Button("Next", "The next part", self._advance)
+        self.end = Button("End the tour", "It stays in the menu Help", self.close)
+        buttons = row((self.count, 1), self.end, self.next)
+        column(self.title, self.text, buttons, spacing=8, parent=self).setContentsMargins(14, 12, 14, 12)
+        window.installEventFilter(self)
+
+    def begin(self) -> None:
+        for other in self._window.findChildren(Tour):
+            if other is not self:
+                other.close()
+        room, wrap = QRect(0, 0, _BUBBLE_PX, 999), Qt.TextFlag.TextWordWrap
+        heights = [self.text.fontMetrics().boundingRect(room, wrap, text).height() for _, _, text in self._steps]
+        self.text.setFixedHeight(max(heights) + self.fontMetrics().height())
+        self.show()  # from now on it has the fonts of the style sheet
+        self.next.setText("Done")
+        self.next.setMinimumWidth(self.next.sizeHint().width())
+        self.adjustSize()
+        self._show_step()
+
+    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
+        """Follow the window's size, and end at Esc."""
+        if isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.isVisible():
+            if not keeps_key(event, Qt.Key.Key_Escape) and event.type() == QEvent.Type.KeyPress:
+                self.close()
+            return True
+        if event is not None and event.type() == QEvent.Type.Resize:
+            self._place()
+        return super().eventFilter(watched, event)
+
+    def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
+        self._outline.close()
+        super().closeEvent(event)
+
+    def _advance(self) -> None:
+        if self._index + 1 == len(self._steps):
+            self.close()  # it still receives events until it is deleted
+        else:
+            self._index += 1
+            self._show_step()
+
+    def _show_step(self) -> None:
+        _, title, text = self._steps[self._index]
+        self.title.setText(title)
+        self.text.setText(text)
+        self.count.setText(f"{self._index + 1} of {len(self._steps)}")
+        self.next.setText("Next" if self._index + 1 < len(self._steps) else "Done")
+        self._place()
+
+    def _place(self) -> None:
+        """Outline the part; the bubble stays at the middle of the window, so that its button stays in place."""
+        part = self._steps[self._index][0]
+        where = QRect(part.mapTo(self._window, QPoint(0, 0)), part.size())
+        self._outline.setGeometry(where)
+        self._outline.show()
+        self.move(self._window.rect().center() - self.rect().center())
+        self.raise_()

@@ -26,26 +26,22 @@ from app.gui.shell.attachment import Attachment
 from app.gui.shell.base_window import BaseWindow, ErrorReports, LateMeasurements
 from app.gui.shell.benches import Benches
 from app.gui.shell.calibration import CalibrationGuide, Routines
-from app.gui.shell.controller import Controller
-from app.gui.shell.device_presets import DevicePresets
+from app.gui.shell.controller import Controller, SettingsControl
+from app.gui.shell.device_dialogs import DevicePresets, SensorRegionDialog
 from app.gui.shell.docks import PanelDocks
-from app.gui.shell.help import show_about, show_citation, show_documentation, show_keys, show_log
+from app.gui.shell.help import Tour, show_about, show_citation, show_documentation, show_keys, show_log
 from app.gui.shell.light_control import LightControl
 from app.gui.shell.menus import fill_menus
 from app.gui.shell.messages import MessageStrip
 from app.gui.shell.recording import RecordingBar, RecordingPanel
 from app.gui.shell.replay_bar import ReplayBar
-from app.gui.shell.sensor_region_dialog import SensorRegionDialog
-from app.gui.shell.settings_control import SettingsControl
 from app.gui.shell.state import PreferencesDialog, fit_to_screen, restore_state, save_state
 from app.gui.shell.status_line import StatusLine
-from app.gui.shell.tour import Tour
 from app.gui.shell.wording import Situation, advice, light_when_closing, liveness, way_out
 from app.gui.widgets import theme
 from app.gui.widgets.copies import write_picture
+from app.gui.widgets.elements import REFRESH_MS, column, timer
 from app.gui.widgets.fields import NumberField
-from app.gui.widgets.layouts import column
-from app.gui.widgets.timers import REFRESH_MS, timer
 from app.images import SUFFIXES
 from app.measurement.measurement import Measurement
 from app.recording.folder import read_run
@@ -150,17 +146,10 @@ class MainWindow(BaseWindow):
 
     def _menus(self) -> Mapping[str, Entries]:
         """Return all menus: those of the panels follow the entries of the window that belong before them."""
-        presets: Entries = ()
+        bar, full = self.recording_bar, Qt.WindowState.WindowFullScreen
         preferences: Entries = ()
         if self._settings is not None:  # else the window remembers nothing
-            show = DevicePresets(self.controller, self.controls, self._settings, self).show
-            presets = (("Presets of exposure and mask", "", show),)
             preferences = (("Preferences", "", PreferencesDialog(self._settings, self).show),)
-
-        def of_panels(title: str) -> Entries:
-            return tuple(entry for panel in self.panels for entry in panel.menu_entries().get(title, ()))
-
-        bar, full = self.recording_bar, Qt.WindowState.WindowFullScreen
         menus: dict[str, Entries] = {
             "&File": (
                 ("Start or stop recording", "W", self.recording_panel.record),
@@ -170,33 +159,14 @@ class MainWindow(BaseWindow):
                 ("Replay a recent recording", "", bar.recent_menu()),
                 ("Choose the recordings folder", "", bar.choose_recordings_folder),
                 None,
-                *of_panels("&File"),
+                *self._entries_of_panels("&File"),
                 ("Save a screenshot", "Ctrl+P", self.save_screenshot),
                 None,
                 ("Quit", "Ctrl+Q", self.quit),
             ),
-            "&Bench": (
-                ("Open a bench", "Ctrl+O", self.benches.ask),
-                ("Open a recent bench", "", self.benches.recent_menu()),
-                ("Open a preset", "", self.benches.presets_menu()),
-                ("New bench from my camera", "Ctrl+N", self.benches.make),
-                ("Settings of the bench", "Ctrl+,", self.benches.edit),
-                ("Save the bench", "Ctrl+S", self.benches.save),
-                None,
-                *presets,
-                *of_panels("&Bench"),
-                ("Check the background", "B", self.routines.check_background),
-                ("Measure the camera's nonlinearity", "", self.routines.measure_linearity),
-                None,
-                ("Accept the proposal", "Return", self.messages.enter),
-                ("Cancel, discard or dismiss", "Esc", self.messages.escape),
-                ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect),
-                None,
-                ("Take control of the instrument", "", self.attachment.take_control),
-                ("End the instrument's process", "", self.attachment.end_instrument),
-            ),
+            "&Bench": self._bench_entries(),
             "&View": (
-                *of_panels("&View"),
+                *self._entries_of_panels("&View"),
                 ("Previous frame of a replay", ",", self.replay.back),
                 ("Next frame of a replay", ".", self.replay.forth),
                 ("Processing times", "T", self.status_line.timing_row.toggle),
@@ -217,6 +187,35 @@ class MainWindow(BaseWindow):
             ("About svwfs", "", self._show_about),
         )
         return menus
+
+    def _bench_entries(self) -> Entries:
+        presets: Entries = ()
+        if self._settings is not None:
+            show = DevicePresets(self.controller, self.controls, self._settings, self).show
+            presets = (("Presets of exposure and mask", "", show),)
+        return (
+            ("Open a bench", "Ctrl+O", self.benches.ask),
+            ("Open a recent bench", "", self.benches.recent_menu()),
+            ("Open a preset", "", self.benches.presets_menu()),
+            ("New bench from my camera", "Ctrl+N", self.benches.make),
+            ("Settings of the bench", "Ctrl+,", self.benches.edit),
+            ("Save the bench", "Ctrl+S", self.benches.save),
+            None,
+            *presets,
+            *self._entries_of_panels("&Bench"),
+            ("Check the background", "B", self.routines.check_background),
+            ("Measure the camera's nonlinearity", "", self.routines.measure_linearity),
+            None,
+            ("Accept the proposal", "Return", self.messages.enter),
+            ("Cancel, discard or dismiss", "Esc", self.messages.escape),
+            ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect),
+            None,
+            ("Take control of the instrument", "", self.attachment.take_control),
+            ("End the instrument's process", "", self.attachment.end_instrument),
+        )
+
+    def _entries_of_panels(self, title: str) -> Entries:
+        return tuple(entry for panel in self.panels for entry in panel.menu_entries().get(title, ()))
 
     def connect_devices(self) -> None:
         """Open the devices and start measuring, also after a failure; a light that the user switched off stays off."""

@@ -16,7 +16,7 @@ from PyQt6.QtGui import QColor, QImage, QMouseEvent, QPainter
 
 from app.gui.widgets import theme
 from app.gui.widgets.plot import Canvas
-from app.gui.widgets.scales import colour_table
+from app.gui.widgets.presentation import colour_table
 from app.results.frame_statistics import FrameStatistics
 from app.results.pictures import Pixels, shaded
 from drivers.interface import Frame

@@ -8,10 +8,9 @@ from PyQt6.QtCore import QPointF
 from PyQt6.QtWidgets import QWidget
 
 from app.gui.widgets import theme
-from app.gui.widgets.layouts import column
+from app.gui.widgets.elements import ElidedLabel, column
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import number
-from app.gui.widgets.texts import ElidedLabel
 from app.results.frame_statistics import FrameStatistics, area_statistics, lengths_of, profile
 from drivers.interface import Frame
 from reconstruction.arrays import Floats

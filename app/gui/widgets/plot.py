@@ -10,8 +10,7 @@ from PyQt6.QtWidgets import QApplication, QWidget
 
 from app.gui.widgets import theme
 from app.gui.widgets.copies import add_copy_menu, as_table
-from app.gui.widgets.layouts import column, row, unfocused
-from app.gui.widgets.texts import ElidedLabel, colour_text, label
+from app.gui.widgets.elements import ElidedLabel, colour_text, column, label, row, unfocused
 
 
 class Canvas(pg.GraphicsView):  # type: ignore[misc] # pyqtgraph declares no types
@@ -115,10 +114,13 @@ class Plot(QWidget):
             axis.setTextPen(theme.DIM)
             axis.setLabel(axis.labelText, color=theme.DIM.name())
 
-    def clear(self) -> None:
-        """Show neither curves nor numbers until the ranges are set again."""
+    def clear_curves(self) -> None:
         for curve in self.curves:
             curve.setData([], [])
+
+    def clear(self) -> None:
+        """Show neither curves nor numbers until the ranges are set again."""
+        self.clear_curves()
         for axis in self.axes.values():
             axis.setTicks([[]])
         self._is_clear = True

@@ -24,7 +24,7 @@ from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui.widgets import theme
 from app.gui.widgets.copies import add_copy_menu, as_table
-from app.gui.widgets.scales import ColourScale, colour_table
+from app.gui.widgets.presentation import ColourScale, colour_table
 from app.results.pictures import Pixels, enlarged
 from reconstruction.arrays import Floats
 

@@ -15,9 +15,8 @@ from support.gui_bench import FakeCamera
 from support.paths import ROOT
 from support.window_tools import MakeWindow
 
-from app.gui.shell.help import PAPER, TextDialog, documentation
+from app.gui.shell.help import PAPER, TextDialog, Tour, documentation
 from app.gui.shell.main_window import MainWindow
-from app.gui.shell.tour import Tour
 
 
 def choose(window: MainWindow, entry: str) -> None:

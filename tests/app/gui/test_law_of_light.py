@@ -21,7 +21,7 @@ from test_window_small import open_help
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.gui.shell.access import Access
-from app.gui.shell.device_presets import DevicePresets
+from app.gui.shell.device_dialogs import DevicePresets
 from app.gui.shell.main_window import MainWindow
 from drivers.interface import Devices, Disconnected
 

@@ -12,7 +12,7 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, wait_for_wavefront
 
-from app.gui.shell.device_presets import DevicePresets
+from app.gui.shell.device_dialogs import DevicePresets
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.state import PreferencesDialog, apply_preferences
 from app.gui.widgets import theme

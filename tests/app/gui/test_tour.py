@@ -13,8 +13,8 @@ from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 from support.window_tools import MakeWindow, press
 
+from app.gui.shell.help import Tour
 from app.gui.shell.main_window import MainWindow
-from app.gui.shell.tour import Tour
 from app.gui.splash import Splash
 from app.gui.widgets.theme import apply_theme
 

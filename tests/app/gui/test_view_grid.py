@@ -15,8 +15,15 @@ from support.gui_bench import make_measurement
 from support.wavefronts import bowl
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, part, picture, views
 
-from app.gui.widgets.presentation import NOTHING, with_error
-from app.gui.widgets.scales import MAGNIFICATIONS, RANGES, AdaptiveScale, ColourScale, diverging
+from app.gui.widgets.presentation import (
+    MAGNIFICATIONS,
+    NOTHING,
+    RANGES,
+    AdaptiveScale,
+    ColourScale,
+    diverging,
+    with_error,
+)
 from app.gui.widgets.view_grid import Maps, ViewGrid
 from reconstruction.arrays import Floats
 
