@@ -1,8 +1,10 @@
-"""Hamamatsu's DCAM-API 4: its structures and functions through ctypes, and its error codes as device errors."""
+"""Hamamatsu's DCAM-API 4 through ctypes: structures, functions, listed cameras, and error codes as device errors."""
 
 import ctypes
 import sys
+import threading
 from collections.abc import Callable
+from contextlib import suppress
 from ctypes import (
     POINTER,
     Structure,
@@ -16,10 +18,12 @@ from ctypes import (
     create_string_buffer,
     sizeof,
 )
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 from drivers.camera import NO_MEMORY
+from drivers.device import choose
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
 
 
@@ -185,8 +189,29 @@ PROTOTYPES: dict[str, tuple[type, ...]] = {
 }
 
 
+STRINGS = {
+    "bus": 0x04000101,
+    "serial number": 0x04000102,
+    "vendor": 0x04000103,
+    "model": 0x04000104,
+    "camera version": 0x04000105,
+    "driver version": 0x04000106,
+    "module version": 0x04000107,
+    "DCAM-API version": 0x04000108,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ListedCamera:
+    """A camera in the session, not yet opened."""
+
+    index: int
+    name: str  # maker, model and serial number
+    serial_number: str
+
+
 class DcamLibrary:
-    """The DCAM-API's functions by name."""
+    """The DCAM-API's functions by name, and the process's session with it."""
 
     def __init__(self, path: str) -> None:
         try:
@@ -197,6 +222,8 @@ class DcamLibrary:
                 f"Hamamatsu's DCAM-API cannot be loaded ({error}): install it from Hamamatsu,"
                 " or give the path of its library as camera.library"
             ) from error
+        self._lock = threading.Lock()
+        self.users = self._cameras = 0  # of the session
 
     def call(self, name: str, *arguments: object) -> None:
         """Call a function; raise the error for its code."""
@@ -214,6 +241,54 @@ class DcamLibrary:
         request.text = cast(text, c_char_p)
         self.call(name, target, byref(request))
         return text.value.decode(errors="replace").strip()
+
+    def string(self, camera: int, identifier: int) -> str:
+        """Return one of the `STRINGS` of a camera, given by its handle if open, else by its index."""
+        return self.text("dcamdev_getstring", camera, DeviceString, iString=identifier)
+
+    def begin(self) -> int:
+        """Join the session, or begin it, which searches for cameras; return their number."""
+        with self._lock:
+            if not self.users:
+                answer = sized(Init)
+                try:
+                    self.call("dcamapi_init", byref(answer))
+                except DeviceError:
+                    with suppress(DeviceError):  # without it every later attempt of this process fails, too
+                        self.call("dcamapi_uninit")
+                    raise
+                self._cameras = answer.iDeviceCount
+            self.users += 1
+            return self._cameras
+
+    def end(self) -> None:
+        """Leave the session; the last user ends it, so that the next one searches for cameras again."""
+        with self._lock:
+            self.users -= 1
+            if not self.users:
+                self.call("dcamapi_uninit")
+
+    def connected(self) -> tuple[ListedCamera, ...]:
+        """Return the connected cameras."""
+        try:
+            count = self.begin()
+        except Disconnected:  # the DCAM-API's error for no camera
+            return ()
+        try:
+            return tuple(map(self._listed, range(count)))
+        finally:
+            self.end()
+
+    def chosen(self, count: int, wanted: str) -> ListedCamera:
+        """Return the camera of this serial number or index, "" for the only one of `count`; needs a session."""
+        cameras = [self._listed(index) for index in range(count)]
+        names = [(camera.serial_number, str(camera.index)) for camera in cameras]
+        return cameras[choose(wanted, names, "Hamamatsu camera", "device")]
+
+    def _listed(self, index: int) -> ListedCamera:
+        vendor, model, serial = (self.string(index, STRINGS[name]) for name in ("vendor", "model", "serial number"))
+        serial = serial.removeprefix("S/N:").strip()
+        return ListedCamera(index, f"{vendor} {model}, serial {serial}", serial)
 
 
 @cache

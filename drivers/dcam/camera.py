@@ -12,9 +12,8 @@ from ctypes import byref
 from drivers.camera import NOT_STARTED, Camera, CameraCapabilities, Frame, Region
 from drivers.dcam import DcamSettings
 from drivers.dcam import _property_ids as ids
-from drivers.dcam import _session as session
 from drivers.dcam._capture import Capture
-from drivers.dcam._library import DcamLibrary, DeviceOpen, load_library, sized
+from drivers.dcam._library import STRINGS, DcamLibrary, DeviceOpen, load_library, sized
 from drivers.dcam._properties import Properties
 from drivers.dcam._property_ids import Id
 from drivers.device import DiscoveredDevice, Property, Range
@@ -34,7 +33,7 @@ def discover(library: DcamLibrary | None = None) -> tuple[DiscoveredDevice, ...]
         DiscoveredDevice(
             kind="camera", driver="dcam", description=camera.name, settings={"device": camera.serial_number}
         )
-        for camera in session.connected(library or load_library())
+        for camera in (library or load_library()).connected()
     )
 
 
@@ -51,9 +50,9 @@ class DcamCamera(Camera):
         self._capture: Capture | None = None  # while running
         self._unreleased: Capture | None = None  # not yet released by a failed start or stop
         with ExitStack() as undo:
-            cameras = session.begin(self._library)
-            undo.callback(self._try, session.end, self._library)
-            camera = session.chosen(self._library, cameras, settings.device)
+            cameras = self._library.begin()
+            undo.callback(self._try, self._library.end)
+            camera = self._library.chosen(cameras, settings.device)
             self._name = camera.name
             opened = sized(DeviceOpen, index=camera.index)
             self._library.call("dcamdev_open", byref(opened))
@@ -68,9 +67,9 @@ class DcamCamera(Camera):
         common = super().properties()
         with self._access():
             strings: dict[str, Property] = {}
-            for name, number in session.STRINGS.items():
+            for name, number in STRINGS.items():
                 with suppress(*REFUSALS):  # not all cameras have all of them
-                    strings[name] = session.string(self._library, self._handle, number)
+                    strings[name] = self._library.string(self._handle, number)
             return common | strings | self._values.readable() | {"warnings": "; ".join(self.warnings())}
 
     def warnings(self) -> tuple[str, ...]:

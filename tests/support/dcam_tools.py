@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 
 from drivers.dcam import DcamSettings
-from drivers.dcam import _session as session
 from drivers.dcam._library import DcamLibrary, load_library
 from drivers.dcam.camera import DcamCamera
 from support.wires.dcam.build import NoCompiler, build
@@ -44,7 +43,7 @@ def dcam_stand_in(speed: float = 0.0) -> Iterator[StandIn]:
         stand_in = StandIn(built())
     stand_in.reset(speed)
     yield stand_in
-    assert not session._sessions
+    assert not library(stand_in).users
 
 
 def library(stand_in: StandIn) -> DcamLibrary:
