@@ -1,7 +1,7 @@
 """Analysis of a wavefront for display: maps of its quantities, and everything known of one lenslet."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 from typing import Any
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from app.cache import kept_while_alive
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
+from app.results.frame_tallies import noise_above_rms
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, Outcome, field_means
 from reconstruction.errors import ReconstructionError
@@ -22,7 +23,7 @@ from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.quality.image_quality import psf, psf_angles_rad, psf_reach_rad
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import PupilBasis, ReconstructionSettings
-from reconstruction.wavefront import Wavefront, slope_fit
+from reconstruction.wavefront import Wavefront, mean_rms, peak_to_valley, rms, slope_fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,12 +137,42 @@ class Quantity(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ViewNumbers:
+    """Two numbers of each view's map, (view_row, view_column), and one of all maps: rad, or ratios of a PSF."""
+
+    quantity: Quantity
+    first: Floats  # RMS, Strehl ratio, or mean of the standard deviations
+    second: Floats  # peak to valley, peak, or maximum
+    mean: float  # of the RMS, or of all standard deviations; NaN for a PSF
+    noise_rad: float | None = None  # that hides the wavefront of a single frame
+
+
+def view_numbers(quantity: Quantity, maps: Floats, single: Wavefront | None = None) -> ViewNumbers:
+    """Return the numbers of maps (view_row, view_column, row, column), for a `single` frame also what noise hides."""
+    if quantity is Quantity.PSF:
+        middle = maps[..., maps.shape[2] // 2, maps.shape[3] // 2]
+        return ViewNumbers(quantity, middle, maps.max(axis=(2, 3)), math.nan)
+    known = np.isfinite(maps)
+    if quantity is Quantity.UNCERTAINTY:
+        means = [_mean(maps[view][known[view]]) for view in np.ndindex(maps.shape[:2])]
+        most = np.max(maps, axis=(2, 3), initial=-np.inf, where=known)
+        return ViewNumbers(quantity, np.reshape(means, maps.shape[:2]), most, _mean(maps[known]))
+    noise_rad = None if single is None else noise_above_rms(single)
+    return ViewNumbers(quantity, rms(maps), peak_to_valley(maps), mean_rms(maps), noise_rad)
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean()) if values.size else math.nan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class QuantityMaps:
     """Maps of a quantity for every view."""
 
     values: Floats  # rad or a ratio, (view_row, view_column, row, column)
     reach_rad: float = math.nan  # from the middle of a PSF map to the middle of its last pixel
     light_reach_rad: float = math.nan  # how far there is light
+    numbers: ViewNumbers | None = None  # None: not yet computed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,10 +202,17 @@ def transmission_maps(wavefront: Wavefront) -> TransmissionMaps | None:
 def quantity_maps(
     wavefront: Wavefront, quantity: Quantity, settings: ReconstructionSettings, reach_rad: float | None = None
 ) -> QuantityMaps | None:
-    """Compute the maps of a quantity, those of a PSF up to `reach_rad`, or as far as there is light.
+    """Compute the maps of a quantity with their numbers, those of a PSF up to `reach_rad`, or as far as there is light.
 
     `settings` reconstructed the wavefront. None for a PSF without any light.
     """
+    found = _maps(wavefront, quantity, settings, reach_rad)
+    return None if found is None else replace(found, numbers=view_numbers(quantity, found.values))
+
+
+def _maps(
+    wavefront: Wavefront, quantity: Quantity, settings: ReconstructionSettings, reach_rad: float | None
+) -> QuantityMaps | None:
     if quantity is Quantity.WAVEFRONT:
         return QuantityMaps(wavefront.views)
     if quantity is Quantity.UNCERTAINTY:

@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QApplication, QMenu
 from app.acquisition.instrument import Status
 from app.gui.panels.panel import Entries, Panel, Request, Shown
 from app.gui.widgets import camera_image, theme
-from app.gui.widgets.camera_image import CameraImage, ClippedPixels, DrawingView, Picture, Segments
+from app.gui.widgets.camera_image import CameraImage, ClippedPixels, DrawingView, Measuring, Picture, Segments
 from app.gui.widgets.copies import add_copy_menu, as_table
 from app.gui.widgets.elements import (
     Choice,
@@ -25,7 +25,6 @@ from app.gui.widgets.elements import (
     timer,
     unfocused,
 )
-from app.gui.widgets.measuring import Measuring
 from app.gui.widgets.presentation import MAGNIFICATIONS, AdaptiveScale, percent
 from app.measurement.measurement import Measurement
 from app.progress import counted

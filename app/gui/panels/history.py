@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QShowEvent
-from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QScrollArea, QWidget
+from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QWidget
 
 from app.bench.settings_form import typed_number
 from app.errors import RunError
@@ -18,13 +18,14 @@ from app.gui.widgets.elements import (
     Button,
     Choice,
     ElidedLabel,
+    Item,
+    Scrolled,
     Toggle,
     colour_text,
     column,
     label,
     mark_refused,
     row,
-    unfocused,
 )
 from app.gui.widgets.fields import NumberLine
 from app.gui.widgets.plot import Plot
@@ -60,16 +61,12 @@ class StripChart(QWidget):
         super().__init__()
         self.name, self.value = ElidedLabel(text=name, lines=2), ElidedLabel("title")
         self.name.setToolTip(_ABOUT.get(name, name))
-        labels = QWidget()
-        column(self.name, self.value, spacing=0, parent=labels).addStretch()
         self.plot = _plot(None)
         self.plot.graphics.setMinimumHeight(2 * self.fontMetrics().height() + 9)
         self.curve = self.plot.add_curve(theme.ACCENT, 1)
         self.limit_lines = [self.plot.add_line(theme.RED, 0) for _ in range(2)]
         self.drift = [ElidedLabel("dim") for _ in range(2)]
-        drift = QWidget()
-        column(*self.drift, spacing=0, parent=drift).addStretch()
-        row(_wide_as(_NAME, labels), (self.plot, 1), _wide_as(_DRIFT, drift), parent=self)
+        row(_wide_as(_NAME, self.name, self.value), (self.plot, 1), _wide_as(_DRIFT, *self.drift), parent=self)
 
     def show_series(self, time_min: Floats, values: Floats, span_min: float, unit: str, limits: SeriesLimits) -> None:
         """Show values (time,) over the minutes before now, NaN in gaps, and the limits that are crossed or near."""
@@ -131,21 +128,16 @@ class HistoryPanel(Panel):
         self.export = Button("Export", "Save all series as CSV", self.export_csv)
         self._hint = ElidedLabel("dim", _HINT)
         self.charts: dict[str, StripChart] = {}
-        area, charts = QScrollArea(), QWidget()  # many charts do not make the window larger than its screen
-        area.setWidget(charts)
-        area.setWidgetResizable(True)
-        area.setFrameShape(QScrollArea.Shape.NoFrame)
-        area.setMinimumHeight(2 * self.fontMetrics().height())
-        unfocused(area)
+        charts = QWidget()
         self._rows = column(spacing=0, parent=charts)
+        area = Scrolled(charts)  # many charts do not make the window larger than its screen
+        area.setMinimumHeight(2 * self.fontMetrics().height())
         self.time_axis = _plot("minutes")
         self.time_axis.axes["left"].setTicks([[]])
         self.time_axis.graphics.setFixedHeight(2 * self.fontMetrics().height() + 16)
-        beside, after = QWidget(), QWidget()
-        row(self.export, self.limits, (QWidget(), 1), parent=beside)
-        column(self.samples, parent=after).addStretch()
         header = row(*self.toggles.values(), (self._hint, 1), self.minutes)
-        axis = row(_wide_as(_NAME, beside), (self.time_axis, 1), _wide_as(_DRIFT, after))
+        buttons = row(self.export, self.limits, (QWidget(), 1))
+        axis = row(_wide_as(_NAME, buttons), (self.time_axis, 1), _wide_as(_DRIFT, self.samples))
         column(header, (area, 1), axis, spacing=2, parent=self)
         self._arrange()
 
@@ -270,9 +262,12 @@ class HistoryPanel(Panel):
         self.refresh()
 
 
-def _wide_as(text: str, widget: QWidget) -> QWidget:
-    widget.setFixedWidth(widget.fontMetrics().horizontalAdvance(text))
-    return widget
+def _wide_as(text: str, *items: Item) -> QWidget:
+    """Make a widget of items from top to bottom that is as wide as a text."""
+    made = QWidget()
+    column(*items, spacing=0, parent=made).addStretch()
+    made.setFixedWidth(made.fontMetrics().horizontalAdvance(text))
+    return made
 
 
 def _plot(bottom: str | None) -> Plot:

@@ -22,11 +22,10 @@ from app.gui.widgets.elements import REFRESH_MS, Button, Choice, ElidedLabel, To
 from app.gui.widgets.enlarged_view import EnlargedView
 from app.gui.widgets.fields import BUTTONS_WIDTH_PX, NumberField
 from app.gui.widgets.presentation import PRESENTATIONS, AdaptiveScale, Presentation, number, place
-from app.gui.widgets.view_grid import Maps, ViewGrid
+from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
 from app.measurement.measurement import Measurement
 from app.progress import run_in_thread
 from app.results.dataset import write_shown
-from app.results.frame_tallies import noise_above_rms
 from app.results.shown_wavefront import (
     MOST_AVERAGED,
     MOST_VIEWS,
@@ -35,7 +34,7 @@ from app.results.shown_wavefront import (
     Unit,
     WavefrontDisplay,
 )
-from app.results.view_analysis import Quantity, QuantityMaps, quantity_maps
+from app.results.view_analysis import Quantity, QuantityMaps, ViewNumbers, quantity_maps, view_numbers
 from drivers.interface import Range
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import aligned
@@ -57,8 +56,7 @@ class WavefrontPanel(Panel):
         super().__init__(shown)
         self._newest: Wavefront | None = None  # as measured
         self._display = WavefrontDisplay()
-        self._noise_rad: float | None = None  # that hides the wavefront of a single frame
-        self._maps: tuple[Quantity, Floats] | None = None  # the maps in the grid, in the shown unit
+        self._numbers: ViewNumbers | None = None  # of the maps in the grid, or of some before them
         self._limits = {(one.family, unit): AdaptiveScale() for one in PRESENTATIONS.values() for unit in Unit}
         self._reach_mrad = AdaptiveScale()  # half width of PSF maps
         self._enlarged: EnlargedView | None = None
@@ -138,61 +136,55 @@ class WavefrontPanel(Panel):
         self.show_wavefront(None)
         self._reading = None
         self._reading_timer.stop()
-        self._display, self._noise_rad = WavefrontDisplay(), None
+        self._display = WavefrontDisplay()
         self.menu.change(stored=None)
 
     def request(self) -> Request | None:
-        """Frame the chosen view, and request its maps, for a wavefront only the noise that may hide it."""
+        """Frame the chosen view, and request maps with their numbers, of a wavefront only these."""
         self.grid.select(self.shown.view if self.shown.has_open_tabs else None)
         wavefront, quantity, settings = self.shown.wavefront, self.quantity, self.shown.settings
-        newest = self._newest
-        if newest is not None and quantity is Quantity.WAVEFRONT:
-            return Request(newest, quantity, lambda _: noise_above_rms(newest))
+        if wavefront is not None and quantity is Quantity.WAVEFRONT:
+            options = self.menu.options
+            single = self._newest if options.averaged == 1 and options.stored is None else None
+            return Request(wavefront, (quantity, options), lambda _: view_numbers(quantity, wavefront.views, single))
         if wavefront is None or settings is None:
             return None
         reach_rad = self.reach_rad if quantity is Quantity.PSF else None
         choice = (quantity, settings, reach_rad, wavefront.field)
         return Request(wavefront, choice, lambda _: quantity_maps(wavefront, quantity, settings, reach_rad))
 
-    def show_result(self, result: QuantityMaps | float | None) -> None:
+    def show_result(self, result: QuantityMaps | ViewNumbers | None) -> None:
+        if result is None:
+            self._show_maps(None)
+            return
         if isinstance(result, QuantityMaps):
             if self.quantity is Quantity.PSF:
                 self._follow(self._reach_mrad, result.light_reach_rad * 1e3)
             self._show(result)
-            self.show_numbers()
-        elif self.quantity is Quantity.WAVEFRONT:
-            self._noise_rad = result
-        else:
-            self._show_maps(None)
+        self._numbers = result.numbers if isinstance(result, QuantityMaps) else result
+        self.show_numbers()
 
     def show_numbers(self) -> None:
-        if self._maps is None or self.shown.wavefront is None:
+        numbers, wavefront, quantity = self._numbers, self.shown.wavefront, self.quantity
+        if numbers is None or wavefront is None or numbers.quantity is not quantity:
             self._summary.setText("")
             self.grid.set_captions({})
             return
-        quantity, maps = self._maps
-        presentation, field = PRESENTATIONS[quantity], self.shown.wavefront.field
-        if maps.shape[:2] == (field.view_rows, field.view_columns):
-            numbers = iter(presentation.captions(maps.reshape(-1, *maps.shape[2:])))
-            self.grid.set_captions(
-                {
-                    (i, j): (next(numbers), place(float(field.view_x_m[j]), float(field.view_y_m[i])))
-                    for i, j in np.ndindex(maps.shape[:2])
-                }
-            )
+        presentation, field = PRESENTATIONS[quantity], wavefront.field
+        factor = self.shown.per_rad if presentation.has_unit else 1.0
+        if numbers.first.shape == (field.view_rows, field.view_columns):
+            captions: dict[tuple[int, int], Caption] = {}
+            for i, j in np.ndindex(numbers.first.shape):
+                caption = presentation.caption(factor * numbers.first[i, j], factor * numbers.second[i, j])
+                captions[i, j] = (caption, place(float(field.view_x_m[j]), float(field.view_y_m[i])))
+            self.grid.set_captions(captions)
         reach = f"half width {self._reach_mrad.value:g} mrad" if quantity is Quantity.PSF else ""
-        summary = self._below_noise() or presentation.summary(maps, self.shown.unit)
+        summary = presentation.summary(factor * numbers.mean, self.shown.unit)
+        if numbers.noise_rad is not None:  # it cannot be told from a flat one
+            summary = f"mean RMS below noise ({number(factor * numbers.noise_rad)} {self.shown.unit})"
         self._summary.setText("; ".join(filter(None, (summary, self.menu.options.in_words, reach))))
         if self._enlarged is not None:
             self._enlarged.refresh()
-
-    def _below_noise(self) -> str:
-        """Say that the shown wavefront cannot be told from a flat one; empty if it can, or is no single frame's."""
-        options = self.menu.options
-        is_single = self.quantity is Quantity.WAVEFRONT and options.averaged == 1 and options.stored is None
-        if self._noise_rad is None or not is_single:
-            return ""
-        return f"mean RMS below noise ({number(self._noise_rad * self.shown.per_rad)} {self.shown.unit})"
 
     def enlarge(self) -> None:
         if self._enlarged is None:
@@ -280,7 +272,6 @@ class WavefrontPanel(Panel):
         values = (found.values if is_psf else aligned(found.values, sensor.arrangement)) * per_rad
         limit = self._scale
         self._follow(limit, max(presentation.limit(values), presentation.finest * per_rad))
-        self._maps = (self.quantity, values)
         scale = presentation.scale(limit.value, unit)
         if is_psf:
             reach_mrad = found.reach_rad * 1e3
@@ -301,7 +292,7 @@ class WavefrontPanel(Panel):
     def _show_maps(self, maps: Maps | None) -> None:
         self.grid.show_maps(maps)
         if maps is None:
-            self._maps = None
+            self._numbers = None
             self.show_numbers()
         if self._enlarged is not None:
             self._enlarged.refresh()

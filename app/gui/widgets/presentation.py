@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from app.results.pictures import Pixels, step_above
 from app.results.view_analysis import Quantity
 from reconstruction.arrays import Floats
-from reconstruction.wavefront import peak_to_valley, rms
 
 MAGNIFICATIONS = (1.0, 2.0, 5.0)
 RANGES = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)  # finer: a map always uses most of its colours
@@ -102,15 +101,6 @@ class AdaptiveScale:
         self.is_set, self.value = True, value
 
 
-def _phase_captions(phases: Floats) -> list[tuple[str, ...]]:
-    both = zip(rms(phases).tolist(), peak_to_valley(phases).tolist(), strict=True)
-    return [_wordings("RMS", number(one), f"PV {number(other)}") for one, other in both]
-
-
-def _phase_summary(maps: Floats, unit: str) -> str:
-    return f"mean RMS {number(_mean(rms(maps)))} {unit}"
-
-
 @dataclass(frozen=True, slots=True)
 class Presentation:
     """Display format of one quantity; the defaults are those of a phase."""
@@ -120,14 +110,19 @@ class Presentation:
     family: str = "phase"  # quantities of one family share the limit and can be compared
     finest: float = 0.01  # lowest limit: a lower one would show noise in full colours
     shown_percent: float = 99.5  # of the values that lie within the limit
-    captions: Callable[[Floats], list[tuple[str, ...]]] = _phase_captions  # of maps: wordings, longest first
-    summary: Callable[[Floats, str], str] = _phase_summary  # of all maps (view_row, view_column, row, column)
+    numbers: tuple[str, str] = ("RMS", "PV")  # names of those of a view, see `ViewNumbers`
+    summary: Callable[[float, str], str] = lambda mean, unit: f"mean RMS {number(mean)} {unit}"  # of all maps
     value: Callable[[float, str], str] = lambda value, unit: f"{signed(value)} {unit}"  # of one value
 
     @property
     def has_unit(self) -> bool:
         """True for a phase, False for a ratio."""
         return self.family != "intensity"
+
+    def caption(self, first: float, second: float) -> tuple[str, ...]:
+        """Format the numbers of a view: wordings, longest first."""
+        text = f"{self.numbers[0]} {number(first)}"
+        return f"{text}   {self.numbers[1]} {number(second)}", text, number(first)
 
     def limit(self, maps: Floats) -> float:
         """Return the limit that the scale needs; NaN if all maps are NaN."""
@@ -185,27 +180,6 @@ def place(x_m: float, y_m: float) -> tuple[str, ...]:
     return f"x {x}  y {y} mm", f"{x}, {y} mm", f"{x}, {y}"
 
 
-def _wordings(name: str, value: str, more: str) -> tuple[str, ...]:
-    return f"{name} {value}   {more}", f"{name} {value}", value
-
-
-def _intensity_captions(intensities: Floats) -> list[tuple[str, ...]]:
-    middles = intensities[:, intensities.shape[1] // 2, intensities.shape[2] // 2].tolist()
-    both = zip(middles, intensities.max(axis=(1, 2)).tolist(), strict=True)
-    return [_wordings("Strehl", number(middle), f"peak {number(peak)}") for middle, peak in both]
-
-
-def _sigma_captions(sigmas: Floats) -> list[tuple[str, ...]]:
-    most = np.max(sigmas, axis=(1, 2), initial=-np.inf, where=np.isfinite(sigmas)).tolist()
-    both = zip(sigmas, most, strict=True)
-    return [_wordings("mean", number(_mean(sigma)), f"max {number(each)}") for sigma, each in both]
-
-
-def _mean(values: Floats) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if known.size else float("nan")
-
-
 PRESENTATIONS = {
     Quantity.WAVEFRONT: Presentation("Wavefront of each view"),
     Quantity.PSF: Presentation(
@@ -214,8 +188,8 @@ PRESENTATIONS = {
         family="intensity",
         finest=1e-4,
         shown_percent=100.0,
-        captions=_intensity_captions,
-        summary=lambda _maps, _unit: "1 = perfect peak",
+        numbers=("Strehl", "peak"),
+        summary=lambda _mean, _unit: "1 = perfect peak",
         value=lambda value, _: f"{number(value)} of the peak without aberration",
     ),
     Quantity.MEASURED: Presentation("Fitted wavefront plus the slope residuals, integrated from lenslet to lenslet"),
@@ -228,8 +202,8 @@ PRESENTATIONS = {
         scale=uncertain,
         family="uncertainty",
         finest=0.001,
-        captions=_sigma_captions,
-        summary=lambda maps, unit: f"1\N{GREEK SMALL LETTER SIGMA}, mean {number(_mean(maps))} {unit}",
+        numbers=("mean", "max"),
+        summary=lambda mean, unit: f"1\N{GREEK SMALL LETTER SIGMA}, mean {number(mean)} {unit}",
         value=lambda value, unit: f"{number(value)} {unit}",
     ),
 }

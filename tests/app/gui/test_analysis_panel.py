@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
-from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, make_measurement
 from support.patience import HANG_S
@@ -34,8 +33,8 @@ def shown(window: MainWindow) -> Floats:
 
 
 def is_shown(window: MainWindow, quantity: Quantity) -> bool:
-    now = window.panels.wavefronts._maps
-    return now is not None and now[0] is quantity
+    numbers = window.panels.wavefronts._numbers
+    return numbers is not None and numbers.quantity is quantity
 
 
 def show(window: MainWindow, wavefront: Wavefront | None) -> None:
@@ -145,7 +144,7 @@ def test_lost_wavefront_clears_maps_and_plots(make_window: MakeWindow, qtbot: Qt
     show(window, bowl())
     window.panels.wavefronts.choice.setCurrentText(Quantity.PSF)
     panel = window.panels.quality
-    qtbot.waitUntil(lambda: window.panels.wavefronts._maps is not None and bool(panel.sentence.text()))
+    qtbot.waitUntil(lambda: window.panels.wavefronts._numbers is not None and bool(panel.sentence.text()))
     show(window, None)
     qtbot.wait(100)
     assert window.panels.wavefronts.grid.maps is None
@@ -193,7 +192,9 @@ def test_redraw_continues_while_analysis_hangs_and_thread_ends_with_window(
 ) -> None:
     window, _ = live
     window.panels.wavefronts.choice.setCurrentText(Quantity.PSF)
-    qtbot.waitUntil(lambda: window.panels.wavefronts._maps is not None and bool(window.panels.quality.sentence.text()))
+    qtbot.waitUntil(
+        lambda: window.panels.wavefronts._numbers is not None and bool(window.panels.quality.sentence.text())
+    )
     hangs, may_go_on = threading.Event(), threading.Event()
 
     def hang(*arguments: Any) -> QuantityMaps | None:
@@ -249,11 +250,11 @@ def test_limit_of_a_frozen_scale_is_chosen_in_the_shown_unit(make_window: MakeWi
     assert panel.limit.value() == 2.5
 
 
-def test_captions_shorten_in_narrow_tiles(make_window: MakeWindow) -> None:
+def test_captions_shorten_in_narrow_tiles(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     window.show_measurement(make_measurement(dim_frame(), views()))
     grid = window.panels.wavefronts.grid
-    QApplication.processEvents()
+    qtbot.waitUntil(lambda: bool(grid.captions))
     wide = [grid._wording(line) for line in (0, 1)]
     grid.resize(260, 260)
     narrow = [grid._wording(line) for line in (0, 1)]

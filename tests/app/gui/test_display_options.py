@@ -33,11 +33,11 @@ from reconstruction.wavefront import Wavefront
 
 
 @pytest.fixture
-def window(make_window: MakeWindow) -> MainWindow:
+def window(make_window: MakeWindow, qtbot: QtBot) -> MainWindow:
     made = make_window()
     made.shown.settings = BENCH.reconstruction
     made.panels.wavefronts.show_wavefront(bowl(3000.0))
-    made.panels.wavefronts.show_numbers()
+    qtbot.waitUntil(lambda: bool(made.panels.wavefronts.grid.captions))
     return made
 
 
@@ -79,6 +79,7 @@ def test_menu_changes_what_is_shown(window: MainWindow, qtbot: QtBot) -> None:
     assert panel._summary.text().endswith(" nm")
     choose(qtbot, menu, "Views", "5 \N{MULTIPLICATION SIGN} 5")
     assert shown(window).shape[:2] == (5, 5)
+    qtbot.waitUntil(lambda: len(panel.grid.captions) == 25)
     assert panel.grid.captions[4, 0][1][0] == "x \N{MINUS SIGN}0.50  y +0.50 mm"
 
 

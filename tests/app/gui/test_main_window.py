@@ -30,7 +30,7 @@ from reconstruction.displacement import Outcome
 from reconstruction.pipeline import Reconstructor
 
 
-def test_shows_a_recorded_measurement_without_any_device(make_window: MakeWindow) -> None:
+def test_shows_a_recorded_measurement_without_any_device(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     shown = views()
     shown[1, 2, 4, 5] = np.nan
@@ -41,8 +41,8 @@ def test_shows_a_recorded_measurement_without_any_device(make_window: MakeWindow
     expected = np.clip((pixels - black) / (white - black), 0, 1) * 255
     for channel in (0, 8, 16):  # grey
         np.testing.assert_allclose(window.panels.camera._image.pixels >> channel & 0xFF, expected, atol=1)
+    qtbot.waitUntil(lambda: len(window.panels.wavefronts.grid.captions) == 9)
     captions = window.panels.wavefronts.grid.captions
-    assert len(captions) == 9
     for (row, column), (numbers, place) in captions.items():
         view = shown[row, column]
         rms = np.sqrt(np.nanmean((view - np.nanmean(view)) ** 2))

@@ -137,12 +137,13 @@ def test_lost_lenslet_is_hatched_not_zero(make_window: MakeWindow) -> None:
     assert "lost" in grid._value_at(grid.places.tile(1, 1).topLeft() + QPoint(int(3.5 * step_x), int(2.5 * step_y)))
 
 
-def test_captions_ignore_lenslets_without_value(make_window: MakeWindow) -> None:
+def test_captions_ignore_lenslets_without_value(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     shown = np.tile(np.where(np.arange(LENSLETS[1]) % 2, 1.0, -1.0)[1:], (3, 3, LENSLETS[0], 1))
     shown = np.concatenate([np.full((*shown.shape[:3], 1), np.nan), shown], axis=3)  # lost in every view
     shown[0, 0] = np.nan  # a view outside the field
     window.show_measurement(make_measurement(dim_frame(), shown))
+    qtbot.waitUntil(lambda: bool(window.panels.wavefronts.grid.captions))
     captions = window.panels.wavefronts.grid.captions
     assert captions[0, 0][0][0] == "RMS \N{EN DASH}   PV \N{EN DASH}"
     assert {captions[at][0][0] for at in captions if at != (0, 0)} == {"RMS 1.00   PV 2.00"}

@@ -10,7 +10,7 @@ from support.gui_bench import BENCH, SENSOR
 from support.wavefronts import U, V, bowl
 
 from app.results.frame_tallies import noise_above_rms
-from app.results.view_analysis import Quantity, QuantityMaps, quantity_maps, transmission_maps
+from app.results.view_analysis import Quantity, QuantityMaps, quantity_maps, transmission_maps, view_numbers
 from reconstruction.displacement import Transmission
 from reconstruction.quality.image_quality import diffraction_rad
 from reconstruction.wavefront import Wavefront, without_piston
@@ -60,6 +60,25 @@ def test_uncertainty_is_the_sigma_of_the_wavefront() -> None:
 def test_wavefront_is_its_own_map() -> None:
     wavefront = bowl()
     assert maps_of(Quantity.WAVEFRONT, wavefront).values is wavefront.views
+
+
+def test_numbers_of_each_view_and_of_all() -> None:
+    maps = np.tile([[1.0, -1.0], [3.0, -3.0]], (2, 3, 1, 1))  # of 2 x 3 views
+    maps[0, 0, 1], maps[1, 1] = np.nan, np.nan
+    phases = view_numbers(Quantity.DIFFERENCE, maps)
+    assert phases.first[0, 0] == pytest.approx(1)
+    assert phases.first[0, 1] == pytest.approx(np.sqrt(5))
+    assert phases.second[:, 0].tolist() == [2, 6]
+    assert np.isnan([phases.first[1, 1], phases.second[1, 1]]).all()
+    assert phases.mean == pytest.approx((1 + 4 * np.sqrt(5)) / 5)
+    errors = view_numbers(Quantity.UNCERTAINTY, np.abs(maps))
+    assert errors.first[:, 0].tolist() == [1, 2]
+    assert errors.second[:, 0].tolist() == [1, 3]
+    assert errors.mean == pytest.approx((2 * 1 + 4 * 8) / 18)
+    light = np.zeros((1, 2, 3, 5))
+    light[0, 1, 1, 2], light[0, 1, 0, 4] = 0.6, 0.7
+    peaks = view_numbers(Quantity.PSF, light)
+    assert (peaks.first.tolist(), peaks.second.tolist()) == ([[0, 0.6]], [[0, 0.7]])
 
 
 def test_numbers_of_the_transmission_leave_out_what_is_unknown() -> None:
