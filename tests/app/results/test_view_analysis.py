@@ -86,12 +86,13 @@ def test_numbers_of_the_transmission_leave_out_what_is_unknown() -> None:
     lenslets = wavefront.displacement.valid.shape
     coefficients, covariance = np.zeros((*lenslets, 6)), np.zeros((*lenslets, 6, 6))
     coefficients[..., 0], covariance[..., 0, 0] = 0.7, 0.02**2
-    coefficients[:3, :, 0], coefficients[3, :, 0] = 0.9, np.nan
+    coefficients[:3, :, 0], covariance[:3, :, 0, 0] = 0.9, 0.05**2
+    coefficients[3, :, 0] = covariance[3, :, 0, 0] = np.nan
     displacement = replace(wavefront.displacement, transmission_source=Transmission(coefficients, covariance))
     found = transmission_maps(replace(wavefront, displacement=displacement))
     assert found is not None
     high = 3 / (lenslets[0] - 1)  # share of the rows that let more through
-    numbers = (0.7 + 0.2 * high, 0.2 * np.sqrt(high * (1 - high)), 0.02, 0.7, 0.9)
+    numbers = (0.7 + 0.2 * high, 0.2 * np.sqrt(high * (1 - high)), 0.02 + 0.03 * high, 0.7, 0.9)
     assert (found.mean, found.sigma, found.noise, found.lowest, found.highest) == pytest.approx(numbers)
     coefficients[:] = np.nan
     unknown = transmission_maps(replace(wavefront, displacement=displacement))
@@ -103,8 +104,8 @@ def test_numbers_of_the_transmission_leave_out_what_is_unknown() -> None:
 def test_noise_is_told_if_it_hides_the_wavefront() -> None:
     wavefront = bowl()
     noise_rad = float(np.sqrt(np.mean(wavefront.sigma() ** 2)))
-    assert noise_rad < 0.1
-    for share in (0.5, 2.0):
+    assert 1.1 * noise_rad < 0.1
+    for share in (0.9, 1.1):
         views = np.zeros_like(wavefront.views)
         views[..., ::2, :], views[..., 1::2, :] = share * noise_rad, -share * noise_rad
         views -= views.mean(axis=(2, 3), keepdims=True)
