@@ -137,7 +137,7 @@ class HistoryPanel(Panel):
         self.time_axis.graphics.setFixedHeight(2 * self.fontMetrics().height() + 16)
         header = row(*self.toggles.values(), (self._hint, 1), self.minutes)
         buttons = row(self.export, self.limits, (QWidget(), 1))
-        axis = row(_wide_as(_NAME, buttons), (self.time_axis, 1), _wide_as(_DRIFT, self.samples))
+        axis = row(_wide_as(_NAME, (buttons, 1)), (self.time_axis, 1), _wide_as(_DRIFT, self.samples))
         column(header, (area, 1), axis, spacing=2, parent=self)
         self._arrange()
 

@@ -110,7 +110,7 @@ class Presentation:
     family: str = "phase"  # quantities of one family share the limit and can be compared
     finest: float = 0.01  # lowest limit: a lower one would show noise in full colours
     shown_percent: float = 99.5  # of the values that lie within the limit
-    numbers: tuple[str, str] = ("RMS", "PV")  # names of those of a view, see `ViewNumbers`
+    names: tuple[str, str] = ("RMS", "PV")  # of the numbers of a view, see `ViewNumbers`
     summary: Callable[[float, str], str] = lambda mean, unit: f"mean RMS {number(mean)} {unit}"  # of all maps
     value: Callable[[float, str], str] = lambda value, unit: f"{signed(value)} {unit}"  # of one value
 
@@ -121,8 +121,8 @@ class Presentation:
 
     def caption(self, first: float, second: float) -> tuple[str, ...]:
         """Format the numbers of a view: wordings, longest first."""
-        text = f"{self.numbers[0]} {number(first)}"
-        return f"{text}   {self.numbers[1]} {number(second)}", text, number(first)
+        text = f"{self.names[0]} {number(first)}"
+        return f"{text}   {self.names[1]} {number(second)}", text, number(first)
 
     def limit(self, maps: Floats) -> float:
         """Return the limit that the scale needs; NaN if all maps are NaN."""
@@ -188,7 +188,7 @@ PRESENTATIONS = {
         family="intensity",
         finest=1e-4,
         shown_percent=100.0,
-        numbers=("Strehl", "peak"),
+        names=("Strehl", "peak"),
         summary=lambda _mean, _unit: "1 = perfect peak",
         value=lambda value, _: f"{number(value)} of the peak without aberration",
     ),
@@ -202,7 +202,7 @@ PRESENTATIONS = {
         scale=uncertain,
         family="uncertainty",
         finest=0.001,
-        numbers=("mean", "max"),
+        names=("mean", "max"),
         summary=lambda mean, unit: f"1\N{GREEK SMALL LETTER SIGMA}, mean {number(mean)} {unit}",
         value=lambda value, unit: f"{number(value)} {unit}",
     ),
