@@ -189,14 +189,13 @@ def test_color_bar_gives_way_to_small_maps(qtbot: QtBot) -> None:
         assert min(np.diff(places)) >= line - 1
 
 
-def test_small_views_stand_apart_so_that_positions_fit(make_window: MakeWindow) -> None:
+def test_small_views_stand_apart_so_that_positions_fit(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     window.resize(1440, 760)
     window.panels.wavefronts.menu.change(views=6)
     window.show_measurement(replace(make_measurement(dim_frame(), views()), wavefront=bowl()))
-    window.update_text()
-    QApplication.processEvents()
     grid = window.panels.wavefronts.grid
+    qtbot.waitUntil(lambda: len(grid.captions) == 36)
     assert grid.places.size.width() < 80
     assert grid._wording(1) is not None
     assert grid.places.tile(0, 5).right() + grid.places.bar_space < grid.width()
