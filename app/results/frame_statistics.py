@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from reconstruction.geometry import Field, Sensor
 from reconstruction.runtime.compilation import compiled
 
 NEARLY_FULL = 0.95  # of the level at which pixels clip
+Selection = tuple[Literal["line", "area"], tuple[float, float], tuple[float, float]]  # ends or corners (x, y), px
 _BINS = 128  # of the histogram
 _STEP = 2e-3  # of the highest count: scatter of clipped pixels, by read noise
 _LEAST_SHARE, _MOST_SHARE = 2e-4, 0.5  # of the pixels, that a full well clips; of more, nothing is known
@@ -120,3 +121,17 @@ def area_statistics(
     clipped = int(np.count_nonzero(inside >= clip_level))
     mean, sigma, lowest, highest = (float(f(inside)) for f in (np.mean, np.std, np.min, np.max))
     return AreaStatistics(rows, columns, mean, sigma, int(lowest), int(highest), clipped)
+
+
+def frame_counts(
+    pixels: NDArray[np.integer[Any]], full_scale: int, selection: Selection | None
+) -> tuple[FrameStatistics, tuple[Floats, Floats] | AreaStatistics | None]:
+    """Return the statistics of a frame, and of a selection the profile along its line or the statistics of its area."""
+    found = frame_statistics(pixels, full_scale)
+    if selection is None:
+        return found, None
+    kind, start_px, end_px = selection
+    if kind == "line":
+        return found, profile(pixels, start_px, end_px)
+    x_px, y_px = zip(start_px, end_px, strict=True)
+    return found, area_statistics(pixels, x_px, y_px, found.clip_level)

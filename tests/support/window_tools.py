@@ -83,13 +83,14 @@ def wait_for_wavefront(qtbot: QtBot, window: MainWindow) -> None:
 
 
 def count_pixels(qtbot: QtBot, window: MainWindow) -> None:
-    """Wait until the pixels of the shown frame are counted, and show the numbers."""
+    """Wait until the pixels of the shown frame are counted and measured, and show the numbers."""
     panel = window.panels.camera
     thread = window.analyses.threads[panel]
 
     def are_counted() -> bool:
-        request = thread.requests.get(panel)
-        return request is not None and request.of is window.shown.measurement and not thread.is_busy
+        last, now = thread.requests.get(panel), panel.request()
+        is_newest = last is not None and now is not None and last.of is now.of and last.choice == now.choice
+        return is_newest and not thread.is_busy
 
     qtbot.waitUntil(are_counted)
     window.update_text()

@@ -28,8 +28,9 @@ from app.gui.widgets.elements import (
 from app.gui.widgets.presentation import MAGNIFICATIONS, AdaptiveScale, percent
 from app.measurement.measurement import Measurement
 from app.progress import counted
-from app.results.frame_statistics import FrameStatistics, frame_statistics
+from app.results.frame_statistics import AreaStatistics, FrameStatistics, frame_counts
 from drivers.interface import Frame
+from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey
@@ -171,14 +172,15 @@ class CameraPanel(Panel):
         self._show_overlay()
 
     def request(self) -> Request | None:
-        """Count the pixels for all panels, also while this one is hidden."""
-        measurement, full_scale = self.shown.measurement, self.full_scale
+        """Count the pixels for all panels, also while this one is hidden, and measure in the picture."""
+        measurement, choice = self.shown.measurement, (self.full_scale, self.measuring.selection)
         if measurement is None:
             return None
-        return Request(measurement, full_scale, lambda _: frame_statistics(measurement.frame.pixels, full_scale))
+        return Request(measurement, choice, lambda _: frame_counts(measurement.frame.pixels, *choice))
 
-    def show_result(self, found: FrameStatistics) -> None:
-        self.shown.statistics = found
+    def show_result(self, found: tuple[FrameStatistics, tuple[Floats, Floats] | AreaStatistics | None]) -> None:
+        self.shown.statistics, measured = found
+        self.measuring.show_measured(measured)
 
     def propose(self, survey: Survey | None) -> None:
         for item in (self._proposed_lines, self._proposed_boxes):
@@ -199,6 +201,7 @@ class CameraPanel(Panel):
             self.levels_changed.emit(*self._levels.levels)
         self._draw()
         if is_new_shape:
+            self.measuring.shape = frame.pixels.shape
             self._placeholder.hide()
             self._view.setLimits(minXRange=_CLOSEST_PX, minYRange=_CLOSEST_PX)
             self.reset_zoom()
@@ -234,7 +237,6 @@ class CameraPanel(Panel):
     def show_numbers(self) -> None:
         if self._frame is None:
             return
-        self.measuring.show_frame(self._frame, self.shown.statistics)
         parts, colour = ["+x \N{RIGHTWARDS ARROW}  +y \N{DOWNWARDS ARROW}"], theme.DIM
         found = self.shown.statistics
         if found is not None and self.full_scale:

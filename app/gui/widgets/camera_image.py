@@ -19,7 +19,7 @@ from app.gui.widgets import theme
 from app.gui.widgets.elements import ElidedLabel, column
 from app.gui.widgets.plot import Canvas, Plot
 from app.gui.widgets.presentation import colour_table, number
-from app.results.frame_statistics import FrameStatistics, area_statistics, lengths_of, profile
+from app.results.frame_statistics import AreaStatistics, FrameStatistics, Selection, lengths_of
 from app.results.pictures import Pixels, shaded
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
@@ -211,14 +211,13 @@ class Measuring(QWidget):
         for item in (self.line, self.area):
             item.setZValue(2)
             item.hide()
-            item.sigRegionChanged.connect(self._read)
+            item.sigRegionChanged.connect(self._show_length)
             view.addItem(item, ignoreBounds=True)
             for handle in item.getHandles():
                 handle.setDeletable(False)
                 handle.menu.deleteLater()  # to delete it: no parent would
                 handle.menu = None
-        self._frame: Frame | None = None
-        self._statistics: FrameStatistics | None = None
+        self.shape = (0, 0)  # rows and columns of the frame
         self._sensor: Sensor | None = None
         self._field: Field | None = None
         self.reading = ElidedLabel()
@@ -244,10 +243,21 @@ class Measuring(QWidget):
             self.area.setSize((right - left, bottom - top))
         self.line.setVisible(kind == "line")
         self.area.setVisible(kind == "area")
-        self._read()
+        self._show_length()
+
+    @property
+    def selection(self) -> Selection | None:
+        """What is to be measured; None while there is neither line nor area."""
+        if self.line.isVisible():
+            start, end = ((point.x(), point.y()) for point in map(self.line.mapToParent, self.line.listPoints()))
+            return "line", start, end
+        if self.area.isVisible():
+            place, size = self.area.pos(), self.area.size()
+            return "area", (place.x(), place.y()), (place.x() + size.x(), place.y() + size.y())
+        return None
 
     def _near(self, point: QPointF) -> QPointF:
-        rows, columns = (0, 0) if self._frame is None else self._frame.pixels.shape
+        rows, columns = self.shape
         return QPointF(min(max(point.x(), -columns), 2 * columns), min(max(point.y(), -rows), 2 * rows))
 
     def use(self, kind: str) -> None:
@@ -262,45 +272,34 @@ class Measuring(QWidget):
     def show_bench(self, sensor: Sensor, field: Field) -> None:
         """Use these for lengths in metres."""
         self._sensor, self._field = sensor, field
+        self._show_length()
 
-    def show_frame(self, frame: Frame, statistics: FrameStatistics | None) -> None:
-        """Measure in another frame; `statistics` have the count from which pixels are saturated."""
-        self._frame, self._statistics = frame, statistics
-        self._read()
-
-    def _read(self) -> None:
-        if self._frame is None:
-            return
-        if self.line.isVisible():
-            start, end = (self.line.mapToParent(point) for point in self.line.listPoints())
-            self.curve.setData(*self._profile(self._frame, start, end), connect="finite")
-            self.reading.setText(self._length(math.hypot(end.x() - start.x(), end.y() - start.y())))
+    def show_measured(self, found: tuple[Floats, Floats] | AreaStatistics | None) -> None:
+        """Show what was measured of the selection; None of an area without pixels, or without a selection."""
+        if isinstance(found, tuple):
+            along_px, counts = found
+            known = counts[np.isfinite(counts)]
+            low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+            self.plot.set_ranges((0, max(float(along_px[-1]), 1.0)), (low, max(high, low + 1)))
+            self.curve.setData(along_px, counts, connect="finite")
         elif self.area.isVisible():
-            self.reading.setText(self._statistics_of(self._frame))
+            self.reading.setText("no pixel lies in the area" if found is None else self._in_words(found))
 
-    def _profile(self, frame: Frame, start: QPointF, end: QPointF) -> tuple[Floats, Floats]:
-        along_px, counts = profile(frame.pixels, (start.x(), start.y()), (end.x(), end.y()))
-        known = counts[np.isfinite(counts)]
-        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-        self.plot.set_ranges((0, max(float(along_px[-1]), 1.0)), (low, max(high, low + 1)))
-        return along_px, counts
-
-    def _length(self, length_px: float) -> str:
-        sensor, field = self._sensor, self._field
+    def _show_length(self) -> None:
+        selection, sensor, field = self.selection, self._sensor, self._field
+        if selection is None or selection[0] != "line":
+            return
+        length_px = math.dist(*selection[1:])
         if sensor is None or field is None:
-            return f"{length_px:.1f} px"
+            self.reading.setText(f"{length_px:.1f} px")
+            return
         length_m, angle_rad, source_m = lengths_of(length_px, sensor, field)
-        return (
+        self.reading.setText(
             f"{length_px:.1f} px = {number(length_m * 1e6, 4)} {_MICRO} on the sensor; within a subimage"
             f" {number(angle_rad * 1e3)} mrad, {number(source_m * 1e3)} mm of the source"
         )
 
-    def _statistics_of(self, frame: Frame) -> str:
-        place, size = self.area.pos(), self.area.size()
-        sides = (place.x(), place.x() + size.x()), (place.y(), place.y() + size.y())
-        clip_level = math.inf if self._statistics is None else self._statistics.clip_level
-        if (found := area_statistics(frame.pixels, *sides, clip_level)) is None:
-            return "no pixel lies in the area"
+    def _in_words(self, found: AreaStatistics) -> str:
         pitch_um = math.nan if self._sensor is None else self._sensor.pixel_pitch_m * 1e6
         size_um = f" = {number(found.columns * pitch_um, 4)} x {number(found.rows * pitch_um, 4)} {_MICRO}"
         return (

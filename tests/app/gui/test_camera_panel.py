@@ -110,7 +110,7 @@ def test_pixels_are_counted_once_beside_the_window(
         counted.append(threading.current_thread())
         return frame_statistics(pixels, full_scale)
 
-    monkeypatch.setattr("app.gui.panels.camera.frame_statistics", count)
+    monkeypatch.setattr("app.results.frame_statistics.frame_statistics", count)
     window.show_measurement(make_measurement(dim_frame(), views()))
     count_pixels(qtbot, window)
     panel = window.panels.camera

@@ -90,7 +90,7 @@ def test_line_shows_length_and_profile_of_each_frame(window: MainWindow, qtbot: 
     )
     y, x = np.meshgrid(np.arange(300), np.arange(430), indexing="ij")
     window.show_measurement(make_measurement((10 * x + 20 * y).astype(np.uint16), views()))
-    window.update_text()
+    count_pixels(qtbot, window)
     along_px, counts = panel.measuring.curve.getData()
     np.testing.assert_allclose(counts, 10 * (100 + 0.8 * along_px) + 20 * (80 + 0.6 * along_px))
     assert panel.measuring.plot.isVisible()
@@ -114,24 +114,25 @@ def test_area_counts_its_pixels(window: MainWindow, qtbot: QtBot) -> None:
     panel.measuring.place("area", QPointF(239.4, 139.4), QPointF(199.6, 99.6))
     inside = pixels[100:140, 200:240]
     um = f"{40 * SENSOR.pixel_pitch_m * 1e6:.1f}"
-    assert panel.measuring.reading.text() == (
+    expected = (
         f"40 x 40 px = {um} x {um} \N{MICRO SIGN}m: mean {inside.mean():.1f}, \N{GREEK SMALL LETTER SIGMA}"
         f" {inside.std():.0f}, {inside.min()} ... 65535 counts, 5 saturated"
     )
+    qtbot.waitUntil(lambda: panel.measuring.reading.text() == expected)
     panel.measuring.place("area", QPointF(-30, -30), QPointF(-10, -10))
-    assert panel.measuring.reading.text() == "no pixel lies in the area"
+    qtbot.waitUntil(lambda: panel.measuring.reading.text() == "no pixel lies in the area")
 
 
-def test_line_ends_beside_the_picture(window: MainWindow) -> None:
+def test_line_ends_beside_the_picture(window: MainWindow, qtbot: QtBot) -> None:
     measuring = window.panels.camera.measuring
     window.show_measurement(make_measurement(dim_frame(), views()))
-    window.update_text()
     window.panels.camera.use_tool("line")
     measuring.place("line", QPointF(-1e9, -1e9), QPointF(1e9, 1e9))
+    count_pixels(qtbot, window)
     along_px, _ = measuring.curve.getData()
     assert along_px[-1] == pytest.approx(3 * math.hypot(430, 300))
     measuring.place("area", QPointF(-1e9, -1e9), QPointF(1e9, 1e9))
-    assert measuring.reading.text().startswith("430 x 300 px")
+    qtbot.waitUntil(lambda: measuring.reading.text().startswith("430 x 300 px"))
 
 
 def test_drag_without_a_tool_moves_the_picture(window: MainWindow) -> None:
