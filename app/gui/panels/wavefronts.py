@@ -175,8 +175,9 @@ class WavefrontPanel(Panel):
         if numbers.first.shape == (field.view_rows, field.view_columns):
             captions: dict[tuple[int, int], Caption] = {}
             for i, j in np.ndindex(numbers.first.shape):
-                caption = presentation.caption(factor * numbers.first[i, j], factor * numbers.second[i, j])
-                captions[i, j] = (caption, place(float(field.view_x_m[j]), float(field.view_y_m[i])))
+                first, second = (factor * float(each[i, j]) for each in (numbers.first, numbers.second))
+                where = place(float(field.view_x_m[j]), float(field.view_y_m[i]))
+                captions[i, j] = presentation.caption(first, second), where
             self.grid.set_captions(captions)
         reach = f"half width {self._reach_mrad.value:g} mrad" if quantity is Quantity.PSF else ""
         summary = presentation.summary(factor * numbers.mean, self.shown.unit)
