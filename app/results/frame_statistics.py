@@ -106,6 +106,9 @@ class AreaStatistics:
     clipped: int  # number of pixels
 
 
+Measured = tuple[Floats, Floats] | AreaStatistics | None  # a profile, an area, or one without pixels
+
+
 def area_statistics(
     pixels: NDArray[np.integer[Any]], x_px: tuple[float, float], y_px: tuple[float, float], clip_level: float = math.inf
 ) -> AreaStatistics | None:
@@ -125,7 +128,7 @@ def area_statistics(
 
 def frame_counts(
     pixels: NDArray[np.integer[Any]], full_scale: int, selection: Selection | None
-) -> tuple[FrameStatistics, tuple[Floats, Floats] | AreaStatistics | None]:
+) -> tuple[FrameStatistics, Measured]:
     """Return the statistics of a frame, and of a selection the profile along its line or the statistics of its area."""
     found = frame_statistics(pixels, full_scale)
     if selection is None:

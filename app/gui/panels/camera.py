@@ -28,9 +28,8 @@ from app.gui.widgets.elements import (
 from app.gui.widgets.presentation import MAGNIFICATIONS, AdaptiveScale, percent
 from app.measurement.measurement import Measurement
 from app.progress import counted
-from app.results.frame_statistics import AreaStatistics, FrameStatistics, frame_counts
+from app.results.frame_statistics import FrameStatistics, Measured, frame_counts
 from drivers.interface import Frame
-from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey
@@ -178,7 +177,7 @@ class CameraPanel(Panel):
             return None
         return Request(measurement, choice, lambda _: frame_counts(measurement.frame.pixels, *choice))
 
-    def show_result(self, found: tuple[FrameStatistics, tuple[Floats, Floats] | AreaStatistics | None]) -> None:
+    def show_result(self, found: tuple[FrameStatistics, Measured]) -> None:
         self.shown.statistics, measured = found
         self.measuring.show_measured(measured)
 

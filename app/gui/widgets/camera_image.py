@@ -19,7 +19,7 @@ from app.gui.widgets import theme
 from app.gui.widgets.elements import ElidedLabel, column
 from app.gui.widgets.plot import Canvas, Plot
 from app.gui.widgets.presentation import colour_table, number
-from app.results.frame_statistics import AreaStatistics, FrameStatistics, Selection, lengths_of
+from app.results.frame_statistics import AreaStatistics, FrameStatistics, Measured, Selection, lengths_of
 from app.results.pictures import Pixels, shaded
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
@@ -274,7 +274,7 @@ class Measuring(QWidget):
         self._sensor, self._field = sensor, field
         self._show_length()
 
-    def show_measured(self, found: tuple[Floats, Floats] | AreaStatistics | None) -> None:
+    def show_measured(self, found: Measured) -> None:
         """Show what was measured of the selection; None of an area without pixels, or without a selection."""
         if isinstance(found, tuple):
             along_px, counts = found
