@@ -16,7 +16,7 @@ from app.bench.config import load_bench, parse_bench
 from app.errors import InputError, RunError
 from app.results.dataset import result_dataset, stack_frames
 from app.results.result_file import write_pieces, write_results
-from reconstruction.displacement import diagonal_covariance
+from reconstruction.displacement import Transmission, diagonal_covariance
 from reconstruction.wavefront import Wavefront
 
 BENCH = load_bench(
@@ -85,12 +85,15 @@ def test_results_have_documented_names_dimensions_and_units(dataset: xr.Dataset,
 
 
 def test_axes_and_errors_are_the_wavefronts_own(small_bench: SmallBench) -> None:
-    """More columns of views than rows, and displacements with variances of 4 and 9 px^2 along x and y."""
+    """More columns of views than rows, displacements with variances of 4 and 9 px^2 along x and y, a grey sample."""
     wide = replace(FIELD, view_rows=1, view_columns=5, view_spacing_m=2e-4)
     measured = small_bench.reconstructor()(small_bench.reference)
     displacement = measured.displacement
     known = np.broadcast_to([4.0, 9.0], displacement.coefficients.shape)
-    displacement = replace(displacement, covariance_source=diagonal_covariance(known))
+    grey, noise = (np.zeros((*displacement.valid.shape, *shape)) for shape in ((6,), (6, 6)))
+    grey[..., 0], noise[..., 0, 0] = 0.7, 0.02**2
+    light = Transmission(grey, noise)
+    displacement = replace(displacement, covariance_source=diagonal_covariance(known), transmission_source=light)
     dataset = result_dataset(Wavefront.of(measured.sensor, wide, displacement, measured.solution))
     assert dataset["view_x"].dims == ("view_column",)
     np.testing.assert_allclose(dataset["view_x"], np.arange(-2, 3) * wide.view_spacing_m)
@@ -98,6 +101,8 @@ def test_axes_and_errors_are_the_wavefronts_own(small_bench: SmallBench) -> None
     sigma_px = dataset["displacement_sigma"].transpose("xy", ...).to_numpy()
     np.testing.assert_allclose(sigma_px[0], 2)
     np.testing.assert_allclose(sigma_px[1], 3)
+    np.testing.assert_allclose(dataset["transmission"], 0.7)
+    np.testing.assert_allclose(dataset["transmission_sigma"], 0.02)
 
 
 def test_documentation_lists_every_variable(dataset: xr.Dataset) -> None:
