@@ -182,6 +182,7 @@ class LightSource(Device):
             self._set_current(allowed.minimum)
             self._note(on=True)
             self._switch(on=True)
+            self.off_reason = ""
             self._ramp(min(wanted_a, allowed.maximum), allowed)
         except REFUSALS:
             self._switch(on=False)

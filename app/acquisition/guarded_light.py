@@ -12,17 +12,20 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from functools import partial
 from typing import IO, Any, cast
 
 from app.acquisition import guardian
 from app.bench.device_kinds import DeviceSettings
+from app.progress import run_in_thread
 from drivers import errors
 from drivers.device import Property, Range
 from drivers.errors import DeviceError
 from drivers.light_source import MAY_BE_ON, LightSource
 
-_SILENT_PULSES = 5  # after so many missing signs of life the guardian counts as frozen
+_SILENT_PULSES = 5  # after so many missing signs of life the guardian counts as frozen, or its light's call as hanging
 _END_S = 3.0  # for the guardian to end
+_TAKE_OVER_S = 20.0  # for a light that may hang here, too
 _SIGN_S = 0.2  # least time between two signs of life that promise the same
 
 
@@ -59,7 +62,7 @@ class GuardedLight(LightSource):
         now_s = time.monotonic()
         if within_s != self._promised_s or now_s > self._sent_s + _SIGN_S:
             self._promised_s, self._sent_s = within_s, now_s
-            self._guardian.send("keep_alive", within_s)
+            self._guardian.tell("keep_alive", within_s)
 
     def _read_range(self) -> Range:
         return Range(*self._guardian.call("range"))
@@ -79,8 +82,6 @@ class GuardedLight(LightSource):
     def _switch(self, *, on: bool) -> None:
         if on or not self._guardian.was_taken_over:
             self._guardian.call("set_on", on)
-        if on:
-            self.off_reason = ""
 
     def _close(self) -> None:
         try:
@@ -95,9 +96,10 @@ class _Guardian:
     def __init__(self, settings: dict[str, Any]) -> None:
         self.was_taken_over = False  # the guardian is gone, and this process has switched its light off
         self._settings = settings
+        self._number = 0  # of the last call
         self._answers: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self._writing = threading.Lock()
-        self._ending = threading.Event()
+        self._has_ended = threading.Event()
         self._has_pulse = False
         # In a session of its own: what the terminal sends to this process, such as Ctrl-C, does not reach it.
         self._process = subprocess.Popen(  # noqa: S603 - this interpreter
@@ -114,46 +116,54 @@ class _Guardian:
 
     def call(self, method: str, *arguments: Any) -> Any:
         """Return what the light answers, or raise its error; one thread at a time, as for every device."""
-        self.send(method, *arguments)
+        self._number += 1
+        self._write([self._number, method, *arguments])
         return self.answer()
 
-    def send(self, method: str, *arguments: Any) -> None:
-        """Send a call, and wait for no answer."""
-        self._write([method, *arguments])
+    def tell(self, method: str, *arguments: Any) -> None:
+        """Send what has no answer."""
+        self._write([0, method, *arguments])
 
     def answer(self) -> Any:
-        """Wait for an answer; the end of the guardian answers all calls."""
+        """Wait for the answer to the last call; after Ctrl-C, those to others may come before it.
+
+        The end of the guardian answers all calls.
+        """
         answer = self._answers.get()
+        while answer.get("to", self._number) != self._number:
+            answer = self._answers.get()
         if "error" not in answer:
             return answer["value"]
-        if answer.get("is_for_all"):
+        if "to" not in answer:
             self._answers.put(answer)
         raise getattr(errors, answer["error"], DeviceError)(answer["text"])  # a driver may have an error of its own
 
     def end(self) -> None:
         """Let the guardian end, which switches the light off; kill it if it does not."""
-        self._ending.set()
         with self._writing, suppress(OSError):
             self._input.close()
-        try:
-            self._process.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._end_within(_END_S)
         for thread in self._threads:
-            thread.join()
+            thread.join(_END_S)
 
     @property
     def _input(self) -> IO[bytes]:
         return cast("IO[bytes]", self._process.stdin)
 
     def _write(self, line: Any) -> None:
-        with self._writing, suppress(OSError, ValueError):  # of a guardian that has ended: `_listen` notices
+        with self._writing, suppress(OSError, ValueError):  # of a guardian that has ended: `_watch` notices
             self._input.write(json.dumps(line).encode() + b"\n")
             self._input.flush()
 
+    def _end_within(self, seconds: float) -> None:
+        """Kill the process if it does not end in time; one that hangs in the kernel may go on."""
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(seconds)
+        self._process.kill()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END_S)
+
     def _listen(self) -> None:
-        is_over = False
         with cast("IO[bytes]", self._process.stdout) as lines:
             for line in lines:
                 self._has_pulse = True
@@ -161,29 +171,33 @@ class _Guardian:
                     answer = dict(json.loads(line))
                 except (TypeError, ValueError):  # printed by a library
                     continue
-                is_over |= "is_last" in answer
                 if "alive" in answer:
-                    self.send("alive")
+                    self.tell("alive")
                 else:
                     self._answers.put(answer)
-        error, text = ("WrongState", "the light is closed") if is_over else ("Disconnected", self._take_over())
-        self._answers.put({"error": error, "text": text, "is_for_all": True})
+        self._has_ended.set()
 
     def _watch(self) -> None:
-        """Kill a guardian that is frozen; the pulses that are missing are counted, as this process may be late."""
+        """Answer all calls when the guardian has ended, or is killed because it is frozen or its light hangs.
+
+        The pulses that are missing are counted, as this process may be late.
+        """
         missing = -guardian.STARTING_PULSES
-        while missing < _SILENT_PULSES and not self._ending.wait(guardian.PULSE_S):
+        while missing < _SILENT_PULSES and not self._has_ended.wait(guardian.PULSE_S):
             missing, self._has_pulse = 0 if self._has_pulse else missing + 1, False
-        if not self._ending.is_set():
-            self._process.kill()
+        self._end_within(_END_S if self._has_ended.is_set() else 0.0)
+        is_over = self._process.returncode == 0
+        error, text = ("WrongState", "the light is closed") if is_over else ("Disconnected", self._take_over())
+        self._answers.put({"error": error, "text": text})
 
     def _take_over(self) -> str:
         """Switch the light off from this process; say what has happened, whatever fails: all calls wait for it."""
-        text = "the guardian of the light has ended"
+        text = f"the guardian of the light {'cannot be' if self._process.returncode is None else 'has'} ended"
         try:
-            guardian.switch_off(self._settings)
+            run_in_thread(partial(guardian.switch_off, self._settings), "light off")[0].result(_TAKE_OVER_S)
         except Exception as error:  # noqa: BLE001 - it is told
-            text += f", and the light cannot be reached ({error}); {MAY_BE_ON}"
+            why = str(error) or f"it does not answer within {_TAKE_OVER_S:g} s"
+            text += f", and the light cannot be reached ({why}); {MAY_BE_ON}"
         else:
             self.was_taken_over = True
             text += "; the light was switched off: open the bench again"

@@ -2,10 +2,10 @@
 
 The light goes off when the instrument's process has ended in any way, closes the pipe, is frozen, or breaks its
 promise to send a sign of life. `GuardedLight` starts it and calls the light through it, over JSON lines: first the
-settings of the light; then [method, argument...] for each call, answered by {"value": ...} or {"error": class, "text":
-...}, and ["keep_alive", seconds] for a sign of life of the worker, which has no answer; a call renews its promise.
-{"alive": true} comes four times a second, and a thread of the instrument answers ["alive"], whatever its worker does.
-The last answer says so; without one, the guardian has died.
+settings of the light; then [number, method, argument...], answered by {"to": number, "value": ...} or {"to": number,
+"error": class, "text": ...}. Number 0 has no answer: [0, "keep_alive", seconds] is a sign of life of the worker, whose
+promise every call renews. {"alive": true} comes four times a second, unless a call of the light hangs; a thread of the
+instrument replies [0, "alive"], whatever its worker does. The exit status is 0 if the light was closed in order.
 """
 
 import json
@@ -29,6 +29,7 @@ from drivers.light_source import MAY_BE_ON, LightSource
 PULSE_S = 0.25  # between two signs of life of the guardian
 STARTING_PULSES = 240  # before the first one is heard: a cold disk takes long to import
 _SILENT_PULSES = 6  # without an answer or any work, and the instrument counts as frozen
+_HANGING_PULSES = 40  # in one call of the light: drivers give up after 8 s (DC2200) or less
 _POLL_S = 0.05  # how late the end of a process whose pipe stays open is noticed
 _ATTEMPTS = 3  # to reach a light that could not be switched off
 
@@ -53,9 +54,8 @@ class _Pipe:
         os.dup2(2, 1)
         self._writing = threading.Lock()
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._parent = os.getppid()
-        self.has_ended = False
-        self._unanswered = -STARTING_PULSES
+        self._parent, self.has_ended = os.getppid(), False
+        self._unanswered = self.pulses_in_call = -STARTING_PULSES
         for work in (self._read, self._pulse):
             threading.Thread(target=work, daemon=True).start()
 
@@ -82,14 +82,18 @@ class _Pipe:
     def _pulse(self) -> None:
         worked = ""
         while True:
-            self.send({"alive": True})
-            self._unanswered += 1
+            if self.pulses_in_call < _HANGING_PULSES:
+                self.send({"alive": True})
+                self._unanswered += 1
+            elif self.has_ended:  # nobody is left to end this process, which holds the device
+                os._exit(1)
+            self.pulses_in_call += 1
             time.sleep(PULSE_S)
             before, worked = worked, _work_of(self._parent)
             if worked != before:  # a thread that computes may let no other one answer: this is no freeze
                 self._unanswered = min(self._unanswered, 0)
             if self._unanswered == _SILENT_PULSES:
-                self._lines.put('["frozen"]')
+                self._lines.put('[0, "frozen"]')
 
 
 def _work_of(process: int) -> str:
@@ -103,21 +107,20 @@ def _serve(light: LightSource, pipe: _Pipe) -> None:
     """Answer calls until the pipe ends or the light is closed."""
     due_s = promised_s = math.inf
     while not pipe.has_ended:
+        pipe.pulses_in_call = 0
         line = pipe.next(_POLL_S)
         if line:
-            method, *arguments = json.loads(line)
-            if method == "alive":
-                continue
-            if method == "frozen":
-                _end_silence(light, _SILENT_PULSES * PULSE_S)
-                continue
-            if method == "keep_alive":
+            number, method, *arguments = json.loads(line)
+            if number:
+                pipe.send({"to": number} | _answer(light, method, arguments))
+                if method == "close":
+                    return
+            elif method == "keep_alive":
                 promised_s = float(arguments[0])
-            else:
-                pipe.send(_answer(light, method, arguments) | ({"is_last": True} if method == "close" else {}))
-            if method == "close":
-                return
-            due_s = time.monotonic() + promised_s  # the light may have answered late
+            elif method == "frozen":
+                _end_silence(light, _SILENT_PULSES * PULSE_S)
+            if number or method == "keep_alive":
+                due_s = time.monotonic() + promised_s  # the light may have answered late
         elif time.monotonic() > due_s and not pipe.has_ended:
             due_s = math.inf
             _end_silence(light, promised_s)
@@ -138,12 +141,9 @@ def _end_silence(light: LightSource, silent_s: float) -> None:
 
 def _answer(light: LightSource, method: str, arguments: list[Any]) -> dict[str, Any]:
     try:
-        value = _CALLS[method](light, *arguments)
+        return {"value": _CALLS[method](light, *arguments)}
     except DeviceError as error:
         return {"error": type(error).__name__, "text": str(error)}
-    if method == "set_on" and arguments[0]:
-        light.off_reason = ""
-    return {"value": value}
 
 
 def open_light(settings: dict[str, Any]) -> LightSource:
@@ -168,7 +168,7 @@ def switch_off(settings: dict[str, Any]) -> None:
 
 def main() -> int:
     """Hold the light until the instrument closes it or ends."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the instrument decides
     pipe = _Pipe()
     settings = json.loads(pipe.next(PULSE_S * 40) or "{}")
@@ -177,7 +177,7 @@ def main() -> int:
     try:
         light = open_light(settings)
     except DeviceError as error:
-        pipe.send({"error": type(error).__name__, "text": str(error), "is_last": True})
+        pipe.send({"error": type(error).__name__, "text": str(error)})
         return 0
     try:
         pipe.send({"value": light.name})

@@ -1,4 +1,4 @@
-"""Fixtures of the driver tests: a manual clock, a light closed at the end, a DCAM camera over its stand-in."""
+"""Fixtures of the driver tests: a manual clock, a light closed at the end, a lamp and a DCAM camera, both stand-ins."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from drivers.dcam.camera import DcamCamera
 from drivers.interface import DeviceError, LightSource
 from simulated_devices.clock import ManualClock
 from support.dcam_tools import dcam_stand_in, open_camera
+from support.wires.dc4100 import DC4100Wire
 from support.wires.dcam.stand_in import StandIn
+from support.wires.pseudo_terminal import PtyServer
 
 
 @pytest.fixture
@@ -25,6 +27,17 @@ def light(reopen: Callable[[], LightSource]) -> Iterator[LightSource]:
     yield light
     with suppress(DeviceError):
         light.close()
+
+
+@pytest.fixture
+def lamp() -> DC4100Wire:
+    return DC4100Wire()
+
+
+@pytest.fixture
+def lamp_port(lamp: DC4100Wire) -> Iterator[PtyServer]:
+    with PtyServer(lamp) as server:
+        yield server
 
 
 @pytest.fixture

@@ -1,95 +1,34 @@
-"""The light and its guardian: whatever dies or freezes, the light goes off.
-
-The instrument is a process with the worker, a DCAM camera and a DC4100, whose stand-in is in this process, at a
-pseudo-terminal. `SVWFS_KILLS=100` repeats each death; `SVWFS_TIMES=FILE` notes how long the light stayed on.
-"""
+"""The light in its guardian: calls, errors, signs of life, and ends of the guardian."""
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.command_line import run
-from support.dcam_tools import built
+from support.guarded_instrument import children, is_gone
 from support.light_contract import LightContract
-from support.paths import FOREIGN_FRAMES
-from support.patience import wait_until
+from support.patience import HANG_S, wait_until
 from support.wires.dc4100 import DC4100Wire
 from support.wires.pseudo_terminal import PtyServer
+from support.wires.serial import LineFault
 
 from app.acquisition.guarded_light import GuardedLight
-from drivers.errors import BadValue, DeviceError, Disconnected
+from app.acquisition.guardian import switch_off
+from drivers.errors import BadValue, Busy, DeviceError, Disconnected
 from drivers.interface import LightSource
 from drivers.serial_lights import DC4100Settings
 
-KILLS = int(os.environ.get("SVWFS_KILLS", "1"))
-TIMES = os.environ.get("SVWFS_TIMES", "")
-GONE = "the guardian of the light has ended; the light was switched off: open the bench again"
-
-INSTRUMENT = """
-import sys, time
-from pathlib import Path
-from support.wires.dcam.stand_in import StandIn
-from app.acquisition.start_up import start_up
-from app.acquisition.worker import Acquisition
-from app.bench.config import load_bench
-
-bench = load_bench(sys.argv[1])
-StandIn(Path(bench.camera.library)).reset(1.0)
-acquisition = Acquisition(bench)
-acquisition.start()
-for step in start_up(acquisition, frames=3):
-    step.result()
-print("lit", flush=True)
-while acquisition.is_alive:
-    time.sleep(0.01)
-sys.exit(acquisition.failure)
-"""
-
-
-HOLDER = """
-import sys, time
-from app.acquisition.guarded_light import GuardedLight
-from app.acquisition.place import taken_place
-from drivers.serial_lights import DC4100Settings
-
-with taken_place() as place:
-    place.announce()
-    light = GuardedLight(DC4100Settings(port=sys.argv[1]))
-    light.keep_alive(1000)  # as before long work
-    light.set_on(True)
-    print("holds", flush=True)
-    sys.stdin.readline()
-    begin_s = time.monotonic()
-    sum(range(10**6))
-    sum(range(int(3.0 / (time.monotonic() - begin_s)) * 10**6))  # no other thread runs meanwhile
-    print("has computed", flush=True)
-    time.sleep(600)
-"""
-
 
 @pytest.fixture
-def lamp() -> DC4100Wire:
-    return DC4100Wire()
-
-
-@pytest.fixture
-def port(lamp: DC4100Wire) -> Iterator[PtyServer]:
-    with PtyServer(lamp) as server:
-        yield server
-
-
-@pytest.fixture
-def reopen(port: PtyServer) -> Callable[[], LightSource]:
-    return lambda: GuardedLight(DC4100Settings(port=port.port))
+def reopen(lamp_port: PtyServer) -> Callable[[], LightSource]:
+    return lambda: GuardedLight(DC4100Settings(port=lamp_port.port))
 
 
 @pytest.fixture
@@ -100,98 +39,6 @@ def light(reopen: Callable[[], LightSource]) -> Iterator[LightSource]:
 
 class TestContract(LightContract):
     """A guarded light is a light."""
-
-
-def children(pid: int) -> set[int]:
-    """The processes that all threads of a process have started, and that live."""
-    tasks = Path(f"/proc/{pid}/task").iterdir()
-    found = {int(child) for task in tasks for child in (task / "children").read_text().split()}
-    return {child for child in found if not is_gone(child)}
-
-
-def is_gone(pid: int) -> bool:
-    """True if a process has ended, also if its parent has not noticed yet."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except FileNotFoundError:
-        return True
-
-
-def bench_toml(port: str, folder: Path) -> Path:
-    path = folder / "bench.toml"
-    path.write_text(
-        (FOREIGN_FRAMES / "bench.toml").read_text()
-        + f"""
-[camera]
-driver = "dcam"
-library = "{built()}"
-exposure_s = 0.02
-
-[light]
-driver = "thorlabs_dc4100"
-port = "{port}"
-current_a = 0.1
-"""
-    )
-    return path
-
-
-@contextmanager
-def lit_instrument(bench: Path, lamp: DC4100Wire) -> Iterator[subprocess.Popen[str]]:
-    with subprocess.Popen(  # noqa: S603 - this interpreter
-        [sys.executable, "-c", INSTRUMENT, str(bench)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGQUIT, signal.SIG_DFL),  # noqa: PLW1509 - jobs of a shell ignore it
-    ) as program:
-        try:
-            assert program.stdout is not None
-            assert program.stderr is not None
-            assert program.stdout.readline() == "lit\n", program.stderr.read()
-            assert lamp.is_lit
-            yield program
-        finally:
-            program.kill()
-
-
-def note_time(what: str, number: signal.Signals, seconds: float) -> None:
-    if TIMES:
-        with Path(TIMES).open("a") as file:
-            file.write(json.dumps([what, number.name, seconds]) + "\n")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("victim", ["instrument", "guardian", "all of the terminal"])
-@pytest.mark.parametrize(
-    "number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal.SIGSTOP]
-)
-def test_light_goes_off_whatever_dies_or_freezes(
-    port: PtyServer, lamp: DC4100Wire, tmp_path: Path, victim: str, number: signal.Signals
-) -> None:
-    bench = bench_toml(port.port, tmp_path)
-    for _ in range(KILLS):
-        with lit_instrument(bench, lamp) as program:
-            (guardian,) = children(program.pid)
-            started_s = time.monotonic()
-            if victim == "all of the terminal":
-                os.killpg(program.pid, number)
-            else:
-                os.kill(guardian if victim == "guardian" else program.pid, number)
-            wait_until(lambda: not lamp.is_lit)
-            note_time(victim, number, time.monotonic() - started_s)
-            if victim != "guardian":
-                program.kill()
-            _, errors = program.communicate()
-            wait_until(lambda: is_gone(guardian))  # noqa: B023 - called here
-            assert not lamp.is_lit
-            if victim == "guardian":
-                assert GONE in errors
-                assert program.returncode == 1
-            elif number == signal.SIGSTOP:
-                assert "the acquisition gave no sign of life for" in errors
 
 
 def test_light_without_sign_of_life_goes_off_and_says_why(light: LightSource, lamp: DC4100Wire) -> None:
@@ -252,7 +99,7 @@ def test_guardian_may_start_slowly_and_say_what_is_no_answer(
         assert "DC4100" in light.name
 
 
-def test_errors_of_the_light_come_through(light: LightSource, lamp: DC4100Wire, port: PtyServer) -> None:
+def test_errors_of_the_light_come_through(light: LightSource, lamp: DC4100Wire, lamp_port: PtyServer) -> None:
     with pytest.raises(BadValue, match="outside"):
         light.set_current(99.0)
     assert light.properties()["firmware"] == "1.8.4"
@@ -260,132 +107,168 @@ def test_errors_of_the_light_come_through(light: LightSource, lamp: DC4100Wire, 
     lamp.heat_up()
     with pytest.raises(DeviceError, match="too hot"):
         _ = light.is_on
-    port.unplug()
+    lamp_port.unplug()
     with pytest.raises(Disconnected, match="is gone"):
         _ = light.current_a
 
 
-def test_light_that_cannot_be_opened_leaves_no_process(port: PtyServer) -> None:
-    port.close()
+def test_light_that_cannot_be_opened_leaves_no_process(lamp_port: PtyServer) -> None:
+    lamp_port.close()
     before = children(os.getpid())
-    with pytest.raises(Disconnected, match=port.port):
-        GuardedLight(DC4100Settings(port=port.port))
+    with pytest.raises(Disconnected, match=lamp_port.port):
+        GuardedLight(DC4100Settings(port=lamp_port.port))
     assert children(os.getpid()) == before
 
 
-def test_light_that_cannot_be_taken_over_ends_all_calls(port: PtyServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The driver fails with an error that is none of a device."""
+@pytest.mark.parametrize("why", ["no memory left", "it does not answer within 0.2 s"])
+def test_light_that_cannot_be_taken_over_ends_all_calls(
+    lamp_port: PtyServer, monkeypatch: pytest.MonkeyPatch, why: str
+) -> None:
+    """The driver fails with an error that is none of a device, or hangs in this process, too."""
+    is_over = threading.Event()
 
     def fail(_: object) -> None:
-        raise OSError("no memory left")
+        if why == "no memory left":
+            raise OSError(why)
+        is_over.wait(HANG_S)
 
     before = children(os.getpid())
-    light = GuardedLight(DC4100Settings(port=port.port))
+    light = GuardedLight(DC4100Settings(port=lamp_port.port))
     light.set_on(True)
     monkeypatch.setattr("app.acquisition.guardian.switch_off", fail)
+    monkeypatch.setattr("app.acquisition.guarded_light._TAKE_OVER_S", 0.2)
     os.kill((children(os.getpid()) - before).pop(), signal.SIGKILL)
     for _ in range(2):
-        with pytest.raises(Disconnected, match=r"\(no memory left\); the light may still be on"):
+        with pytest.raises(Disconnected, match=rf"has ended, and .* \({why}\); the light may still be on"):
             _ = light.is_on
     light.close()
+    is_over.set()
 
 
-def test_dead_guardian_whose_light_is_gone_says_that_it_may_be_on(port: PtyServer) -> None:
+def test_dead_guardian_whose_light_is_gone_says_that_it_may_be_on(lamp_port: PtyServer) -> None:
     before = children(os.getpid())
-    light = GuardedLight(DC4100Settings(port=port.port))
+    light = GuardedLight(DC4100Settings(port=lamp_port.port))
     light.set_on(True)
     (guardian,) = children(os.getpid()) - before
-    port.unplug()
+    lamp_port.unplug()
     os.kill(guardian, signal.SIGKILL)
     with pytest.raises(Disconnected, match="may still be on: switch it off by hand"):
         _ = light.is_on
     light.close()
 
 
-def test_light_off_switches_it_off(
-    port: PtyServer,
-    lamp: DC4100Wire,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+@pytest.mark.slow
+def test_light_whose_call_hangs_is_taken_back(
+    reopen: Callable[[], LightSource], lamp: DC4100Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = bench_toml(port.port, tmp_path)
-    lamp.heads[0].is_on = True
-    assert run(monkeypatch, "light-off", "--bench", bench) == 0
-    assert not lamp.is_lit
-    assert "LED1 is off" in capsys.readouterr().out
+    """A call that hangs in the kernel lets the other threads of the guardian run."""
+    os.mkfifo(nobody_writes := tmp_path / "nobody_writes")
+    replace_properties(f"open({str(nobody_writes)!r})", tmp_path, monkeypatch)
+    with reopen() as light:
+        light.set_on(True)
+        with pytest.raises(Disconnected, match="the guardian of the light has ended; the light was switched off"):
+            light.properties()
+        assert not lamp.is_lit
 
 
-@pytest.mark.parametrize(("driver", "status", "words"), [("simulated", 0, "nothing to"), ("manual", 1, "by hand")])
-def test_light_off_without_a_light(
-    driver: str,
-    status: int,
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+@pytest.mark.slow
+def test_guardian_whose_call_hangs_ends_if_the_instrument_was_killed(
+    lamp_port: PtyServer, lamp: DC4100Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = tmp_path / "bench.toml"
-    bench.write_text(
-        bench_toml("unused", tmp_path).read_text().partition("[light]")[0] + '[light]\ndriver = "manual"\n'
+    os.mkfifo(nobody_writes := tmp_path / "nobody_writes")
+    replace_properties(f"open({str(nobody_writes)!r})", tmp_path, monkeypatch)
+    code = (
+        "import sys; from app.acquisition.guarded_light import GuardedLight;"
+        " from drivers.serial_lights import DC4100Settings; light = GuardedLight(DC4100Settings(port=sys.argv[1]));"
+        " light.set_on(True); print('lit', flush=True); light.properties()"
     )
-    name = "small_demo" if driver == "simulated" else str(bench)
-    assert run(monkeypatch, "light-off", "--bench", name) == status
-    assert words in "".join(capsys.readouterr())
-
-
-@contextmanager
-def holder(port: PtyServer) -> Iterator[subprocess.Popen[str]]:
-    with subprocess.Popen(  # noqa: S603 - this interpreter
-        [sys.executable, "-c", HOLDER, port.port],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as program:
-        assert program.stdout is not None
-        assert program.stdout.readline() == "holds\n"
-        try:
-            yield program
-        finally:
-            program.kill()
+    paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", code, lamp_port.port]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=paths) as instrument:  # noqa: S603 - this interpreter
+        assert instrument.stdout is not None
+        assert instrument.stdout.readline() == b"lit\n"
+        (guardian,) = children(instrument.pid)
+        time.sleep(0.2)
+        instrument.kill()
+    settings = {"driver": "thorlabs_dc4100", "port": lamp_port.port}
+    with pytest.raises(Busy):
+        switch_off(settings)
+    assert lamp.is_lit
+    wait_until(lambda: is_gone(guardian))
+    switch_off(settings)
+    assert not lamp.is_lit
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("wakes", [False, True])
-def test_light_goes_off_if_the_process_freezes_amid_long_work(
-    port: PtyServer, lamp: DC4100Wire, *, wakes: bool
+def test_call_that_takes_its_time_is_no_hang(
+    reopen: Callable[[], LightSource], lamp: DC4100Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The worker need not give a sign of life for long, but its process answers the guardian."""
-    with holder(port) as program:
-        time.sleep(2.0)
-        assert lamp.is_lit
-        program.send_signal(signal.SIGSTOP)
-        wait_until(lambda: not lamp.is_lit)
-        if wakes:
-            program.send_signal(signal.SIGCONT)
-            time.sleep(0.5)
-        program.kill()
-        _, errors = program.communicate()
-    assert errors == "svwfs: the light went off because the acquisition gave no sign of life for 1.5 s\n"
-
-
-@pytest.mark.slow
-def test_light_stays_on_while_one_thread_lets_no_other_run(port: PtyServer, lamp: DC4100Wire) -> None:
-    """As a library that compiles, or that holds Python's lock while it computes."""
-    with holder(port) as program:
-        assert program.stdin is not None
-        assert program.stdout is not None
-        program.stdin.write("\n")
-        program.stdin.flush()
-        assert program.stdout.readline() == "has computed\n"
+    """A DC2200 that is silent fails after 8 s."""
+    replace_properties("__import__('time').sleep(8.5) or {}", tmp_path, monkeypatch)
+    with reopen() as light:
+        light.set_on(True)
+        light.properties()
         assert lamp.is_lit
 
 
-@pytest.mark.slow
-def test_guardian_removes_the_address_of_an_instrument_that_was_killed(port: PtyServer, runtime_folder: Path) -> None:
-    with holder(port) as program:
-        files = next(runtime_folder.iterdir())
-        assert (files / "instrument.json").exists()
-        program.kill()
-    wait_until(lambda: [each.name for each in files.iterdir()] == ["instrument.lock"])
+def replace_properties(expression: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let guardians evaluate an expression when they are asked for the properties of the light."""
+    (folder / "sitecustomize.py").write_text(
+        "from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100\n"
+        f"ThorlabsDC4100.properties = lambda _: {expression}\n"
+    )
+    monkeypatch.syspath_prepend(folder)
+
+
+def test_death_of_a_guardian_whose_pipe_stays_open_is_noticed(
+    reopen: Callable[[], LightSource], lamp: DC4100Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that a vendor's library has forked holds it."""
+    (tmp_path / "sitecustomize.py").write_text(
+        f"import os, time\nif not os.fork():\n    open({str(tmp_path / 'pid')!r}, 'w').write(str(os.getpid()))\n"
+        "    time.sleep(60)\n    os._exit(0)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with reopen() as light:
+        light.set_on(True)
+        (guardian,) = children(os.getpid())
+        forked = int((tmp_path / "pid").read_text())
+        os.kill(guardian, signal.SIGKILL)
+        with pytest.raises(Disconnected, match="has ended; the light was switched off"):
+            wait_until(lambda: not light.is_on)
+        assert not lamp.is_lit
+        assert not is_gone(forked)
+        os.kill(forked, signal.SIGKILL)
+
+
+def test_guardian_that_cannot_be_ended_says_that_its_light_may_be_on(
+    lamp_port: PtyServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As one whose call hangs in the kernel."""
+    monkeypatch.setattr("app.acquisition.guarded_light._END_S", 0.2)
+    light = GuardedLight(DC4100Settings(port=lamp_port.port))
+    guardian = light._guardian._process
+    with monkeypatch.context() as kernel:
+        kernel.setattr(subprocess.Popen, "kill", lambda _: None)
+        guardian.send_signal(signal.SIGSTOP)
+        with pytest.raises(Disconnected, match=r"cannot be ended, and .*another program holds.*may still be on"):
+            _ = light.is_on
+        light.close()
+    guardian.kill()
+    guardian.wait()
+
+
+def test_late_answer_to_a_call_that_ctrl_c_ended_is_passed_over(light: LightSource, lamp: DC4100Wire) -> None:
+    light.set_current(0.25)
+    lamp.faults.append(LineFault("late", 0.3))
+    interrupt = threading.Timer(0.1, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # even if the tests ignore it
+    try:
+        interrupt.start()
+        with pytest.raises(KeyboardInterrupt):
+            _ = light.current_range_a
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert light.current_a == 0.25
+    assert not light.is_on
+    assert light.properties()["firmware"] == "1.8.4"

@@ -39,11 +39,6 @@ def camera() -> Iterator[StandIn]:
 
 
 @pytest.fixture
-def lamp() -> DC4100Wire:
-    return DC4100Wire()
-
-
-@pytest.fixture
 def port(lamp: DC4100Wire, monkeypatch: pytest.MonkeyPatch) -> Iterator[PtyServer]:
     """A port whose stand-in may answer late."""
     monkeypatch.setattr("drivers.serial_lights.thorlabs_dc4100._DIALECT", replace(_DIALECT, timeout_s=HANG_S))

@@ -1,0 +1,140 @@
+"""The light goes off whatever dies or freezes.
+
+`SVWFS_KILLS=100` repeats each death; `SVWFS_TIMES=FILE` notes how long the light stayed on.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from support.guarded_instrument import bench_toml, children, is_gone, lit_instrument
+from support.patience import wait_until
+from support.wires.dc4100 import DC4100Wire
+from support.wires.pseudo_terminal import PtyServer
+
+pytestmark = pytest.mark.slow
+
+KILLS = int(os.environ.get("SVWFS_KILLS", "1"))
+TIMES = os.environ.get("SVWFS_TIMES", "")
+GONE = "the guardian of the light has ended; the light was switched off: open the bench again"
+
+HOLDER = """
+import sys, time
+from app.acquisition.guarded_light import GuardedLight
+from app.acquisition.place import taken_place
+from drivers.serial_lights import DC4100Settings
+
+with taken_place() as place:
+    place.announce()
+    light = GuardedLight(DC4100Settings(port=sys.argv[1]))
+    light.keep_alive(1000)  # as before long work
+    light.set_on(True)
+    print("holds", flush=True)
+    sys.stdin.readline()
+    begin_s = time.monotonic()
+    sum(range(10**6))
+    sum(range(int(3.0 / (time.monotonic() - begin_s)) * 10**6))  # no other thread runs meanwhile
+    print("has computed", flush=True)
+    time.sleep(600)
+"""
+
+
+def note_time(what: str, number: signal.Signals, seconds: float) -> None:
+    if TIMES:
+        with Path(TIMES).open("a") as file:
+            file.write(json.dumps([what, number.name, seconds]) + "\n")
+
+
+@pytest.mark.parametrize("victim", ["instrument", "guardian", "all of the terminal"])
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal.SIGSTOP]
+)
+def test_light_goes_off_whatever_dies_or_freezes(
+    lamp_port: PtyServer, lamp: DC4100Wire, tmp_path: Path, victim: str, number: signal.Signals
+) -> None:
+    bench = bench_toml(lamp_port.port, tmp_path)
+    for _ in range(KILLS):
+        with lit_instrument(bench, lamp) as program:
+            (guardian,) = children(program.pid)
+            started_s = time.monotonic()
+            if victim == "all of the terminal":
+                os.killpg(program.pid, number)
+            else:
+                os.kill(guardian if victim == "guardian" else program.pid, number)
+            wait_until(lambda: not lamp.is_lit)
+            note_time(victim, number, time.monotonic() - started_s)
+            if victim != "guardian":
+                program.kill()
+            _, errors = program.communicate()
+            wait_until(lambda: is_gone(guardian))  # noqa: B023 - called here
+            assert not lamp.is_lit
+            if victim == "guardian":
+                assert GONE in errors
+                assert program.returncode == 1
+            elif number == signal.SIGSTOP:
+                assert "the acquisition gave no sign of life for" in errors
+
+
+@contextmanager
+def holder(lamp_port: PtyServer) -> Iterator[subprocess.Popen[str]]:
+    with subprocess.Popen(  # noqa: S603 - this interpreter
+        [sys.executable, "-c", HOLDER, lamp_port.port],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "holds\n"
+        try:
+            yield program
+        finally:
+            program.kill()
+
+
+@pytest.mark.parametrize("wakes", [False, True])
+def test_light_goes_off_if_the_process_freezes_amid_long_work(
+    lamp_port: PtyServer, lamp: DC4100Wire, *, wakes: bool
+) -> None:
+    """The worker need not give a sign of life for long, but its process answers the guardian."""
+    with holder(lamp_port) as program:
+        time.sleep(2.0)
+        assert lamp.is_lit
+        program.send_signal(signal.SIGSTOP)
+        wait_until(lambda: not lamp.is_lit)
+        if wakes:
+            program.send_signal(signal.SIGCONT)
+            time.sleep(0.5)
+        program.kill()
+        _, errors = program.communicate()
+    assert errors == "svwfs: the light went off because the acquisition gave no sign of life for 1.5 s\n"
+
+
+def test_light_stays_on_while_one_thread_lets_no_other_run(lamp_port: PtyServer, lamp: DC4100Wire) -> None:
+    """As a library that compiles, or that holds Python's lock while it computes."""
+    with holder(lamp_port) as program:
+        assert program.stdin is not None
+        assert program.stdout is not None
+        program.stdin.write("\n")
+        program.stdin.flush()
+        assert program.stdout.readline() == "has computed\n"
+        assert lamp.is_lit
+
+
+def test_guardian_removes_the_address_of_an_instrument_that_was_killed(
+    lamp_port: PtyServer, runtime_folder: Path
+) -> None:
+    with holder(lamp_port) as program:
+        files = next(runtime_folder.iterdir())
+        assert (files / "instrument.json").exists()
+        program.kill()
+    wait_until(lambda: [each.name for each in files.iterdir()] == ["instrument.lock"])

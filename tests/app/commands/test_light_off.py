@@ -1,0 +1,43 @@
+"""`svwfs light-off`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.command_line import run
+from support.guarded_instrument import bench_toml
+from support.wires.dc4100 import DC4100Wire
+from support.wires.pseudo_terminal import PtyServer
+
+
+def test_light_off_switches_it_off(
+    lamp_port: PtyServer,
+    lamp: DC4100Wire,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    bench = bench_toml(lamp_port.port, tmp_path)
+    lamp.heads[0].is_on = True
+    assert run(monkeypatch, "light-off", "--bench", bench) == 0
+    assert not lamp.is_lit
+    assert "LED1 is off" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("driver", "status", "words"), [("simulated", 0, "nothing to"), ("manual", 1, "by hand")])
+def test_light_off_without_a_light(
+    driver: str,
+    status: int,
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    bench = tmp_path / "bench.toml"
+    bench.write_text(
+        bench_toml("unused", tmp_path).read_text().partition("[light]")[0] + '[light]\ndriver = "manual"\n'
+    )
+    name = "small_demo" if driver == "simulated" else str(bench)
+    assert run(monkeypatch, "light-off", "--bench", name) == status
+    assert words in "".join(capsys.readouterr())
