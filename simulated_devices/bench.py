@@ -137,6 +137,12 @@ class SimulatedBench:
         """The present condition."""
         return self._history[-1][1]
 
+    @property
+    def history(self) -> tuple[tuple[float, Condition], ...]:
+        """The last conditions, each with the time from which it held."""
+        with self._changing:
+            return tuple(self._history)
+
     def change(self, **changes: float | bool | str) -> None:
         """Change fields of `condition` from now on."""
         mask = changes.get("mask", self.condition.mask)
@@ -174,8 +180,7 @@ class SimulatedBench:
 
     def _pieces(self, start_s: float, end_s: float) -> list[tuple[float, float, Condition]]:
         """Return the parts of the interval during which nothing changed, in order; at least one."""
-        with self._changing:
-            history = tuple(self._history)
+        history = self.history
         begins = [begin for begin, _ in history]
         ends = [*begins[1:], float("inf")]
         begins[0] = -float("inf")

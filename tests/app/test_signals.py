@@ -62,6 +62,7 @@ def test_signal_switches_the_light_off(number: signal.Signals) -> None:
         program.send_signal(number)
         _, errors = program.communicate(timeout=HANG_S)
         assert not device.is_lit
+        assert device.log.lightings == 1
         assert (program.returncode, errors) == (130, "svwfs: interrupted\n")
 
 

@@ -31,6 +31,7 @@ from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import Wavefront
+from support.light_log import LightLog
 from support.optics import sensor_of
 
 FULL_SCALE = 65535
@@ -136,6 +137,7 @@ class FakeLight(LightSource):
     def __init__(self) -> None:
         super().__init__(sleep=lambda _: None)
         self._current, self.shines = 0.35, False
+        self.log = LightLog()
         self._begin()
 
     def _read_range(self) -> Range:
@@ -146,6 +148,7 @@ class FakeLight(LightSource):
 
     def _set_current(self, current_a: float) -> float:
         self._current = current_a
+        self.log.note(is_on=self.shines, level=current_a * self.shines)
         return current_a
 
     def _is_lit(self) -> bool:
@@ -153,6 +156,7 @@ class FakeLight(LightSource):
 
     def _switch(self, *, on: bool) -> None:
         self.shines = on
+        self.log.note(is_on=on, level=self._current * on)
 
     def _close(self) -> None:
         pass

@@ -15,6 +15,7 @@ from drivers.contract import calls, check_properties, require, require_all_raise
 from drivers.contract import light as light_contract
 from drivers.contract.light import LIGHT_CHECKS
 from drivers.interface import BadValue, DeviceError, Disconnected, LightSource, Stage, WrongState
+from support.light_log import LightLog
 from support.patience import own_time
 from support.timed_faults import AT_ONCE_S, after_pause, expect_within, repeat
 
@@ -25,8 +26,8 @@ class LightFaults(Protocol):
     """Faults of a light."""
 
     @property
-    def shines(self) -> bool:
-        """True state of the light, independent of the driver."""
+    def log(self) -> LightLog:
+        """What the light did, independent of the driver."""
 
     def unplug(self) -> None:
         """Pull the plug."""
@@ -57,24 +58,26 @@ class LightContract:
 class LightFaultContract(LightContract):
     def test_shines_only_while_on(self, light: LightSource, faults: LightFaults) -> None:
         light.set_current(light.current_range_a.maximum)
-        assert not faults.shines
+        assert faults.log.lightings == 0
         light.set_on(True)
-        assert faults.shines
+        assert faults.log.is_lit
         light.set_on(False)
-        assert not faults.shines
+        assert not faults.log.is_lit
         light.set_on(True)
         light.close()
-        assert not faults.shines
+        assert not faults.log.is_lit
+        assert faults.log.lightings == 2
 
     def test_fault_switches_off(self, light: LightSource, faults: LightFaults) -> None:
         light.set_on(True)
         faults.fail_next()
         with pytest.raises(DeviceError):
             _ = light.current_a
-        assert not faults.shines
         assert not light.is_on
+        assert faults.log.lightings == 1  # no flash on the way off
+        assert not faults.log.is_lit
         light.set_on(True)
-        assert faults.shines
+        assert faults.log.is_lit
 
     def test_unplugged_every_call_raises_and_it_closes(self, light: LightSource, faults: LightFaults) -> None:
         light.set_on(True)
@@ -133,9 +136,10 @@ class LightFaultContract(LightContract):
         light.close()
         with reopen() as again:
             assert not again.is_on
-            assert not faults.shines
+            assert faults.log.lightings == 1
+            assert not faults.log.is_lit
             again.set_on(True)
-            assert faults.shines
+            assert faults.log.is_lit
 
     def test_refused_current_changes_nothing(self, light: LightSource, faults: LightFaults) -> None:
         allowed = light.current_range_a
@@ -145,7 +149,7 @@ class LightFaultContract(LightContract):
             light.set_current(allowed.maximum)
         assert not isinstance(refused.value, Disconnected)
         assert light.current_a == before_a
-        assert not faults.shines
+        assert faults.log.lightings == 0
 
     def test_refused_current_leaves_lit_light_on(self, light: LightSource, faults: LightFaults) -> None:
         allowed = light.current_range_a
@@ -155,7 +159,8 @@ class LightFaultContract(LightContract):
         with pytest.raises(DeviceError):
             light.set_current(allowed.minimum)
         assert light.is_on
-        assert faults.shines
+        assert faults.log.is_lit
+        assert faults.log.lightings == 1
         assert light.current_a == before_a
 
 

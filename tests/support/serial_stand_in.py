@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from drivers.serial_lights._line import Wire
 from simulated_devices.clock import ManualClock
 from support.light_contract import LightFaultContract
+from support.light_log import LightLog
 from support.light_storm import LightStorm
 from support.wires.pseudo_terminal import PtyServer
 from support.wires.serial import FaultKind, LineDevice, LineFault, MemoryPort
@@ -33,8 +34,9 @@ class SerialFaults:
         self.device = device
 
     @property
-    def shines(self) -> bool:
-        return bool(self.device.is_lit)
+    def log(self) -> LightLog:
+        log: LightLog = self.device.log
+        return log
 
     def fail_next(self) -> None:
         self.device.faults.append(LineFault("silence"))

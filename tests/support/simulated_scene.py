@@ -12,6 +12,7 @@ from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
 from simulated_devices.rendering import Scene
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation
+from support.light_log import LightLog
 from support.optics import sensor_of
 from support.simulated_faults import fail_next, lose_frames, plug_in, refuse_next, stall, unplug
 
@@ -72,8 +73,12 @@ class SimulatedLightFaults:
         self._bench, self._light = bench, light
 
     @property
-    def shines(self) -> bool:
-        return self._bench.condition.is_light_on
+    def log(self) -> LightLog:
+        log = LightLog()
+        for time_s, condition in self._bench.history:
+            is_on = condition.is_light_on
+            log.note(is_on=is_on, level=condition.current_a * is_on, time_s=time_s)
+        return log
 
     def unplug(self) -> None:
         unplug(self._light)

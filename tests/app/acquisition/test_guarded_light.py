@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -69,6 +70,18 @@ def test_light_that_fails_amid_silence_is_closed_with_a_sentence(
     assert "Traceback" not in said
 
 
+def test_current_rises_in_steps(light: LightSource, lamp: DC4100Wire) -> None:
+    light.set_current(0.8)
+    light.set_on(True)
+    light.set_current(1.0)
+    light.set_on(False)
+    steps_ma = lamp.log.lit_levels
+    assert steps_ma == sorted(steps_ma)
+    assert (steps_ma[0], steps_ma[-1]) == (0, 1000)
+    assert max(after - before for before, after in pairwise(steps_ma)) <= 1000 / 8 + 1
+    assert lamp.log.lightings == 1
+
+
 def test_light_with_signs_of_life_stays_on(light: LightSource, lamp: DC4100Wire) -> None:
     """Each promise replaces the one before."""
     light.set_on(True)
@@ -76,6 +89,7 @@ def test_light_with_signs_of_life_stays_on(light: LightSource, lamp: DC4100Wire)
     light.keep_alive(60)
     time.sleep(0.5)
     assert lamp.is_lit
+    assert lamp.log.lightings == 1
 
 
 def test_calls_renew_the_promise(light: LightSource, lamp: DC4100Wire) -> None:
@@ -85,7 +99,9 @@ def test_calls_renew_the_promise(light: LightSource, lamp: DC4100Wire) -> None:
     for _ in range(10):
         time.sleep(0.1)
         assert light.is_on
+    called_s = time.monotonic()
     wait_until(lambda: not lamp.is_lit)
+    assert lamp.log.off_s - called_s > 0.4
 
 
 @pytest.mark.parametrize("start", ["import time; time.sleep(2)", "print('a library says hello')"])

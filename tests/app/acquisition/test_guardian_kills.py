@@ -65,18 +65,19 @@ def test_light_goes_off_whatever_dies_or_freezes(
     for _ in range(KILLS):
         with lit_instrument(bench, lamp) as program:
             (guardian,) = children(program.pid)
-            started_s = time.monotonic()
+            lightings, started_s = lamp.log.lightings, time.monotonic()
             if victim == "all of the terminal":
                 os.killpg(program.pid, number)
             else:
                 os.kill(guardian if victim == "guardian" else program.pid, number)
             wait_until(lambda: not lamp.is_lit)
-            note_time(victim, number, time.monotonic() - started_s)
+            note_time(victim, number, lamp.log.off_s - started_s)
             if victim != "guardian":
                 program.kill()
             _, errors = program.communicate()
             wait_until(lambda: is_gone(guardian))  # noqa: B023 - called here
             assert not lamp.is_lit
+            assert lamp.log.lightings == lightings  # it was not lit again
             if victim == "guardian":
                 assert GONE in errors
                 assert program.returncode == 1
@@ -109,6 +110,7 @@ def test_light_goes_off_if_the_process_freezes_amid_long_work(
     with holder(lamp_port) as program:
         time.sleep(2.0)
         assert lamp.is_lit
+        lightings = lamp.log.lightings
         program.send_signal(signal.SIGSTOP)
         wait_until(lambda: not lamp.is_lit)
         if wakes:
@@ -116,6 +118,7 @@ def test_light_goes_off_if_the_process_freezes_amid_long_work(
             time.sleep(0.5)
         program.kill()
         _, errors = program.communicate()
+    assert lamp.log.lightings == lightings
     assert errors == "svwfs: the light went off because the acquisition gave no sign of life for 1.5 s\n"
 
 

@@ -56,6 +56,7 @@ def test_commands_sent_before_cannot_switch_on_again(acquisition: Acquisition, c
         before.result(HANG_S)
     after.result(HANG_S)
     assert camera.light.shines
+    assert camera.light.log.lightings == 2  # the first by the fixture
 
 
 def test_light_is_not_lit_if_switched_off_while_it_lights_up(acquisition: Acquisition, camera: FakeCamera) -> None:
@@ -100,6 +101,7 @@ def test_light_that_goes_off_in_a_routine_is_lit_by_no_command_sent_before(
     with pytest.raises(LightHeldOff):
         next_command.result(HANG_S)
     assert not camera.light.shines
+    assert camera.light.log.lightings == 1
     assert acquisition.status is not None
     assert acquisition.status.reference.doubt.startswith("no reference yet")
     acquisition.submit(_turn_on).result(HANG_S)
@@ -113,3 +115,5 @@ def test_closing_turns_the_light_off_before_the_worker_ends(acquisition: Acquisi
     wait_until(lambda: not camera.light.shines)
     assert acquisition.is_alive
     release.set()
+    acquisition.close()
+    assert camera.light.log.lightings == 1

@@ -27,6 +27,10 @@ class Counter(LineDevice):
     def is_lit(self) -> bool:
         return False
 
+    @property
+    def level(self) -> float:
+        return 0.0
+
     def answer(self, command: str) -> Iterable[str]:
         if command.endswith("?"):
             self.asked[command] = self.asked.get(command, 0) + 1

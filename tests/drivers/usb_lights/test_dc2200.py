@@ -8,6 +8,7 @@ from typing import Any, get_args
 import pytest
 from hypothesis import strategies as st
 from support.light_contract import LightFaultContract
+from support.light_log import LightLog
 from support.light_storm import HeatStorm
 from support.storm import storm_settings
 from support.usb_stand_in import Bus, Plug
@@ -41,8 +42,8 @@ class Faults:
         self.device = device
 
     @property
-    def shines(self) -> bool:
-        return self.device.is_lit
+    def log(self) -> LightLog:
+        return self.device.log
 
     def fail_next(self) -> None:
         self.device.faults.append(UsbFault("silence"))

@@ -48,6 +48,11 @@ class CoolLEDWire(LineDevice):
         """True state of the light."""
         return any(lamp.is_on for lamp in self.lamps.values())
 
+    @property
+    def level(self) -> float:
+        """Highest brightness of a lit channel, percent."""
+        return max((lamp.percent for lamp in self.lamps.values() if lamp.is_on), default=0)
+
     def greeting(self) -> bytes:
         """Two lines on opening the port."""
         return b"CoolLED " + self.name.encode() + b"\r\nSystem ready\r\n"

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from support.light_log import LightLog
 from support.wires.usbtmc import UsbtmcWire
 
 _MODES = ("CC", "CB", "PWM", "PULS", "IMOD", "EMOD", "TTL")
@@ -61,6 +62,7 @@ class DC2200Wire(UsbtmcWire):
         self.undefined: set[str] = set()  # commands and queries that this firmware lacks
         self.noise_a = 0.0  # of the measured current
         self.received: list[str] = []
+        self.log = LightLog()
         self._errors: deque[tuple[int, str]] = deque()
         self._commands: list[tuple[re.Pattern[str], Callable[[str], None] | None, Callable[[str], str] | None]] = [
             (header("*IDN"), None, lambda _: f"Thorlabs,{self.model},{self.serial_number},1.2.0"),
@@ -100,6 +102,7 @@ class DC2200Wire(UsbtmcWire):
                     yield answer
             except _Refused as refusal:
                 self._note(*refusal.args)
+            self.log.note(is_on=self.is_lit, level=self._flowing_a())
 
     def interrupted(self) -> None:
         """Queue the error of IEEE 488.2."""

@@ -55,7 +55,15 @@ class DC4100Wire(LineDevice):
     @property
     def is_lit(self) -> bool:
         """True state of the light."""
-        return any(head.is_on and head.is_plugged and not head.is_open for head in self.heads)
+        return bool(self._lit())
+
+    @property
+    def level(self) -> float:
+        """Highest current of a lit head, mA."""
+        return max((head.current_ma for head in self._lit()), default=0)
+
+    def _lit(self) -> list[Head]:
+        return [head for head in self.heads if head.is_on and head.is_plugged and not head.is_open]
 
     def heat_up(self) -> None:
         """Become too hot: switch all LEDs off, to stay off."""

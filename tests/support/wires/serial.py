@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from simulated_devices.clock import Clock
+from support.light_log import LightLog
 
 FaultKind = Literal["silence", "late", "half", "garbage", "noise", "deaf", "unplug"]
 
@@ -41,12 +42,18 @@ class LineDevice(ABC):
         self._unfinished = bytearray()
         self.faults: deque[LineFault] = deque()
         self.received: list[str] = []  # every complete command
+        self.log = LightLog()
         self.is_unplugged = False
 
     @property
     @abstractmethod
     def is_lit(self) -> bool:
         """True state of the light."""
+
+    @property
+    @abstractmethod
+    def level(self) -> float:
+        """Current or brightness of what is lit; 0 if nothing is."""
 
     @abstractmethod
     def answer(self, command: str) -> Iterable[str]:
@@ -68,6 +75,7 @@ class LineDevice(ABC):
                 continue
             self.received.append(command)
             lines = list(self.answer(command))
+            self.log.note(is_on=self.is_lit, level=self.level)
             if self.faults and self.faults[0].kind == "unplug":
                 self.faults.popleft()
                 self.is_unplugged = True
