@@ -5,9 +5,9 @@ import threading
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any
+from typing import Any, TypeVar
 
 from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Status
@@ -23,6 +23,8 @@ from app.timing import StageTimes, TimedStage
 from drivers import errors
 from reconstruction.errors import ReconstructionError
 from reconstruction.registration.gauss_newton import Propagated
+
+M = TypeVar("M")
 
 MOST_BYTES = 2**28  # of a message to the instrument: a calibration of 2048 x 2048 pixels has a third
 _KEPT = 8  # objects; in use are two or three
@@ -59,8 +61,13 @@ class Command:
     request: str
     arguments: tuple[Any, ...] = ()
     named: Mapping[str, Any] = field(default_factory=dict)
-    may_light: bool = True  # False if the light was switched off after it, but before it was sent
+    may_light: bool = True  # False if the light was switched off after it, but before it was sent or heard
     until_s: float = math.inf  # the latest begin, of `time.monotonic()`: soon after, its client gives it up
+
+
+def held_off(message: M) -> M:
+    """Return a message that precedes one to switch the light off: a command may not light."""
+    return replace(message, may_light=False) if isinstance(message, Command) else message
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any
 
-from app.acquisition.remote.messages import MOST_BYTES, Answer, Command, Wanted
+from app.acquisition.remote.messages import MOST_BYTES, Answer, Command, Wanted, held_off
 from app.acquisition.remote.wire import Packed
 from app.errors import RunError
 from drivers.errors import BadValue
@@ -50,9 +50,7 @@ class Outbox:
         with self._lock:
             if not self._is_closed:
                 if request == "switch_light_off":
-                    self._waiting = [
-                        replace(one, may_light=False) if isinstance(one, Command) else one for one in self._waiting
-                    ]
+                    self._waiting = [held_off(earlier) for earlier in self._waiting]
                 self._unanswered[command.number] = future, math.inf
                 self._waiting.append(command)
                 return future

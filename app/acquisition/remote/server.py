@@ -35,6 +35,7 @@ from app.acquisition.remote.messages import (
     Traveller,
     Travellers,
     Wanted,
+    held_off,
     watching,
 )
 from app.acquisition.remote.ring import RingWriter
@@ -54,6 +55,8 @@ _STATE_S = 0.1  # between two states that differ
 _PULSE_S = 0.5  # between two that do not
 _BEHIND_S = 1.5  # after which a client counts as not reading: only answers are sent to it
 _SILENT_S = 5.0  # after which a client counts as gone
+_STOPPED_S = 0.5  # between two turns, if this process was stopped, ...
+_GATHERING_S = 0.1  # ... until all that waits for it has arrived
 _LINGER_MS = 300
 _SPARE = 1.5  # a slot's size over that of the first record which needs it
 
@@ -114,6 +117,7 @@ class Server:
         self._done: deque[tuple[bytes, int, Future[Any]]] = deque()
         self._state: State | None = None
         self._sent_s, self._timings_s = -math.inf, -math.inf
+        self._turned_s = math.inf  # when messages were read last
         self._timings: dict[TimedStage, StageTimes] = {}
         self._noticed = ("", 0)
         self._is_over = False
@@ -203,15 +207,14 @@ class Server:
         self._wake.notify()
 
     def _turn(self) -> None:
+        arrived = self._arrived([])
         now_s = time.monotonic()
-        while self._socket.poll(0):
-            identity, key, body = (*self._socket.recv_multipart(), b"", b"")[:3]
-            if key == self._key:
-                try:
-                    message = unpacked(body)
-                except RunError:  # of another version
-                    continue
-                self._hear(identity, message, now_s)
+        if now_s > self._turned_s + _STOPPED_S:
+            time.sleep(_GATHERING_S)
+            arrived = self._arrived(arrived)
+        self._turned_s = now_s
+        for identity, message in arrived:
+            self._hear(identity, message, now_s)
         for identity in [each for each, client in self._clients.items() if now_s > client.heard_s + _SILENT_S]:
             self._forget(identity)
         self._write_if_due()
@@ -223,6 +226,22 @@ class Server:
             self._tell_all(Notice(*noticed))
         if now_s > self._sent_s + _STATE_S:
             self._tell_state()
+
+    def _arrived(self, before: list[tuple[bytes, Any]]) -> list[tuple[bytes, Any]]:
+        """Add the messages that have arrived, with their senders; a command before one to switch off may not light."""
+        arrived = before
+        while self._socket.poll(0):
+            identity, key, body = (*self._socket.recv_multipart(), b"", b"")[:3]
+            if key != self._key:
+                continue
+            try:
+                message = unpacked(body)
+            except RunError:  # of another version
+                continue
+            if isinstance(message, Command) and message.request == "switch_light_off":
+                arrived = [(who, held_off(earlier)) for who, earlier in arrived]
+            arrived.append((identity, message))
+        return arrived
 
     def _hear(self, identity: bytes, message: Any, now_s: float) -> None:
         if isinstance(message, Hello):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import closing
@@ -115,13 +116,9 @@ def test_command_that_waits_cannot_light_after_the_light_was_switched_off(
     fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An instrument whose devices are open executes the first before it reads the second."""
-    may_reach, tried, switched = threading.Event(), threading.Event(), list[bool]()
+    may_reach, tried = threading.Event(), threading.Event()
     reach_it, switch_off = Connection._reach, LightSwitch.switch_off
-    switch, set_on = fake_camera.light._switch, fake_camera.light.set_on
-
-    def note(*, on: bool) -> None:
-        switched.append(on)
-        switch(on=on)
+    set_on = fake_camera.light.set_on
 
     def note_try(on: bool) -> None:
         try:
@@ -131,7 +128,6 @@ def test_command_that_waits_cannot_light_after_the_light_was_switched_off(
 
     monkeypatch.setattr(Connection, "_reach", lambda self: may_reach.wait(HANG_S) and reach_it(self))
     monkeypatch.setattr(LightSwitch, "switch_off", lambda self: tried.wait(HANG_S) and switch_off(self))
-    monkeypatch.setattr(fake_camera.light, "_switch", note)
     monkeypatch.setattr(fake_camera.light, "set_on", note_try)
     with served(fake_camera, begin=lambda _: None) as server:
         wait_until(lambda: server.acquisition.status is not None)
@@ -141,9 +137,48 @@ def test_command_that_waits_cannot_light_after_the_light_was_switched_off(
             with pytest.raises(WrongState, match="switched off meanwhile"):
                 lighting.result(HANG_S)
             darkening.result(HANG_S)
-            assert True not in switched
+            assert fake_camera.light.log.lightings == 0
             connection.submit(Instrument.set, "is_light_on", True).result(HANG_S)
             assert fake_camera.light.shines
+
+
+@pytest.mark.parametrize("off_comes", ["while it is stopped", "as it goes on"])
+def test_light_does_not_flash_if_on_and_off_wait_for_a_stopped_instrument(
+    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch, off_comes: str
+) -> None:
+    """On a busy computer, the worker begins the first command before the second one is executed."""
+    goes_on, darkening = threading.Event(), list[Future[None]]()
+    turn, arrived, execute = Server._turn, Server._arrived, Server._execute
+
+    def note_arrived(server: Server, before: list[tuple[bytes, Any]]) -> list[tuple[bytes, Any]]:
+        messages = arrived(server, before)
+        if not darkening and any(isinstance(message, Command) for _, message in messages):
+            darkening.append(second.switch_light_off())
+        return messages
+
+    def execute_slowly(server: Server, identity: bytes, command: Command) -> None:
+        execute(server, identity, command)
+        time.sleep(0.2)
+
+    monkeypatch.setattr("app.acquisition.remote.server._GATHERING_S", 1.0)
+    monkeypatch.setattr(Server, "_execute", execute_slowly)
+    monkeypatch.setattr(Server, "_arrived", note_arrived)
+    with served(fake_camera, begin=lambda _: None), connected("first") as first, connected("second") as second:
+        wait_until(lambda: first.status is not None)
+        monkeypatch.setattr(Server, "_turn", lambda server: goes_on.wait(HANG_S) and turn(server))
+        time.sleep(0.6)
+        lighting = first.submit(Instrument.set, "is_light_on", True)
+        time.sleep(0.2)
+        if off_comes == "while it is stopped":
+            darkening.append(second.switch_light_off())
+            time.sleep(0.2)
+        goes_on.set()
+        with pytest.raises(WrongState, match="switched off meanwhile"):
+            lighting.result(HANG_S)
+        darkening[0].result(HANG_S)
+        assert fake_camera.light.log.lightings == 0
+        first.submit(Instrument.set, "is_light_on", True).result(HANG_S)
+        assert fake_camera.light.shines
 
 
 def test_command_that_its_client_gave_up_is_not_executed_unless_it_switches_off(
@@ -170,7 +205,7 @@ def test_command_that_its_client_gave_up_is_not_executed_unless_it_switches_off(
         wait_until(lambda: connection.status is not None)
         give_up(lambda: connection.submit(Instrument.set, "is_light_on", True))
         connection.submit(Instrument.set, "exposure_s", 0.03).result(HANG_S)
-        assert not fake_camera.light.shines
+        assert fake_camera.light.log.lightings == 0
         connection.submit(Instrument.set, "is_light_on", True).result(HANG_S)
         assert fake_camera.light.shines
         give_up(connection.switch_light_off)
