@@ -185,13 +185,14 @@ def main() -> int:
     finally:
         try:
             light.close()
-        except DeviceError:
+        except Exception:  # noqa: BLE001 - nobody else is left to try again
             try:
                 switch_off(settings)
-            except DeviceError as error:
-                sys.stderr.write(f"svwfs: {error}; {MAY_BE_ON}\n")
-        if pipe.has_ended:
-            clear_abandoned(patience_s=DYING_S)
+            except Exception as error:  # noqa: BLE001 - it is told
+                sys.exit(f"svwfs: {error}; {MAY_BE_ON}")
+        finally:
+            if pipe.has_ended:
+                clear_abandoned(patience_s=DYING_S)
     return 0
 
 

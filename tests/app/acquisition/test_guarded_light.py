@@ -179,7 +179,7 @@ def test_light_whose_call_hangs_is_taken_back(
 ) -> None:
     """A call that hangs in the kernel lets the other threads of the guardian run."""
     os.mkfifo(nobody_writes := tmp_path / "nobody_writes")
-    replace_properties(f"open({str(nobody_writes)!r})", tmp_path, monkeypatch)
+    replace_method("properties", f"open({str(nobody_writes)!r})", tmp_path, monkeypatch)
     with reopen() as light:
         light.set_on(True)
         with pytest.raises(Disconnected, match="the guardian of the light has ended; the light was switched off"):
@@ -192,7 +192,7 @@ def test_guardian_whose_call_hangs_ends_if_the_instrument_was_killed(
     lamp_port: PtyServer, lamp: DC4100Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     os.mkfifo(nobody_writes := tmp_path / "nobody_writes")
-    replace_properties(f"open({str(nobody_writes)!r})", tmp_path, monkeypatch)
+    replace_method("properties", f"open({str(nobody_writes)!r})", tmp_path, monkeypatch)
     code = (
         "import sys; from app.acquisition.guarded_light import GuardedLight;"
         " from drivers.serial_lights import DC4100Settings; light = GuardedLight(DC4100Settings(port=sys.argv[1]));"
@@ -220,18 +220,32 @@ def test_call_that_takes_its_time_is_no_hang(
     reopen: Callable[[], LightSource], lamp: DC4100Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A DC2200 that is silent fails after 8 s."""
-    replace_properties("__import__('time').sleep(8.5) or {}", tmp_path, monkeypatch)
+    replace_method("properties", "__import__('time').sleep(8.5) or {}", tmp_path, monkeypatch)
     with reopen() as light:
         light.set_on(True)
         light.properties()
         assert lamp.is_lit
 
 
-def replace_properties(expression: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let guardians evaluate an expression when they are asked for the properties of the light."""
+def test_guardian_whose_light_cannot_be_closed_says_that_it_may_be_on(
+    lamp_port: PtyServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The driver fails with an error that is none of a device."""
+    replace_method("close", "1 / 0", tmp_path, monkeypatch)
+    light = GuardedLight(DC4100Settings(port=lamp_port.port))
+    light._guardian.end()
+    in_guardian, here, *_ = capfd.readouterr().err.splitlines()
+    assert in_guardian.startswith("svwfs: another program holds")
+    assert in_guardian.endswith("may still be on: switch it off by hand")
+    assert "has ended; the light was switched off" in here
+    light.close()
+
+
+def replace_method(name: str, expression: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let guardians evaluate an expression in place of a method of their light."""
     (folder / "sitecustomize.py").write_text(
         "from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100\n"
-        f"ThorlabsDC4100.properties = lambda _: {expression}\n"
+        f"ThorlabsDC4100.{name} = lambda _: {expression}\n"
     )
     monkeypatch.syspath_prepend(folder)
 
