@@ -100,7 +100,7 @@ def test_calls_renew_the_promise(light: LightSource, lamp: DC4100Wire) -> None:
         time.sleep(0.1)
         assert light.is_on
     called_s = time.monotonic()
-    wait_until(lambda: not lamp.is_lit)
+    wait_until(lambda: not lamp.log.is_lit)
     assert lamp.log.off_s - called_s > 0.4
 
 

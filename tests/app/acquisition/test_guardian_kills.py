@@ -70,7 +70,7 @@ def test_light_goes_off_whatever_dies_or_freezes(
                 os.killpg(program.pid, number)
             else:
                 os.kill(guardian if victim == "guardian" else program.pid, number)
-            wait_until(lambda: not lamp.is_lit)
+            wait_until(lambda: not lamp.log.is_lit)
             note_time(victim, number, lamp.log.off_s - started_s)
             if victim != "guardian":
                 program.kill()
