@@ -1,11 +1,11 @@
 """The guardian: a process that holds the light, and switches it off when the process of the instrument fails.
 
 The light goes off when the instrument's process has ended in any way, closes the pipe, is frozen, or breaks its
-promise to send a sign of life. `GuardedLight` starts it and calls the light through it, over JSON lines: first the
-settings of the light; then [number, method, argument...], answered by {"to": number, "value": ...} or {"to": number,
-"error": class, "text": ...}. Number 0 has no answer: [0, "keep_alive", seconds] is a sign of life of the worker, whose
-promise every call renews. {"alive": true} comes four times a second, unless a call of the light hangs; a thread of the
-instrument replies [0, "alive"], whatever its worker does. The exit status is 0 if the light was closed in order.
+promise to send a sign of life. `GuardedLight` calls the light through it, over JSON lines: first the settings of the
+light; then [number, method, argument...], answered by {"to": number, "value": ...} or {"to": number, "error": class,
+"text": ...}. Number 0 has no answer: [0, "keep_alive", seconds] is a sign of life of the worker, whose promise every
+call renews. {"alive": true} comes four times a second, unless a call of the light hangs; a thread of the instrument
+replies [0, "alive"], whatever its worker does. The exit status is 0 if the light was closed in order.
 """
 
 import json
@@ -68,8 +68,7 @@ class _Pipe:
         """Return the next line, or an empty one if none came in time or there are no more."""
         with suppress(queue.Empty):
             return self._lines.get(timeout=timeout_s)
-        # A process forked from the instrument may hold the pipe open.
-        self.has_ended |= os.getppid() != self._parent
+        self.has_ended |= os.getppid() != self._parent  # a process forked from it may hold the pipe open
         return ""
 
     def _read(self) -> None:
@@ -183,6 +182,7 @@ def main() -> int:
         pipe.send({"value": light.name})
         _serve(light, pipe)
     finally:
+        pipe.pulses_in_call = -STARTING_PULSES  # several attempts may take long
         try:
             light.close()
         except Exception:  # noqa: BLE001 - nobody else is left to try again

@@ -227,11 +227,15 @@ def test_call_that_takes_its_time_is_no_hang(
         assert lamp.is_lit
 
 
+@pytest.mark.slow
 def test_guardian_whose_light_cannot_be_closed_says_that_it_may_be_on(
     lamp_port: PtyServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """The driver fails with an error that is none of a device."""
-    replace_method("close", "1 / 0", tmp_path, monkeypatch)
+    """The driver first takes longer than a call may; it fails with an error that is none of a device."""
+    monkeypatch.setattr("app.acquisition.guarded_light._END_S", HANG_S)
+    replace_method(
+        "close", "(vars(_).pop('_name', '') and __import__('time').sleep(11)) or 1 / 0", tmp_path, monkeypatch
+    )
     light = GuardedLight(DC4100Settings(port=lamp_port.port))
     light._guardian.end()
     in_guardian, here, *_ = capfd.readouterr().err.splitlines()
