@@ -14,7 +14,7 @@ from support.wires.pseudo_terminal import PtyServer
 
 from app.acquisition.guarded_light import GuardedLight
 from app.acquisition.instrument import Instrument
-from app.acquisition.process_state import ProcessState
+from app.acquisition.process_state import Condition, ProcessState
 from drivers.interface import Devices
 from drivers.serial_lights import DC4100Settings
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nobod
 def test_process_is_alive_frozen_or_gone() -> None:
     with subprocess.Popen(["sleep", "600"]) as process:  # noqa: S607 - of every system
 
-        def has(condition: str) -> bool:
+        def has(condition: Condition) -> bool:
             return ProcessState.of("finder", process) == ProcessState("finder", process.pid, condition)
 
         assert has("alive")

@@ -69,6 +69,12 @@ access = Access(partial(reach, "client"), begin=lambda _: ())
 run_window(lambda window: window.open(access), steps=steps)
 """
 
+OWN_WINDOW = """
+import sys
+from app.commands.live import bench_window
+bench_window(sys.argv[1], (), "instrument", trust=True, offers_last=False)
+"""
+
 
 @contextmanager
 def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
@@ -191,6 +197,28 @@ def test_a_client_that_dies_or_freezes_changes_nothing_but_who_has_control(
                     assert line["index"] == before["index"] + 1 + line["lost"]
             assert set(runtime_folder().iterdir()) == files
             assert running.poll() is None
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("how", [signal.SIGKILL, *CRASHES, signal.SIGSTOP])
+def test_instrument_of_a_window_that_dies_or_freezes_goes_on(
+    how: signal.Signals, small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))  # not how its user's window looks
+    for _ in range(KILLS):
+        with program("-c", OWN_WINDOW, str(small_toml)) as window:
+            wait_until(lambda: is_taken(NAME))
+            with connected(controls=False) as watching:
+                wait_for_wavefront(watching)
+                assert watching.controller.startswith("window")
+                window.send_signal(how)
+                wait_until(lambda: not watching.controller)
+                wait_for_more(watching)
+                assert {each.condition for each in watching.processes} == {"alive"}
+                watching.take_control().result(HANG_S)
+                watching.shut_down().result(HANG_S)
+                wait_until(lambda: not is_taken(NAME))
+        assert {each.name for each in runtime_folder().iterdir()} == {"instrument.lock", "instrument.log"}
 
 
 def is_finished(connection: Connection) -> bool:
