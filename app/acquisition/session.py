@@ -402,7 +402,7 @@ class ConnectedBench(LiveBench):
 
     @property
     def overtaken(self) -> int:
-        """Number of measurements that the instrument replaced before this program, which reads too slowly, had them."""
+        """Number of measurements that the instrument replaced before, or while, this program read them."""
         return self._connection.overtaken
 
     def set_light(self, on: bool) -> None:
