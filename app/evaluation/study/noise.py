@@ -16,6 +16,7 @@ from app.evaluation.studies import CaseResult, Sweep
 from app.evaluation.study.estimators import WarpEstimator, WarpEstimators, compared, with_rms
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
+from reconstruction.errors import ReconstructionError
 from reconstruction.frame.linearity import Exposures, Linearity
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.modes.field_modes import LegendreModes
@@ -238,7 +239,7 @@ def bound_rad(
     """Cramer-Rao bound of `Scatter.rms_rad` for the modes of `without_prior`, from the exact model of the bench.
 
     The light is that of the reference in `exposure` times its own, the noise that of a frame. The brightness of each
-    subimage is unknown in that many polynomials over the field.
+    subimage is unknown in that many polynomials over the field. NaN if the mask shows nothing of some wavefronts.
     """
     if reconstructor.noise is None:
         raise ValueError("without the noise of a frame there is no bound")
@@ -246,16 +247,14 @@ def bound_rad(
     model, legendre = true_lenslet(bench, subimages.width), LegendreModes(field_modes)
     _, light = mean_subimage(subimages)
     light = exposure * light / model.image().sum()
-    found = layered_information(
-        model,
-        light,
-        reconstructor.noise,
-        sensor=bench.sensor,
-        modes=modes,
-        field_modes=legendre,
-        brightness=LegendreModes(brightness_terms),
-    )
-    bound = wavefront_bound(*found, bench.field, modes, legendre)
+    brightness, noise = LegendreModes(brightness_terms), reconstructor.noise
+    try:
+        found = layered_information(
+            model, light, noise, sensor=bench.sensor, modes=modes, field_modes=legendre, brightness=brightness
+        )
+        bound = wavefront_bound(*found, bench.field, modes, legendre)
+    except ReconstructionError:
+        return math.nan
     return _mean_rms(bound if views is None else bound[views])
 
 
