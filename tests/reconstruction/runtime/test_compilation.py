@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 import shutil
 import subprocess
 import sys
@@ -16,7 +17,7 @@ import pytest
 from support.patience import HANG_S
 
 import reconstruction
-from reconstruction.runtime.compilation import compiled
+from reconstruction.runtime.compilation import _imported, compiled
 from simulated_devices.optics.compiled import compiled as simulator_compiled
 
 PROGRAM = """
@@ -78,3 +79,18 @@ def test_changed_constant_of_another_file_triggers_recompilation(tmp_path: Path)
     (package / "addend.py").write_text("ADDEND = 3.0")
     assert before == 1.5
     assert result() == 4.0
+
+
+def test_code_depends_on_few_files() -> None:
+    """It is compiled anew after an edit of any file that its own imports, directly or through others."""
+    package = Path(reconstruction.__file__).parent
+    marked = re.compile(r"^@(compiled|inlined)$", re.MULTILINE)
+    kernels = [path for path in package.rglob("*.py") if marked.search(path.read_text("utf-8"))]
+    assert len(kernels) > 5
+    for kernel in kernels:
+        waiting, read = [kernel], set[Path]()
+        while waiting:
+            if (path := waiting.pop()) not in read and path.is_file():
+                read.add(path)
+                waiting += _imported(path)
+        assert len(read) <= 8, kernel
