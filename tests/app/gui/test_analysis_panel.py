@@ -119,7 +119,7 @@ def test_hidden_panel_requests_no_analysis(make_window: MakeWindow, qtbot: QtBot
     assert not window.panels.quality.isVisible()
     show(window, bowl())
     qtbot.wait(200)
-    assert not window.analyses.threads[window.panels.quality].requests
+    assert window.panels.quality not in window.analyses.threads[window.panels.quality].requests
     assert window.panels.wavefronts.grid.selection is None
     press(qtbot, window, Qt.Key.Key_I)
     qtbot.waitUntil(lambda: bool(window.panels.quality.sentence.text()))

@@ -15,7 +15,7 @@ from PyQt6.QtWidgets import QApplication, QLabel, QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, make_measurement, opener
 from support.patience import HANG_S, own_time, wait_until
-from support.window_tools import LENSLETS, MakeWindow, dim_frame, press, views, wait_for_wavefront
+from support.window_tools import LENSLETS, MakeWindow, count_pixels, dim_frame, press, views, wait_for_wavefront
 
 from app.acquisition.carrier import Activity
 from app.acquisition.worker import Acquisition
@@ -69,7 +69,7 @@ def test_lost_lenslets_are_counted_by_reason(make_window: MakeWindow) -> None:
         assert (f"{12 * lost_rows} lost: no light\n{lost_rows} lost: saturated" in shown.toolTip()) == (lost_rows > 0)
 
 
-def test_new_numbers_lay_nothing_out(make_window: MakeWindow, qapp: QApplication) -> None:
+def test_new_numbers_lay_nothing_out(make_window: MakeWindow, qapp: QApplication, qtbot: QtBot) -> None:
     """A status bar that is laid out is painted whole, and the recording's text is in the menu bar."""
     window = make_window()
     window._timer.stop()
@@ -84,7 +84,7 @@ def test_new_numbers_lay_nothing_out(make_window: MakeWindow, qapp: QApplication
 
     def show(number: int) -> None:
         window.show_measurement(replace(measurement, counts=FrameTotals(number, number, number)))
-        window.update_text()
+        count_pixels(qtbot, window)
         window.recording_panel.show_state(RecordingState(Path("r"), "recording", number, 0, 9.0, 60.0, ""))
         for _ in range(3):  # one layout triggers others
             QApplication.processEvents()
