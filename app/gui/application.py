@@ -15,8 +15,8 @@ from app.errors import SHOWN, Interrupted, RunError, ended_by
 from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
 from app.gui.shell.state import apply_preferences, settings_file
 from app.gui.shell.wording import left_behind
-from app.gui.widgets.elements import timer
 from app.gui.widgets.theme import styled_application
+from app.gui.widgets.timers import timer
 from app.measurement.measurement import Measurement
 
 _FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run

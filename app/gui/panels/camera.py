@@ -11,21 +11,13 @@ from PyQt6.QtWidgets import QApplication, QMenu
 from app.acquisition.instrument import Status
 from app.gui.panels.panel import Entries, Panel, Request, Shown
 from app.gui.widgets import camera_image, theme
+from app.gui.widgets.buttons import Choice, Toggle
 from app.gui.widgets.camera_image import CameraImage, ClippedPixels, DrawingView, Measuring, Picture, Segments
 from app.gui.widgets.copies import add_copy_menu, as_table
-from app.gui.widgets.elements import (
-    Choice,
-    ElidedLabel,
-    Toggle,
-    colour_text,
-    column,
-    label,
-    row,
-    row_of,
-    timer,
-    unfocused,
-)
+from app.gui.widgets.layouts import column, row, row_of, unfocused
 from app.gui.widgets.presentation import MAGNIFICATIONS, AdaptiveScale, percent
+from app.gui.widgets.texts import ElidedLabel, colour_text, label
+from app.gui.widgets.timers import timer
 from app.measurement.measurement import Measurement
 from app.progress import counted
 from app.results.frame_statistics import FrameStatistics, Measured, frame_counts

@@ -11,8 +11,9 @@ from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QStackedWidget, QTab
 
 from app.gui.panels.panel import Panel, Request, Shown
 from app.gui.widgets import theme
+from app.gui.widgets.buttons import Choice, Toggle
 from app.gui.widgets.copies import add_copy_menu, copy_text
-from app.gui.widgets.elements import Choice, Toggle, column, row
+from app.gui.widgets.layouts import column, row
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import AdaptiveScale, diverging, signed, with_error
 from app.gui.widgets.view_grid import Maps, ViewGrid

@@ -13,9 +13,11 @@ from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.bench.config import AUTOMATIC, Bench
 from app.gui.panels.panel import Entries, Panel, Shown
 from app.gui.widgets import theme
-from app.gui.widgets.elements import Button, Choice, Item, Slot, Toggle, column, label, mark_wanted, row
+from app.gui.widgets.buttons import Button, Choice, Slot, Toggle
 from app.gui.widgets.fields import InputField, NumberField
+from app.gui.widgets.layouts import Item, column, row
 from app.gui.widgets.presentation import percent
+from app.gui.widgets.texts import label, mark_wanted
 from app.measurement.auto_exposure import FILL
 from app.measurement.averages import AVERAGED_FRAMES, FRAMES
 from drivers.interface import Range

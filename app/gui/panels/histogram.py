@@ -7,7 +7,7 @@ from PyQt6.QtGui import QColor
 
 from app.gui.panels.panel import Panel, Shown
 from app.gui.widgets import theme
-from app.gui.widgets.elements import column
+from app.gui.widgets.layouts import column
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import percent
 from app.results.frame_statistics import NEARLY_FULL

@@ -13,23 +13,13 @@ from app.bench.settings_form import typed_number
 from app.errors import RunError
 from app.gui.panels.panel import Entries, Panel, Request, Shown, Verdict
 from app.gui.widgets import theme
+from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file
-from app.gui.widgets.elements import (
-    Button,
-    Choice,
-    ElidedLabel,
-    Item,
-    Scrolled,
-    Toggle,
-    colour_text,
-    column,
-    label,
-    mark_refused,
-    row,
-)
 from app.gui.widgets.fields import NumberLine
+from app.gui.widgets.layouts import Item, Scrolled, column, row
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import NOTHING, number
+from app.gui.widgets.texts import ElidedLabel, colour_text, label, mark_refused
 from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, Drift, History, LimitWatch, SeriesLimits, sample
 from app.results.shown_wavefront import Unit
 from reconstruction.arrays import Floats

@@ -6,8 +6,10 @@ from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QWidget
 
 from app.gui.panels.panel import Panel, Request, Shown
-from app.gui.widgets.elements import Button, ElidedLabel, column, label, row
+from app.gui.widgets.buttons import Button
+from app.gui.widgets.layouts import column, row
 from app.gui.widgets.presentation import AdaptiveScale, ColourScale, diverging, number, percent, with_error
+from app.gui.widgets.texts import ElidedLabel, label
 from app.gui.widgets.view_grid import LEAST_LINES, Maps, ViewGrid
 from app.results.view_analysis import LensletInspection, inspect_lenslet
 from reconstruction.displacement import Outcome

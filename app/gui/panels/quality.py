@@ -11,9 +11,10 @@ from PyQt6.QtGui import QColor
 
 from app.gui.panels.panel import Panel, Request, Shown
 from app.gui.widgets import theme
-from app.gui.widgets.elements import ElidedLabel, column, row
+from app.gui.widgets.layouts import column, row
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import AdaptiveScale, number, place
+from app.gui.widgets.texts import ElidedLabel
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import Mtf, mtf
 from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism

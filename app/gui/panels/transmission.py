@@ -3,8 +3,9 @@
 import math
 
 from app.gui.panels.panel import Panel, Request, Shown
-from app.gui.widgets.elements import ElidedLabel, column
+from app.gui.widgets.layouts import column
 from app.gui.widgets.presentation import ColourScale, number
+from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import Maps, ViewGrid
 from app.results.view_analysis import TransmissionMaps, transmission_maps
 

@@ -17,11 +17,14 @@ from app.errors import InputError, RunError
 from app.files import check_outputs
 from app.gui.panels.panel import Entries, Panel, Request, Shown
 from app.gui.widgets import theme
+from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file, write_picture
-from app.gui.widgets.elements import REFRESH_MS, Button, Choice, ElidedLabel, Toggle, colour_text, column, row_of, timer
 from app.gui.widgets.enlarged_view import EnlargedView
 from app.gui.widgets.fields import BUTTONS_WIDTH_PX, NumberField
+from app.gui.widgets.layouts import column, row_of
 from app.gui.widgets.presentation import PRESENTATIONS, AdaptiveScale, Presentation, number, place
+from app.gui.widgets.texts import ElidedLabel, colour_text
+from app.gui.widgets.timers import REFRESH_MS, timer
 from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
 from app.measurement.measurement import Measurement
 from app.progress import run_in_thread

@@ -9,7 +9,7 @@ from typing import Any
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from app.gui.panels.panel import Check, Panel, Request, Shown
-from app.gui.widgets.elements import REFRESH_MS, timer
+from app.gui.widgets.timers import REFRESH_MS, timer
 from reconstruction.runtime.threads import one_blas_thread
 
 _SHARE = 0.2  # of a core: the measurement needs the rest

@@ -21,7 +21,9 @@ from app.gui.shell.menus import RecentFiles, listing_menu
 from app.gui.shell.settings_dialog import BENCH_FILES, SettingsDialog, ask_bench_file
 from app.gui.shell.wording import as_sentence
 from app.gui.widgets import theme
-from app.gui.widgets.elements import Button, column, label
+from app.gui.widgets.buttons import Button
+from app.gui.widgets.layouts import column
+from app.gui.widgets.texts import label
 
 _LAST = "last/bench"  # key of the settings
 

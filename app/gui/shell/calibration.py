@@ -12,7 +12,9 @@ from app.gui.panels.camera import CameraPanel
 from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.wording import exposure_found, lattice_found, linearity_found
 from app.gui.widgets import theme
-from app.gui.widgets.elements import Button, Scrolled, column, label, row, within_screen
+from app.gui.widgets.buttons import Button
+from app.gui.widgets.layouts import Scrolled, column, row, within_screen
+from app.gui.widgets.texts import label
 from app.measurement.auto_exposure import AutoExposure
 from app.measurement.averages import BackgroundCheck
 from app.measurement.routines import Cancelled

@@ -17,7 +17,7 @@ from app.cache import release_memory
 from app.errors import InputError, RunError
 from app.gui.shell.access import Access
 from app.gui.shell.messages import MessageStrip
-from app.gui.widgets.elements import REFRESH_MS
+from app.gui.widgets.timers import REFRESH_MS
 from app.measurement.routines import Cancelled
 
 T = TypeVar("T")

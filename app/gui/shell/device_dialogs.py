@@ -10,8 +10,10 @@ from app.acquisition.instrument import Status
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
 from app.gui.shell.wording import area_taken
-from app.gui.widgets.elements import Button, Choice, column, label, row
+from app.gui.widgets.buttons import Button, Choice
 from app.gui.widgets.fields import NumberField, TextField
+from app.gui.widgets.layouts import column, row
+from app.gui.widgets.texts import label
 from app.measurement.sensor_region import SensorArea, in_steps, region_around
 from drivers.interface import Range, Region
 

@@ -6,7 +6,10 @@ from PyQt6.QtCore import QByteArray, QSize, Qt
 from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabBar, QTabWidget, QToolButton, QWidget
 
 from app.gui.panels.panel import Panel
-from app.gui.widgets.elements import Slot, column, label, row, timer, within_screen
+from app.gui.widgets.buttons import Slot
+from app.gui.widgets.layouts import column, row, within_screen
+from app.gui.widgets.texts import label
+from app.gui.widgets.timers import timer
 
 _OPTIONS = QMainWindow.DockOption
 _MARGIN_PX = 8  # between the contents of a panel and its edge

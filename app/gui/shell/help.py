@@ -11,8 +11,10 @@ from PyQt6.QtWidgets import QDialog, QFrame, QScrollArea, QTextBrowser, QWidget
 import app
 from app.gui.panels.panel import Entries
 from app.gui.shell.messages import MessageStrip
+from app.gui.widgets.buttons import Button, keeps_key
 from app.gui.widgets.copies import copy_text
-from app.gui.widgets.elements import Button, column, keeps_key, label, row, within_screen
+from app.gui.widgets.layouts import column, row, within_screen
+from app.gui.widgets.texts import label
 from app.run_facts import machine_facts, versions
 
 _CONVENTIONS = """

@@ -40,8 +40,9 @@ from app.gui.shell.status_line import StatusLine
 from app.gui.shell.wording import Situation, advice, light_when_closing, liveness, way_out
 from app.gui.widgets import theme
 from app.gui.widgets.copies import write_picture
-from app.gui.widgets.elements import REFRESH_MS, column, timer
 from app.gui.widgets.fields import NumberField
+from app.gui.widgets.layouts import column
+from app.gui.widgets.timers import REFRESH_MS, timer
 from app.images import SUFFIXES
 from app.measurement.measurement import Measurement
 from app.recording.folder import read_run

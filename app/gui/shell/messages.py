@@ -12,7 +12,9 @@ from PyQt6.QtWidgets import QFrame, QProgressBar
 from app.acquisition.carrier import Activity
 from app.gui.shell.wording import as_sentence
 from app.gui.widgets import theme
-from app.gui.widgets.elements import Button, ElidedLabel, colour_text, row
+from app.gui.widgets.buttons import Button
+from app.gui.widgets.layouts import row
+from app.gui.widgets.texts import ElidedLabel, colour_text
 
 _NOTICE_S = 8.0  # how long a notice is shown
 

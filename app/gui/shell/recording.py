@@ -18,10 +18,12 @@ from app.gui.shell.menus import RecentFiles
 from app.gui.shell.messages import MessageStrip
 from app.gui.shell.wording import gaps_in_words, recording_ended
 from app.gui.widgets import theme
+from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file
-from app.gui.widgets.elements import Button, Choice, ElidedLabel, Toggle, label, mark_refused, row
 from app.gui.widgets.fields import NumberField, TextField
+from app.gui.widgets.layouts import row
 from app.gui.widgets.presentation import percent
+from app.gui.widgets.texts import ElidedLabel, label, mark_refused
 from app.progress import LINE_START, LINES, counted
 from app.recording.folder import describe, name_problem
 from app.recording.recorder import RECENT_S, RecordingLimit, RecordingState

@@ -9,7 +9,10 @@ from PyQt6.QtWidgets import QFrame, QSlider, QStyle
 from app.acquisition.instrument import Status
 from app.gui.panels.controls import ControlsPanel
 from app.gui.widgets import theme
-from app.gui.widgets.elements import REFRESH_MS, Button, Choice, label, row, timer
+from app.gui.widgets.buttons import Button, Choice
+from app.gui.widgets.layouts import row
+from app.gui.widgets.texts import label
+from app.gui.widgets.timers import REFRESH_MS, timer
 from app.recording.recover import frames_in_words
 from app.results.player import Player
 

@@ -14,21 +14,12 @@ from app.bench.device_kinds import KINDS
 from app.bench.settings_form import NAMES, FormField, SettingsForm, fault_in_words, fault_path
 from app.errors import InputError, RunError
 from app.gui.widgets import theme
+from app.gui.widgets.buttons import Button, Choice
 from app.gui.widgets.copies import ask_file
-from app.gui.widgets.elements import (
-    Button,
-    Choice,
-    ElidedLabel,
-    Scrolled,
-    colour_text,
-    column,
-    label,
-    mark_refused,
-    row,
-    timer,
-    within_screen,
-)
 from app.gui.widgets.fields import NumberLine, TextLine
+from app.gui.widgets.layouts import Scrolled, column, row, within_screen
+from app.gui.widgets.texts import ElidedLabel, colour_text, label, mark_refused
+from app.gui.widgets.timers import timer
 from app.progress import run_in_thread
 from drivers.device import DiscoveredDevice
 

@@ -16,7 +16,9 @@ from PyQt6.QtWidgets import (
 )
 
 from app.gui.widgets import theme
-from app.gui.widgets.elements import FRAME_PX, Button, Choice, column, label, row, within_screen
+from app.gui.widgets.buttons import Button, Choice
+from app.gui.widgets.layouts import FRAME_PX, column, row, within_screen
+from app.gui.widgets.texts import label
 
 _LAYOUT = 1  # a state of another version is ignored
 _THEME, _SIZE = "preferences/theme", "preferences/text"  # keys of the settings

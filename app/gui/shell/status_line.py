@@ -14,8 +14,9 @@ from app.acquisition.instrument import Status
 from app.gui.panels.panel import Verdict
 from app.gui.shell.wording import as_sentence
 from app.gui.widgets import theme
-from app.gui.widgets.elements import ElidedLabel, colour_text, column, label, row, row_of
+from app.gui.widgets.layouts import column, row, row_of
 from app.gui.widgets.presentation import NOTHING
+from app.gui.widgets.texts import ElidedLabel, colour_text, label
 from app.measurement.measurement import Measurement, RefinementState, sample_sentence
 from app.timing import MEANINGS, STAGES, StageTimes, TimedStage, Timings
 from reconstruction.displacement import Displacement

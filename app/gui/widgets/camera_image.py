@@ -16,9 +16,10 @@ from PyQt6.QtGui import QColor, QImage, QMouseEvent, QPainter
 from PyQt6.QtWidgets import QWidget
 
 from app.gui.widgets import theme
-from app.gui.widgets.elements import ElidedLabel, column
+from app.gui.widgets.layouts import column
 from app.gui.widgets.plot import Canvas, Plot
 from app.gui.widgets.presentation import colour_table, number
+from app.gui.widgets.texts import ElidedLabel
 from app.results.frame_statistics import AreaStatistics, FrameStatistics, Measured, Selection, lengths_of
 from app.results.pictures import Pixels, shaded
 from drivers.interface import Frame

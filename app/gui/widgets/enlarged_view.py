@@ -9,9 +9,11 @@ from PyQt6.QtGui import QColor, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, Q
 from PyQt6.QtWidgets import QDialog, QWidget
 
 from app.gui.widgets import theme
-from app.gui.widgets.elements import ElidedLabel, Toggle, column, row, within_screen
+from app.gui.widgets.buttons import Toggle
+from app.gui.widgets.layouts import column, row, within_screen
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import number
+from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import STEPS, Maps, ViewGrid
 from app.results.pictures import contour_step, contours, project_points, project_surface
 from reconstruction.arrays import Floats

@@ -7,7 +7,8 @@ from PyQt6.QtGui import QFocusEvent, QKeyEvent, QValidator
 from PyQt6.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QLineEdit, QWidget
 
 from app.bench.settings_form import typed_number
-from app.gui.widgets.elements import ENTER, keeps_key, mark_refused, scrolls_past
+from app.gui.widgets.buttons import ENTER, keeps_key, scrolls_past
+from app.gui.widgets.texts import mark_refused
 from drivers.interface import Range
 
 BUTTONS_WIDTH_PX = 26  # with the frame

@@ -10,7 +10,8 @@ from PyQt6.QtWidgets import QApplication, QWidget
 
 from app.gui.widgets import theme
 from app.gui.widgets.copies import add_copy_menu, as_table
-from app.gui.widgets.elements import ElidedLabel, colour_text, column, label, row, unfocused
+from app.gui.widgets.layouts import column, row, unfocused
+from app.gui.widgets.texts import ElidedLabel, colour_text, label
 
 
 class Canvas(pg.GraphicsView):  # type: ignore[misc] # pyqtgraph declares no types

@@ -16,8 +16,8 @@ from support.window_tools import MakeWindow, dim_frame, tabs, views
 
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.recording import RecordingPanel
-from app.gui.widgets.elements import ElidedLabel
 from app.gui.widgets.plot import Plot
+from app.gui.widgets.texts import ElidedLabel
 from app.recording.recorder import RecordingState
 
 SCREEN = QRect(0, 0, 960, 540)  # 1920 x 1080 pixels at scale 2

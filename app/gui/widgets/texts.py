@@ -1,0 +1,102 @@
+"""Labels, and the marks of what a control shows: a colour, wanted, refused."""
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QResizeEvent, QTextLayout
+from PyQt6.QtWidgets import QLabel, QSizePolicy, QStyle, QWidget
+
+from app.gui.widgets import theme
+
+
+def label(text: str, role: str = "", parent: QWidget | None = None, *, wraps: bool = False) -> QLabel:
+    """Make a label; its role ("title", "dim", "badge") selects the style."""
+    made = QLabel(text, parent)
+    made.setProperty("role", role)
+    made.setWordWrap(wraps)
+    return made
+
+
+class ElidedLabel(QLabel):
+    """A text without minimum width; an ellipsis replaces what does not fit, and the tool tip has it all.
+
+    The text is kept from QLabel, which would request a new layout for each change.
+    """
+
+    def __init__(self, role: str = "", text: str = "", *, lines: int = 1) -> None:
+        """Show a text in as many lines as it needs, at most `lines`; for `role` see `label`."""
+        super().__init__()
+        self.setProperty("role", role)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._most, self._taken = lines, 1
+        self._keep_room()
+        self.setText(text)
+
+    def setText(self, text: str | None) -> None:  # noqa: N802 - Qt's name
+        self._text = text or ""
+        self.setToolTip(text)
+        self.setAccessibleName(text)
+        self._take_lines()
+        self.update()
+
+    def text(self) -> str:
+        return self._text
+
+    @property
+    def shown(self) -> str:
+        """The text as it is painted: lines that fit the width, the last one elided."""
+        lines = self._wrapped() if self._most > 1 else [self._text]
+        first, rest = lines[: self._most - 1], "".join(lines[self._most - 1 :])
+        fitting = self.fontMetrics().elidedText(rest, Qt.TextElideMode.ElideRight, self.width())
+        return "\n".join([*first, "" if fitting == "\N{HORIZONTAL ELLIPSIS}" else fitting]).rstrip("\n")
+
+    def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
+        painter, style = QPainter(self), self.style()
+        if isinstance(style, QStyle):
+            style.drawItemText(
+                painter, self.rect(), int(self.alignment()), self.palette(), True, self.shown, self.foregroundRole()
+            )
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
+        super().resizeEvent(event)
+        if event is not None and event.size().width() != event.oldSize().width():
+            self._taken = 1
+            self._take_lines()
+
+    def _take_lines(self) -> None:
+        """Take more lines if the text needs them; only another width gives them back, so that nothing jumps."""
+        if self._most > 1:
+            self._taken = max(self._taken, min(len(self._wrapped()), self._most))
+            self._keep_room()
+
+    def _keep_room(self) -> None:
+        self.setMinimumHeight(self._taken * self.fontMetrics().height())  # also when empty, so that nothing moves
+
+    def _wrapped(self) -> list[str]:
+        layout, lines = QTextLayout(self._text, self.font()), []
+        layout.beginLayout()
+        while (line := layout.createLine()).isValid():
+            line.setLineWidth(self.width())
+            lines.append(self._text[line.textStart() : line.textStart() + line.textLength()])
+        layout.endLayout()
+        return lines
+
+
+def colour_text(shown: QLabel, colour: QColor) -> None:
+    """Show a text in a colour of the theme, also when the theme changes."""
+    _restyle(shown, "tone", theme.tone(colour))
+
+
+def mark_wanted(control: QWidget, *, is_wanted: bool) -> None:
+    """Show the value of a control in amber italics while it is wanted and not in force."""
+    _restyle(control, "wanted", is_wanted)
+
+
+def mark_refused(control: QWidget, *, is_refused: bool) -> None:
+    """Show in red what is typed and cannot be used."""
+    control.setStyleSheet(f"color: {theme.RED.name()};" if is_refused else "")
+
+
+def _restyle(widget: QWidget, name: str, value: object) -> None:
+    if (widget.property(name) or False) != value and (style := widget.style()) is not None:
+        widget.setProperty(name, value)
+        style.unpolish(widget)
+        style.polish(widget)
