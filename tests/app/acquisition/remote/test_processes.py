@@ -194,7 +194,7 @@ def test_a_client_that_dies_or_freezes_changes_nothing_but_who_has_control(
                 wait_until(lambda: is_finished(watching))
                 lines = [json.loads(line) for line in (folder / FRAME_LINES).read_text().splitlines()]
                 for before, line in pairwise(lines):  # every frame but those that the camera of a busy computer lost
-                    assert line["index"] == before["index"] + 1 + line["lost"]
+                    assert line["camera_index"] == before["camera_index"] + 1 + line["lost"]
             assert set(runtime_folder().iterdir()) == files
             assert running.poll() is None
 
