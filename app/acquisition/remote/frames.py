@@ -85,7 +85,7 @@ class RemoteFrames:
         self._thread.join(timeout_s)
 
     def _work(self) -> None:
-        (follower,) = self._followers
+        follower = self._followers[0]
         try:
             # Another thread of BLAS would take processor time from the instrument by waiting busily.
             with one_blas_thread(), closing(follower):

@@ -24,9 +24,10 @@ from app.errors import RunError
 from app.measurement.measurement import Measurement
 
 ONE_THREAD = """
+import time
 import scipy.linalg
 from threadpoolctl import threadpool_info
-from app.acquisition.remote.frames import RemoteFrames, _Follower
+from app.acquisition.remote.frames import RemoteFrames
 
 def threads():
     return max(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas")
