@@ -95,7 +95,7 @@ def _read_tiff(path: Path) -> NDArray[Any]:
             raise refusal
         try:
             image = series.asarray()
-        except ImportError as error:  # a newer Python would undo it
+        except ImportError as error:  # this Python lacks what undoes it
             raise refusal from error
         if series.axes == "SYX":  # its channels are stored one after the other
             image = np.moveaxis(image, 0, -1)

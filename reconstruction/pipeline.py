@@ -252,6 +252,8 @@ class Reconstructor:
         try:
             return self._solve(displacement if bias is None else displacement.minus(bias), sample)
         except ReconstructionError as error:
+            if np.all(displacement.valid):
+                raise
             raise ReconstructionError(f"{error}; {_why_lost(displacement.outcome)}", image="frame") from error
 
     def _solve(self, displacement: Displacement, sample: AssumedSample) -> Wavefront:

@@ -84,6 +84,8 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 class FinderHere(Finder):
     """A finder with the interface of its process."""
 
+    process = None
+
     def stop(self) -> None:
         """Let what runs come to its end."""
 

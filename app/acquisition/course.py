@@ -70,8 +70,9 @@ class Course:
 
     def _check(self) -> None:
         errors = (self.acquisition.error, *(step.exception() for step in self._expected if step.done()))
+        # A command is cancelled by someone who goes on, or closes.
         error = next((each for each in errors if each is not None and not isinstance(each, Cancelled)), None)
-        if error is None:  # a command is cancelled by someone who goes on, or closes
+        if error is None:
             return
         if isinstance(error, InputError | RunError):
             raise error

@@ -55,7 +55,7 @@ class GuardedLight(LightSource):
     @property
     def guardian(self) -> subprocess.Popen[bytes]:
         """The process that holds the light."""
-        return self._guardian._process  # noqa: SLF001 - same module
+        return self._guardian.process
 
     def keep_alive(self, within_s: float) -> None:
         """Send the guardian a sign of life, several times a second at most."""
@@ -102,7 +102,7 @@ class _Guardian:
         self._has_ended = threading.Event()
         self._has_pulse = False
         # In a session of its own: what the terminal sends to this process, such as Ctrl-C, does not reach it.
-        self._process = subprocess.Popen(  # noqa: S603 - this interpreter
+        self.process = subprocess.Popen(  # noqa: S603 - this interpreter
             [sys.executable, "-P", "-m", guardian.__name__],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -148,7 +148,7 @@ class _Guardian:
 
     @property
     def _input(self) -> IO[bytes]:
-        return cast("IO[bytes]", self._process.stdin)
+        return cast("IO[bytes]", self.process.stdin)
 
     def _write(self, line: Any) -> None:
         with self._writing, suppress(OSError, ValueError):  # of a guardian that has ended: `_watch` notices
@@ -158,13 +158,13 @@ class _Guardian:
     def _end_within(self, seconds: float) -> None:
         """Kill the process if it does not end in time; one that hangs in the kernel may go on."""
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(seconds)
-        self._process.kill()
+            self.process.wait(seconds)
+        self.process.kill()
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(_END_S)
+            self.process.wait(_END_S)
 
     def _listen(self) -> None:
-        with cast("IO[bytes]", self._process.stdout) as lines:
+        with cast("IO[bytes]", self.process.stdout) as lines:
             for line in lines:
                 self._has_pulse = True
                 try:
@@ -186,13 +186,13 @@ class _Guardian:
         while missing < _SILENT_PULSES and not self._has_ended.wait(guardian.PULSE_S):
             missing, self._has_pulse = 0 if self._has_pulse else missing + 1, False
         self._end_within(_END_S if self._has_ended.is_set() else 0.0)
-        is_over = self._process.returncode == 0
+        is_over = self.process.returncode == 0
         error, text = ("WrongState", "the light is closed") if is_over else ("Disconnected", self._take_over())
         self._answers.put({"error": error, "text": text})
 
     def _take_over(self) -> str:
         """Switch the light off from this process; say what has happened, whatever fails: all calls wait for it."""
-        text = f"the guardian of the light {'cannot be' if self._process.returncode is None else 'has'} ended"
+        text = f"the guardian of the light {'cannot be' if self.process.returncode is None else 'has'} ended"
         try:
             run_in_thread(partial(guardian.switch_off, self._settings), "light off")[0].result(_TAKE_OVER_S)
         except Exception as error:  # noqa: BLE001 - it is told

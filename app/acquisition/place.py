@@ -105,7 +105,7 @@ def _lock(name: str, patience_s: float = 0.0) -> Iterator[None]:
 
 
 def _locked(descriptor: int) -> bool:
-    """Whether an open file could be locked."""
+    """True if an open file could be locked."""
     try:
         if sys.platform != "win32":
             import fcntl  # noqa: PLC0415 - not on Windows

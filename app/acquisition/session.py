@@ -315,7 +315,7 @@ class LiveBench:
         self._result(self._acquisition.submit(Instrument.set, "is_running", True))
 
     def _follow(self, steps: Iterator[None]) -> None:
-        """Make all steps; an error that ended the acquisition goes before theirs."""
+        """Make all steps; raise the error that ended the acquisition rather than one of theirs."""
         try:
             for _ in steps:
                 with self._arrived:

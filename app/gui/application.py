@@ -148,7 +148,14 @@ def unattended_steps(
 
     window.measurement_shown.connect(note)
     end_s = seconds + (yield from course.first_wavefront(_FIRST_WAVEFRONT_S))
-    yield from course.until(lambda: bool(shown) and time.perf_counter() >= end_s)
+
+    def is_over() -> bool:
+        now_s = time.perf_counter()
+        if not shown and now_s > end_s + _FIRST_WAVEFRONT_S:
+            raise RunError("the window has not drawn a wavefront")
+        return bool(shown) and now_s >= end_s
+
+    yield from course.until(is_over)
     window.update_text()
     if screenshot is not None and not window.save_screenshot(screenshot):
         raise RunError(f"{screenshot}: cannot be written")

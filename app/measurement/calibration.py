@@ -14,8 +14,9 @@ import numpy as np
 
 from app.bench.config import Bench
 from app.bench.imaging_model import lenslet_model
+from app.cache import kept_while_alive
 from app.measurement.averages import Average
-from reconstruction.arrays import Counts
+from reconstruction.arrays import Booleans, Counts
 from reconstruction.frame.noise import KnownNoise, TransferCurve, image_transfer, photon_transfer
 from reconstruction.frame.pixels import KnownCamera, find_bad_pixels, repaired
 from reconstruction.geometry import Lattice, Sensor
@@ -77,17 +78,12 @@ class Calibration:
         return KnownNoise(None if curve is None else curve.noise, reference.frames, curve)
 
     def transfer_of(self, image: Counts) -> TransferCurve | None:
-        """Variance of a single image's pixels against their light; None if it does not show them."""
-
-        def dark_of(image: Counts) -> Counts | None:
-            dark = self.dark_image
-            return None if dark is None or dark.shape != image.shape else dark  # one of another size is refused later
-
-        reference, dark = self.reference.mean, dark_of(image)
+        """Photon transfer curve of a single image (row, column), counts; None if it shows none."""
+        dark = _dark_like(image, self.dark)
         light = np.subtract(image, np.min(image) if dark is None else dark, dtype=np.float32)
         if (linearity := self.bench.linearity) is not None:
             light = np.asarray(linearity.light(light), np.float32)
-        bad = find_bad_pixels(reference, dark_of(reference))
+        bad = _bad_pixels(self.reference, self.dark)
         return image_transfer(repaired(light, bad) if light.shape == bad.shape else light, self.bench.sensor.blur_px)
 
     @property
@@ -123,3 +119,14 @@ class Calibration:
 def surveyed(sensor: Sensor, dark: Average | None, reference: Average, full_scale: float) -> Survey:
     """Find the lenslets in a reference; `ReconstructionError` if it shows none."""
     return survey(reference.mean, sensor, dark=None if dark is None else dark.mean, full_scale=full_scale)
+
+
+@kept_while_alive(maxsize=4)  # each image is judged with them
+def _bad_pixels(reference: Average, dark: Average | None) -> Booleans:
+    """Find the bad pixels (row, column)."""
+    return find_bad_pixels(reference.mean, _dark_like(reference.mean, dark))
+
+
+def _dark_like(image: Counts, dark: Average | None) -> Counts | None:
+    """Return the dark, (row, column), counts; None if it has another size, for which it is refused later."""
+    return None if dark is None or dark.mean.shape != image.shape else dark.mean

@@ -9,7 +9,6 @@ import pickle
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from subprocess import Popen
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,8 +50,6 @@ class Found(NamedTuple):
 
 class Finder:
     """Finds sample and bias for the frames of one estimator, one frame after the other."""
-
-    process: Popen[bytes] | None = None  # of its own
 
     def __init__(self, estimator: Estimator) -> None:
         self._estimator, self._reconstructor = estimator, estimator.reconstructor

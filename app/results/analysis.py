@@ -82,9 +82,9 @@ class Analysis:
 
     def sentences(self, found: Any) -> list[str]:
         """Say what was found."""
-        return [str(found)]
+        raise NotImplementedError
 
-    def by_view(self, found: Any) -> ByView | None:  # noqa: ARG002 - others need it
+    def by_view(self, found: Any) -> ByView | None:  # noqa: ARG002 - for analyses that have them
         """Return a table for the terminal; None if there is none."""
         return None
 
@@ -99,7 +99,7 @@ class Analysis:
         of_frame = {"frame": str(self.frame)} if hasattr(self, "frame") else {}
         write_results(out, found, bench=bench, inputs={"source": source.name, **of_frame})
 
-    def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:  # noqa: ARG002 - others need it
+    def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:  # noqa: ARG002 - for analyses that have them
         """Return more files that it reads and writes; `InputError` if one of them cannot be used."""
         return (), ()
 

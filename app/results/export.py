@@ -63,6 +63,10 @@ class Export(Analysis):
             WRITERS[self.to](recording, chosen, out, progress)
         return f"{out} holds {counted(len(chosen))} of {source}"
 
+    def sentences(self, found: str) -> list[str]:
+        """Say what was written."""
+        return [found]
+
     def bench_changes(self, source: Path) -> Mapping[Path, Iterable[str] | None]:
         """Return no change; None for frames, which are not reconstructed."""
         return {source: None if self.to == "tiff" else ()}

@@ -112,9 +112,9 @@ Measured = tuple[Floats, Floats] | AreaStatistics | None  # a profile, an area, 
 def area_statistics(
     pixels: NDArray[np.integer[Any]], x_px: tuple[float, float], y_px: tuple[float, float], clip_level: float = math.inf
 ) -> AreaStatistics | None:
-    """Take those of the pixels (row, column) whose centres lie in it, edges included; None if there are none.
+    """Return the statistics of the pixels (row, column) whose centres lie in a rectangle; None if there are none.
 
-    Pixels are clipped from `clip_level` on.
+    A pixel on an edge lies in it, and is clipped from `clip_level` on.
     """
     first_row, first_column = (max(math.ceil(low), 0) for low, _ in (y_px, x_px))
     inside = pixels[first_row : max(math.floor(y_px[1]) + 1, 0), first_column : max(math.floor(x_px[1]) + 1, 0)]

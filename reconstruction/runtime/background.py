@@ -31,7 +31,7 @@ class BackgroundProcess:
         """The standard output of `work` goes to the standard error."""
         given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
         search_path = os.pathsep.join([_ROOT, *filter(None, given)])  # an empty part is the working directory
-        self._process = subprocess.Popen(  # noqa: S603 - this interpreter
+        self.process = subprocess.Popen(  # noqa: S603 - this interpreter
             # -P: nothing from the working directory is imported
             [sys.executable, "-P", "-c", f"from {__name__} import _run; _run({work.__module__!r}, {work.__name__!r})"],
             stdin=subprocess.PIPE,
@@ -40,12 +40,7 @@ class BackgroundProcess:
             creationflags=getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),  # exists on Windows only
             process_group=0,  # Ctrl-C ends the parent, and that this process; in a new session Linux ignores niceness
         )
-        self._messages, self._answers = cast("IO[bytes]", self._process.stdin), cast("IO[bytes]", self._process.stdout)
-
-    @property
-    def process(self) -> subprocess.Popen[bytes]:
-        """The process."""
-        return self._process
+        self._messages, self._answers = cast("IO[bytes]", self.process.stdin), cast("IO[bytes]", self.process.stdout)
 
     def send(self, message: object) -> None:
         """Send a message; `OSError` if the process has ended."""
@@ -61,8 +56,8 @@ class BackgroundProcess:
 
     def kill(self) -> None:
         """End the process at once; a thread that waits for an answer is woken."""
-        self._process.kill()
-        self._process.wait()
+        self.process.kill()
+        self.process.wait()
 
     def close(self) -> None:
         """Kill the process and close the pipes, which no thread may use any more."""

@@ -61,16 +61,16 @@ def test_closing_kills_rendering_ahead(tmp_path: Path) -> None:
     bench = open_bench(tmp_path, replace(DRIFTING, screen=slowly, drifting_states=10_000))
     process = bench._ahead
     assert process is not None
-    assert process._process.poll() is None
+    assert process.process.poll() is None
     bench.close()
     bench.close()
-    assert process._process.returncode == -signal.SIGKILL
+    assert process.process.returncode == -signal.SIGKILL
 
 
 def test_ctrl_c_of_the_terminal_does_not_reach_rendering_ahead(bench: SimulatedBench, tmp_path: Path) -> None:
     """It would end with a traceback while it starts."""
     process = rendering_ahead(replace(bench._scene, simulation=DRIFTING), "square", tmp_path)
-    assert os.getpgid(process._process.pid) != os.getpgid(0)
+    assert os.getpgid(process.process.pid) != os.getpgid(0)
     process.close()
 
 
@@ -78,7 +78,7 @@ def test_ctrl_c_of_the_terminal_does_not_reach_rendering_ahead(bench: SimulatedB
 def test_rendering_ahead_ends_quietly(bench: SimulatedBench, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     scene = replace(bench._scene, simulation=DRIFTING)
     process = rendering_ahead(scene, "square", tmp_path)
-    assert process._process.wait(HANG_S) == 0
+    assert process.process.wait(HANG_S) == 0
     process.close()
     assert capfd.readouterr().err == ""
     cache = ImageCache(tmp_path, scene)
@@ -94,7 +94,7 @@ def test_rendering_ahead_imports_nothing_from_working_directory(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", search_path)
     process = rendering_ahead(replace(bench._scene, simulation=DRIFTING), "square", tmp_path)
-    assert process._process.wait(HANG_S) == 0
+    assert process.process.wait(HANG_S) == 0
     process.close()
     assert not (tmp_path / "executed").exists()
 
@@ -104,7 +104,7 @@ def test_bench_works_without_writable_cache(tmp_path: Path, capfd: pytest.Captur
     (tmp_path / "file").write_text("no folder")
     bench = open_bench(tmp_path / "file", DRIFTING)
     assert bench._ahead is not None
-    assert bench._ahead._process.wait(HANG_S) == 0
+    assert bench._ahead.process.wait(HANG_S) == 0
     bench.clock.sleep(10.0)
     bench.change(is_light_on=True, is_sample_in=True)
     bench.clock.sleep(1.0)

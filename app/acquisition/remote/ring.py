@@ -55,7 +55,7 @@ class RingWriter:
         return int(self._count)
 
     def fits(self, packed: Packed) -> bool:
-        """Whether a record fits into a slot."""
+        """True if a record fits into a slot."""
         return packed.nbytes <= self._stride - _SLOT_HEADER_BYTES
 
     def write(self, packed: Packed, count: int | None = None) -> int:

@@ -55,8 +55,8 @@ _STATE_S = 0.1  # between two states that differ
 _PULSE_S = 0.5  # between two that do not
 _BEHIND_S = 1.5  # after which a client counts as not reading: only answers are sent to it
 _SILENT_S = 5.0  # after which a client counts as gone
-_STOPPED_S = 0.5  # between two turns, if this process was stopped, ...
-_GATHERING_S = 0.1  # ... until all that waits for it has arrived
+_STOPPED_S = 0.5  # between two turns, after which this process counts as stopped in between
+_GATHERING_S = 0.1  # in which all that was sent to a stopped process arrives
 _LINGER_MS = 300
 _SPARE = 1.5  # a slot's size over that of the first record which needs it
 

@@ -11,7 +11,7 @@ from app.acquisition.remote.own_instrument import OwnConnection
 from app.gui.shell.controller import Controller
 
 _NOT_ATTACHED = "this window runs the instrument itself: svwfs live --attach opens one on another process"
-_OVERTAKEN = "frames overtaken: replaced by the instrument while this window read them"
+_OVERTAKEN = "frames overtaken: replaced by the instrument before, or while, this window read them"
 _STARTS = "the instrument is starting: wait until it is reached"
 
 

@@ -65,7 +65,7 @@ class Controller(QObject):
 
     @property
     def left(self) -> str:
-        """That the instrument goes on without the window, or why it has ended; empty if it ends with the window."""
+        """Say that the instrument goes on, or why it has ended; empty if it ends with the window."""
         if not isinstance(self.acquisition, Connection):
             return ""
         return self.acquisition.loss or "the instrument goes on" * self.acquisition.goes_on

@@ -281,7 +281,7 @@ def test_guardian_that_cannot_be_ended_says_that_its_light_may_be_on(
     """As one whose call hangs in the kernel."""
     monkeypatch.setattr("app.acquisition.guarded_light._END_S", 0.2)
     light = GuardedLight(DC4100Settings(port=lamp_port.port))
-    guardian = light._guardian._process
+    guardian = light.guardian
     with monkeypatch.context() as kernel:
         kernel.setattr(subprocess.Popen, "kill", lambda _: None)
         guardian.send_signal(signal.SIGSTOP)

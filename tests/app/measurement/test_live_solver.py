@@ -444,7 +444,7 @@ def test_process_that_dies_is_reported_and_frames_go_on(
     solver = solver_of(paper_bench, layered)
     if has_found:
         until(solver, layered, paper_bench.reference, "applied")
-    apart[0]._process._process.kill()
+    apart[0].process.kill()
     until(solver, layered, paper_bench.reference, "failed")
     _, (sample, state) = solver.solve(layered.register(paper_bench.reference), 0.0)
     assert sample is not None  # nobody waits for one

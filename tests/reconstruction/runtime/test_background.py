@@ -23,7 +23,7 @@ from reconstruction.runtime.background import BackgroundProcess
 from test_background import square
 process = BackgroundProcess(square)
 process.send(3)
-print(process._process.pid, process.receive(), flush=True)
+print(process.process.pid, process.receive(), flush=True)
 time.sleep(600)
 """
 
@@ -54,7 +54,7 @@ def test_process_answers_at_low_priority(capfd: pytest.CaptureFixture[str]) -> N
             process.send(number)
             assert process.receive() == number**2
         if sys.platform != "win32":
-            pid = process._process.pid
+            pid = process.process.pid
             assert os.getpriority(os.PRIO_PROCESS, pid) >= os.getpriority(os.PRIO_PROCESS, 0) + 5
             assert os.getsid(pid) == os.getsid(0)  # niceness counts only there
             assert os.getpgid(pid) != os.getpgid(0)  # Ctrl-C does not reach it

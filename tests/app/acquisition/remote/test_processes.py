@@ -51,21 +51,22 @@ time.sleep(600)
 """
 WINDOW = """
 import sys
-from functools import partial
 from pathlib import Path
+from app.acquisition.course import Course
 from app.acquisition.remote.connection import reach
 from app.gui.application import run_window, unattended_steps
 from app.gui.shell.access import Access
 
+connection = reach("client")
+
 def steps(window):
-    yield from unattended_steps(window, 0.5)
-    connection = window.attachment.connection
+    yield from unattended_steps(window, Course(connection), 0.5)
     connection.start_recording(Path(sys.argv[1])).result()
     print("sees", flush=True)
     while True:
         yield
 
-access = Access(partial(reach, "client"), begin=lambda _: ())
+access = Access(lambda: connection, begin=lambda _: ())
 run_window(lambda window: window.open(access), steps=steps)
 """
 
