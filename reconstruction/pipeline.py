@@ -101,11 +101,7 @@ class _Registration(NamedTuple):
     settings: RegistrationSettings
     method: RegistrationMethod
     at_rest: Displacement  # of the reference from itself: the certainty of each lenslet and field mode
-
-    @property
-    def warps(self) -> WarpRegistration | None:
-        """The method, if it fits warps and has a response."""
-        return self.method if isinstance(self.method, WarpRegistration) else None
+    warps: WarpRegistration | None  # the method, if it fits warps and has a response
 
     @property
     def parameters(self) -> Floats:
@@ -326,13 +322,14 @@ class Reconstructor:
         def prepare(warp: Warp) -> _Registration:
             settings = replace(registration, warp=warp)
             method = self._method(self.subimages, settings)
+            warps = method if isinstance(method, WarpRegistration) else None
             unsaturated = np.zeros(light.shape, np.bool_)
             if self._own.registration is None:
-                return _Registration(settings, method, method(light, saturated=unsaturated))
+                return _Registration(settings, method, method(light, saturated=unsaturated), warps)
             what = "a prepared own registration"
             found = _called(what, Displacement, method, light, saturated=unsaturated, start=None)
             _require_shape(f"coefficients of {what}", np.shape(found.coefficients)[:2], self.sensor)
-            return _Registration(settings, method, found)
+            return _Registration(settings, method, found, warps)
 
         if registration.warp is not None or not registration.fits_warps:
             return prepare(registration.warp or "quadratic")

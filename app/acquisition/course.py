@@ -25,7 +25,7 @@ class Course:
         self.acquisition, self._progress = acquisition, progress
         self._expected: tuple[Future[Any], ...] = ()  # commands that must succeed
 
-    def begin(self, commands: Callable[[Carrier], tuple[Future[Any], ...]] = start_up) -> tuple[Future[Any], ...]:
+    def send(self, commands: Callable[[Carrier], tuple[Future[Any], ...]] = start_up) -> tuple[Future[Any], ...]:
         """Send commands that must succeed, such as those that calibrate the bench and turn to the sample."""
         sent = commands(self.acquisition)
         self._expected += sent

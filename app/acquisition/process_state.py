@@ -11,10 +11,10 @@ Condition: TypeAlias = Literal["alive", "frozen", "gone"]
 
 @dataclass(frozen=True, slots=True)
 class ProcessState:
-    """A process of an instrument, by its name and number."""
+    """A process of an instrument, by its name and id."""
 
     name: Literal["instrument", "guardian", "finder"]
-    number: int
+    pid: int
     condition: Condition
 
     @classmethod

@@ -13,7 +13,7 @@ from typer.models import CommandInfo
 from app.commands import options, terminal
 from app.errors import InputError, Interrupted
 from app.files import require_suffix
-from app.results.analysis import Recording, load
+from app.results.analysis import RecordingFolder, load
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,7 +41,7 @@ def command_of(kind: type[Analysis]) -> Callable[..., None]:
     """Return a function with the options of an analysis, which computes, writes, draws and tells it."""
 
     def run(source: Path, out: Path, plot: Path | None = None, *, overwrite: bool, **chosen: Any) -> None:
-        if kind.source is Recording:
+        if kind.source is RecordingFolder:
             options.check_recordings(source)
         from reconstruction.errors import ReconstructionError
 

@@ -114,7 +114,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     with OwnInstrument("benchmark") as own, closing(own.connect(plan.bench)) as acquisition:
         without_window = MeasuredCourse(acquisition, alone, warm_up_s, plan.without_window_s)
         acquisition.start()
-        without_window.begin()
+        without_window.send()
         for _ in without_window.steps():
             time.sleep(_POLL_S)
     return LiveFigures(
@@ -134,7 +134,7 @@ def _run_in_window(course: MeasuredCourse, *, with_panels: bool) -> None:
         if with_panels:
             panels = window.panels
             window.docks.float_panels(panels.coefficients, panels.history, panels.histogram)
-        window.open(Access(lambda: course.acquisition, lambda _: course.begin()))
+        window.open(Access(lambda: course.acquisition, lambda _: course.send()))
 
     run_window(open_course, steps=lambda _: course.steps())
 

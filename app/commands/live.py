@@ -212,7 +212,7 @@ def unattended_window(bench: Bench, access: Access, *, seconds: float | None, ou
 
     make_folder(out)
     course = Course(access.make())
-    of_course = replace(access, make=lambda: course.acquisition, begin=lambda _: course.begin(access.begin))
+    of_course = replace(access, make=lambda: course.acquisition, begin=lambda _: course.send(access.begin))
     status = run_window(
         lambda window: window.open(of_course),
         steps=lambda window: unattended_steps(window, course, seconds or _UNATTENDED_S, picture, finish),

@@ -43,7 +43,7 @@ Attach = Annotated[
 Instrument = Annotated[str, typer.Option("--name", metavar="NAME", help="Name of the instrument.")]
 Set = analysis.Set
 Frames = analysis.Frames
-Recording = analysis.Recording
+RecordingFolder = analysis.RecordingFolder
 Plot = Annotated[Path | None, typer.Option(help="Picture of the result: PNG, PDF or SVG.")]
 Seeds = Annotated[int, typer.Option(min=1, max=1000, help="Number of screens, starting at the bench's seed.")]
 

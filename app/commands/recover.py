@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from app.recording.recover import Recovered
 
 
-def recover(recording: options.Recording) -> None:
+def recover(recording: options.RecordingFolder) -> None:
     """Complete a recording cut short by a crash or power failure, and list its damage.
 
     Pixels are never changed. Everything happens in the recording's folder: each line of frames.jsonl is put in its

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def replay(
-    recording: options.Recording,
+    recording: options.RecordingFolder,
     *,
     verify: Annotated[bool, typer.Option("--verify", help="Fail unless every frame is reproduced bit by bit.")] = False,
     bench: Annotated[str | None, options.bench_option("Another bench to compare with the recorded one.")] = None,

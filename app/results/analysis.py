@@ -35,7 +35,7 @@ ANALYSES = {
 }
 
 # options of several commands
-Recording = Annotated[Path, typer.Argument(metavar="recording", help="Folder of a recording.")]
+RecordingFolder = Annotated[Path, typer.Argument(metavar="recording", help="Folder of a recording.")]
 RunOrResult = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]
 Frame = Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")]
 Frames = Annotated[

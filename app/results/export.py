@@ -39,7 +39,7 @@ class Export(Analysis):
     Example: svwfs export run1 --to double-zernike --out run1.nc
     """
 
-    source: ClassVar = analysis.Recording
+    source: ClassVar = analysis.RecordingFolder
     file_help: ClassVar = "File to write."
     picture_dpi: ClassVar = 0
 

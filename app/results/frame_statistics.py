@@ -106,7 +106,7 @@ class AreaStatistics:
     clipped: int  # number of pixels
 
 
-Measured = tuple[Floats, Floats] | AreaStatistics | None  # a profile, an area, or one without pixels
+MeasuredPart = tuple[Floats, Floats] | AreaStatistics | None  # a profile, an area, or neither
 
 
 def area_statistics(
@@ -128,7 +128,7 @@ def area_statistics(
 
 def frame_counts(
     pixels: NDArray[np.integer[Any]], full_scale: int, selection: Selection | None
-) -> tuple[FrameStatistics, Measured]:
+) -> tuple[FrameStatistics, MeasuredPart]:
     """Return the statistics of a frame, and of a selection the profile along its line or the statistics of its area."""
     found = frame_statistics(pixels, full_scale)
     if selection is None:

@@ -33,7 +33,7 @@ class Report(Analysis):
     Example: svwfs report square --beside stars --set registration.method=correlation --out compared.pdf
     """
 
-    source: ClassVar = analysis.Recording
+    source: ClassVar = analysis.RecordingFolder
     file_help: ClassVar = "File to write: .pdf with A4 pages, or .png with all pages in one picture."
     suffixes: ClassVar = (".pdf", ".png")
     needs_suffix: ClassVar = True

@@ -175,7 +175,7 @@ class MeasuredCourse(Course):
         acquisition, folder = self.acquisition, self._record_into
         first_s = yield from self.first_wavefront(_GIVE_UP_S)
         if folder is not None:
-            self.begin(lambda to: (to.start_recording(folder, command="benchmark"),))
+            self.send(lambda to: (to.start_recording(folder, command="benchmark"),))
 
         def wait(until_s: float, text: str) -> Iterator[None]:
             whole_s = self._warm_up_s + self._seconds
@@ -201,7 +201,7 @@ class MeasuredCourse(Course):
             memory_mb=(memory_mb, self._memory_mb()),
         )
         if folder is not None:
-            self.begin(lambda to: (to.stop_recording(),))
+            self.send(lambda to: (to.stop_recording(),))
             yield from self.until(self.is_recorded, "measuring", lambda: 1.0)
 
     def _memory_mb(self) -> float | None:

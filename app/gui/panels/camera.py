@@ -20,7 +20,7 @@ from app.gui.widgets.texts import ElidedLabel, colour_text, label
 from app.gui.widgets.timers import timer
 from app.measurement.measurement import Measurement
 from app.progress import counted
-from app.results.frame_statistics import FrameStatistics, Measured, frame_counts
+from app.results.frame_statistics import FrameStatistics, MeasuredPart, frame_counts
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
@@ -169,7 +169,7 @@ class CameraPanel(Panel):
             return None
         return Request(measurement, choice, lambda _: frame_counts(measurement.frame.pixels, *choice))
 
-    def show_result(self, found: tuple[FrameStatistics, Measured]) -> None:
+    def show_result(self, found: tuple[FrameStatistics, MeasuredPart]) -> None:
         self.shown.statistics, measured = found
         self.measuring.show_measured(measured)
 

@@ -53,7 +53,7 @@ class Attachment:
     def processes(self) -> str:
         """State of each process of the instrument, its clients, and the frames that it was too fast for; in lines."""
         acquisition = self._controller.acquisition
-        lines = [f"{each.name}: process {each.number}, {each.condition}" for each in self._processes]
+        lines = [f"{each.name}: process {each.pid}, {each.condition}" for each in self._processes]
         if isinstance(acquisition, Connection):
             lines += [f"connected: {', '.join(acquisition.clients)}", f"{acquisition.overtaken} {_OVERTAKEN}"]
         return "\n".join(lines)

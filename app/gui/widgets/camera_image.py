@@ -20,7 +20,7 @@ from app.gui.widgets.layouts import column
 from app.gui.widgets.plot import Canvas, Plot
 from app.gui.widgets.presentation import colour_table, number
 from app.gui.widgets.texts import ElidedLabel
-from app.results.frame_statistics import AreaStatistics, FrameStatistics, Measured, Selection, lengths_of
+from app.results.frame_statistics import AreaStatistics, FrameStatistics, MeasuredPart, Selection, lengths_of
 from app.results.pictures import Pixels, shaded
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
@@ -275,7 +275,7 @@ class Measuring(QWidget):
         self._sensor, self._field = sensor, field
         self._show_length()
 
-    def show_measured(self, found: Measured) -> None:
+    def show_measured(self, found: MeasuredPart) -> None:
         """Show what was measured of the selection; None of an area without pixels, or without a selection."""
         if isinstance(found, tuple):
             along_px, counts = found

@@ -325,7 +325,7 @@ def test_camera_failure_ends_the_bare_run(camera: FakeCamera) -> None:
     with pytest.raises(RunError, match="before all was measured"):
         _ = watched.span
     watched.acquisition.start()
-    watched.begin()
+    watched.send()
     with pytest.raises(RunError, match="the camera is gone"):  # noqa: PT012 - it goes on until then
         for _ in watched.steps():
             if watched.acquisition.counts.reconstructed:
@@ -349,7 +349,7 @@ def test_folder_with_a_recording_is_rejected(camera: FakeCamera, tmp_path: Path)
     (tmp_path / "run.json").write_text("{}")
     watched = course_of(BENCH, warm_up_s=60, record_into=tmp_path)
     watched.acquisition.start()
-    watched.begin()
+    watched.send()
     with pytest.raises(InputError, match="holds a recording already"):  # noqa: PT012 - it goes on until then
         for _ in watched.steps():
             time.sleep(0.02)

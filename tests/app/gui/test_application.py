@@ -56,7 +56,7 @@ def run_unattended(
         if finished is not None:
             finished.append(measurement)
 
-    access = Access(lambda: course.acquisition, lambda _: course.begin())
+    access = Access(lambda: course.acquisition, lambda _: course.send())
     return run_window(
         lambda window: window.open(access),
         steps=lambda window: unattended_steps(window, course, seconds, screenshot, note),

@@ -159,8 +159,8 @@ def test_clients_see_the_state_of_each_process(small_toml: Path, tmp_path: Path)
 
         wait_for_wavefront(connection)
         are("alive", "alive")
-        assert connection.processes[0].number == running.pid
-        finder = connection.processes[1].number
+        assert connection.processes[0].pid == running.pid
+        finder = connection.processes[1].pid
         os.kill(finder, signal.SIGSTOP)
         are("alive", "frozen")
         os.kill(finder, signal.SIGKILL)
