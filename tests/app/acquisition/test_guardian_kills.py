@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 from support.guarded_instrument import bench_toml, children, is_gone, lit_instrument
-from support.patience import wait_until
+from support.patience import HANG_S, wait_until
 from support.wires.dc4100 import DC4100Wire
 from support.wires.pseudo_terminal import PtyServer
 
@@ -74,7 +74,7 @@ def test_light_goes_off_whatever_dies_or_freezes(
             note_time(victim, number, lamp.log.off_s - started_s)
             if victim != "guardian":
                 program.kill()
-            _, errors = program.communicate()
+            _, errors = program.communicate(timeout=HANG_S)
             wait_until(lambda: is_gone(guardian))  # noqa: B023 - called here
             assert not lamp.is_lit
             assert lamp.log.lightings == lightings  # it was not lit again
@@ -117,7 +117,7 @@ def test_light_goes_off_if_the_process_freezes_amid_long_work(
             program.send_signal(signal.SIGCONT)
             time.sleep(0.5)
         program.kill()
-        _, errors = program.communicate()
+        _, errors = program.communicate(timeout=HANG_S)
     assert lamp.log.lightings == lightings
     assert errors == "svwfs: the light went off because the acquisition gave no sign of life for 1.5 s\n"
 
