@@ -151,6 +151,11 @@ class LightSource(Device):
             if has_lock:
                 self._lock.release()
 
+    @property
+    def _may_shine(self) -> bool:
+        """True if a light that this object cannot switch off may be on."""
+        return True
+
     def _switch_off_and_release(self) -> None:
         if self._is_closed:
             return
@@ -160,7 +165,7 @@ class LightSource(Device):
             if self._has_begun and not self._loss:
                 self._switch(on=False)
         except DeviceError as error:
-            if was_lit:
+            if was_lit and self._may_shine:
                 raise _still_lit(error) from error
             if not isinstance(error, Disconnected):
                 raise
@@ -223,7 +228,7 @@ class LightSource(Device):
                 try:
                     self._switch(on=False)
                 except Exception as second:
-                    if was_lit and isinstance(error, DeviceError):
+                    if was_lit and self._may_shine and isinstance(error, DeviceError):
                         raise _still_lit(error) from second
                 raise
 

@@ -64,6 +64,10 @@ class GuardedLight(LightSource):
             self._promised_s, self._sent_s = within_s, now_s
             self._guardian.tell("keep_alive", within_s)
 
+    @property
+    def _may_shine(self) -> bool:
+        return not self._guardian.was_taken_over
+
     def _read_range(self) -> Range:
         return Range(*self._guardian.call("range"))
 

@@ -7,6 +7,7 @@ from typing import NoReturn
 
 from app.commands.terminal import printable, shortened
 from app.errors import InputError, Interrupted, RunError, ended_by
+from drivers.errors import DeviceError
 
 
 def main() -> None:
@@ -25,7 +26,7 @@ def main() -> None:
             _exit(error, 130)
         except MemoryError as error:
             _exit(RunError(f"there is not enough memory: {error or 'use fewer lenslets, views or pixels'}"), 1)
-        except RunError as error:
+        except (RunError, DeviceError) as error:
             _exit(error, 1)
         except OSError as error:
             if isinstance(error.filename, str):  # its name cannot be used

@@ -81,6 +81,8 @@ def run_window(
 
 def _raise_failure(window: MainWindow, *, is_interrupted: bool) -> None:
     """Raise why the window ended, unless its user closed it and all is well."""
+    if window.controller.is_stuck and window.controller.is_silent:
+        raise RunError(f"{window.attachment.notice}, and see whether the light is off")
     if window.controller.is_stuck:
         raise RunError(left_behind(window.controller.status, CLOSING_S))
     error = window.controller.error if window.controller.failure else None  # may have come while closing

@@ -54,7 +54,16 @@ class RemoteFrames:
         return sum(each.overtaken for each in self._followers)
 
     def every(self) -> Iterator[Measurement]:
-        """Yield each measurement from now on, in order and once, but those that `overtaken` counts."""
+        """Yield each measurement from now on, in order and once, but those that `overtaken` counts.
+
+        What the newest one needs is prepared before, in seconds, during which the ring would overtake this reader.
+        """
+        with closing(_Follower()) as newest:
+            while (notice := self._notice).count and not self._closing.is_set():
+                if (record := self._next(newest, notice)) is not None:
+                    self._solved(record)
+                    break
+                self._wait_for_news(notice)
         follower = _Follower(self._notice.count, every=True)
         self._followers.append(follower)
         return self._each(follower)

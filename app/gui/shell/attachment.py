@@ -55,7 +55,8 @@ class Attachment:
         acquisition = self._controller.acquisition
         lines = [f"{each.name}: process {each.pid}, {each.condition}" for each in self._processes]
         if isinstance(acquisition, Connection):
-            lines += [f"connected: {', '.join(acquisition.clients)}", f"{acquisition.overtaken} {_OVERTAKEN}"]
+            lines += [f"connected: {', '.join(acquisition.clients)}"] * acquisition.is_alive
+            lines += [f"{acquisition.overtaken} {_OVERTAKEN}"]
         return "\n".join(lines)
 
     @property

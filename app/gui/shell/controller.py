@@ -26,6 +26,7 @@ Otherwise = Callable[[Exception], object] | None
 Call = tuple[Any, ...]  # a request of the instrument, and its arguments
 _BENCH = "bench"  # kind of the commands that change registration, reconstruction, lattice or mask
 _MODES = {"amplifier", "readout_speed"}  # their commands return what else has changed
+_SILENT_S = 5.0  # for the end of a process that does not answer
 _FRAMES_MS = 500  # between two of them: they stop the camera
 
 
@@ -115,12 +116,15 @@ class Controller(QObject):
         release_memory()  # of the one before
 
     def close(self, meanwhile: Callable[[], object]) -> None:
-        """Turn the light off at once and close the devices; wait for the worker, calling `meanwhile` at 25 Hz."""
+        """Turn the light off at once and close the devices; wait for the worker, calling `meanwhile` at 25 Hz.
+
+        A process that does not answer is not waited for as long.
+        """
         if self.acquisition is None:
             return
         self.acquisition.begin_close()
-        deadline_s = time.monotonic() + CLOSING_S
-        while self.acquisition.is_alive and time.monotonic() < deadline_s:
+        began_s = time.monotonic()
+        while self.acquisition.is_alive and time.monotonic() < began_s + (_SILENT_S if self.is_silent else CLOSING_S):
             self.acquisition.close(timeout_s=REFRESH_MS / 1e3)
             meanwhile()
         self.is_stuck = self.acquisition.is_alive

@@ -105,11 +105,14 @@ class StatusLine(QWidget):
             summary = timings.summary()
             self.timing_row.update_text(summary)
             self.delay.setToolTip(f"<p>{_DELAY}.</p>{_timing_table(summary)}")
+        names: tuple[str, ...] = ()
         if status is not None:
             self.simulated.setVisible(status.bench.is_simulated)
-            _write(self.devices, trouble or ("running" if status.is_running else "stopped"))
+            names = status.camera_name, status.light_name
+        if status is not None or trouble:
+            _write(self.devices, trouble or ("running" if status is not None and status.is_running else "stopped"))
             colour_text(self.devices, theme.RED if trouble else theme.DIM)
-            self.devices.setToolTip("\n".join(filter(None, [status.camera_name, status.light_name, processes])))
+            self.devices.setToolTip("\n".join(filter(None, [*names, processes])))
         last = self._newest
         if last is None:
             return

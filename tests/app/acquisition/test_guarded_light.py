@@ -292,6 +292,19 @@ def test_guardian_that_cannot_be_ended_says_that_its_light_may_be_on(
     guardian.wait()
 
 
+def test_light_that_is_closed_as_its_guardian_dies_is_known_to_be_off(
+    lamp_port: PtyServer, lamp: DC4100Wire, capfd: pytest.CaptureFixture[str]
+) -> None:
+    light = GuardedLight(DC4100Settings(port=lamp_port.port))
+    light.set_on(True)
+    light.guardian.kill()
+    light.close()
+    assert not lamp.is_lit
+    said = capfd.readouterr().err
+    assert "the light was switched off" in said
+    assert "may still be on" not in said
+
+
 def test_late_answer_to_a_call_that_ctrl_c_ended_is_passed_over(light: LightSource, lamp: DC4100Wire) -> None:
     light.set_current(0.25)
     lamp.faults.append(LineFault("late", 0.3))

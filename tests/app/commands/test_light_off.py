@@ -25,6 +25,15 @@ def test_light_off_switches_it_off(
     assert "LED1 is off" in capsys.readouterr().out
 
 
+def test_light_that_cannot_be_reached_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "light-off", "--bench", bench_toml("/dev/null", tmp_path)) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("svwfs: /dev/null cannot be opened")
+    assert said.count("\n") == 1
+
+
 @pytest.mark.parametrize(("driver", "status", "words"), [("simulated", 0, "nothing to"), ("manual", 1, "by hand")])
 def test_light_off_without_a_light(
     driver: str,

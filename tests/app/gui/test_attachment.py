@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,11 +14,14 @@ from support.patience import HANG_S
 from support.served import connected, served
 from support.window_tools import MakeWindow, choose_button, said_in, wait_for_wavefront
 
+from app.acquisition.carrier import CLOSING_S
 from app.acquisition.instrument import Instrument
 from app.acquisition.process_state import ProcessState
-from app.acquisition.remote.connection import reach
+from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.server import Server
 from app.acquisition.worker import Acquisition
+from app.errors import RunError
+from app.gui.application import _raise_failure
 from app.gui.shell.access import Access
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.presentation import NOTHING
@@ -86,12 +90,34 @@ def test_state_of_each_process_is_shown(
     devices = window.status_line.devices
     qtbot.waitUntil(lambda: "guardian: process 7, alive\nfinder: process 8, alive\n" in devices.toolTip())
     assert "\n0 frames overtaken: replaced" in devices.toolTip()
+    monkeypatch.setattr(Connection, "overtaken", 3)
+    qtbot.waitUntil(lambda: "\n3 frames overtaken: replaced" in devices.toolTip())
     assert devices.text() == "running"
     started[1] = ProcessState("finder", 8, "gone")
     qtbot.waitUntil(lambda: devices.text() == "finder gone")
     assert "finder: process 8, gone\n" in devices.toolTip()
     server.end()
     qtbot.waitUntil(lambda: f"instrument: process {server.place.process}, gone" in devices.toolTip())
+    assert "connected" not in devices.toolTip()
+
+
+def test_window_of_a_stopped_instrument_closes_soon(window: MainWindow, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as stopped:
+        stopped.setattr("app.acquisition.remote.connection._SILENT_S", -1.0)
+        stopped.setattr("app.gui.shell.controller._SILENT_S", 0.2)
+        stopped.setattr(Connection, "is_alive", True)
+        begin_s = time.monotonic()
+        window.controller.close(lambda: None)
+        assert time.monotonic() - begin_s < CLOSING_S / 2
+        assert window.controller.is_stuck
+        with pytest.raises(RunError, match="does not answer: if that lasts, end it, and see whether the light is off"):
+            _raise_failure(window, is_interrupted=False)
+
+
+def test_trouble_is_shown_before_the_first_status(window: MainWindow) -> None:
+    line = window.status_line
+    line.update_text(None, None, "instrument: process 7, frozen", trouble="instrument frozen")
+    assert (line.devices.text(), line.devices.toolTip()) == ("instrument frozen", "instrument: process 7, frozen")
 
 
 @pytest.mark.long

@@ -15,9 +15,11 @@ from app.acquisition.remote.server import Server
 from app.acquisition.session import ConnectedBench, connect
 from app.commands.measure import measure_attached
 from app.errors import Interrupted, RunError
+from app.measurement.calibration import Calibration
 from app.recording.reader import Recording
 from app.results.frame_tallies import Measured
 from drivers.interface import WrongState
+from reconstruction.pipeline import Reconstructor
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder")]  # each prepares a reference
 
@@ -85,6 +87,22 @@ def test_every_measurement_comes_once_and_those_missed_are_counted(fake_camera: 
             list(every)
     with pytest.raises(WrongState, match="its with block has ended"):
         bench.every()
+
+
+def test_every_measurement_from_the_call_on_comes_though_the_first_needs_an_estimator(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepare = Calibration.reconstructor
+
+    def slowly(calibration: Calibration) -> Reconstructor:
+        time.sleep(0.5)  # longer than eight frames
+        return prepare(calibration)
+
+    wait_until(lambda: server.acquisition.newest is not None and server.acquisition.newest.wavefront is not None)
+    with connect() as bench:
+        monkeypatch.setattr(Calibration, "reconstructor", slowly)
+        seen = [measurement.counts.acquired for measurement in islice(bench.every(), 10)]
+    assert seen == list(range(seen[0], seen[0] + 10))
 
 
 def measured_attached(out: Path) -> Measured:
