@@ -121,7 +121,7 @@ def _locked(descriptor: int) -> bool:
 
 
 def _left(name: str) -> list[Path]:
-    """What an instrument has in the folder while it runs: its address, and under some systems socket and ring."""
+    """Return the files that an instrument has while it runs: its address, and under some systems socket and ring."""
     pattern = file_of(name, "*")
     return [file for file in pattern.parent.glob(pattern.name) if file.suffix.removeprefix(".") not in _LASTING]
 

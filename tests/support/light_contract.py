@@ -27,7 +27,7 @@ class LightFaults(Protocol):
 
     @property
     def log(self) -> LightLog:
-        """What the light did, independent of the driver."""
+        """Log of the light, independent of the driver."""
 
     def unplug(self) -> None:
         """Pull the plug."""

@@ -28,12 +28,12 @@ class LightLog:
 
     @property
     def is_lit(self) -> bool:
-        """Whether it shone at the end."""
+        """True if it shone at the end."""
         return bool(self.changes) and self.changes[-1].is_on
 
     @property
     def lightings(self) -> int:
-        """How often it went on."""
+        """Number of times it went on."""
         return sum(after.is_on and not before.is_on for before, after in pairwise(self.changes))
 
     @property

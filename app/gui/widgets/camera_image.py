@@ -248,7 +248,7 @@ class Measuring(QWidget):
 
     @property
     def selection(self) -> Selection | None:
-        """What is to be measured; None while there is neither line nor area."""
+        """Return what is to be measured; None while there is neither line nor area."""
         if self.line.isVisible():
             start, end = ((point.x(), point.y()) for point in map(self.line.mapToParent, self.line.listPoints()))
             return "line", start, end

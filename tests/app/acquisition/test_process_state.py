@@ -1,4 +1,4 @@
-"""What an instrument knows of the processes that it has started."""
+"""State of the processes that an instrument has started."""
 
 from __future__ import annotations
 
