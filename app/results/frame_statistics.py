@@ -17,6 +17,7 @@ NEARLY_FULL = 0.95  # of the level at which pixels clip
 Selection = tuple[Literal["line", "area"], tuple[float, float], tuple[float, float]]  # ends or corners (x, y), px
 _BINS = 128  # of the histogram
 _STEP = 2e-3  # of the highest count: scatter of clipped pixels, by read noise
+_USUAL = 0.01, 0.998  # shares of the pixels, from the darkest on, that the usual counts lie between
 _LEAST_SHARE, _MOST_SHARE = 2e-4, 0.5  # of the pixels, that a full well clips; of more, nothing is known
 
 
@@ -29,6 +30,7 @@ class FrameStatistics:
     peak: int  # highest count
     clip_level: int  # count from which pixels are clipped: full scale, or a full well that shows below it
     clipped_share: float  # of the pixels
+    usual: tuple[int, int]  # counts that all but the darkest 1 % and the brightest 0.2 % of the pixels lie between
 
     @property
     def is_nearly_full(self) -> bool:
@@ -52,7 +54,8 @@ def frame_statistics(pixels: NDArray[np.integer[Any]], full_scale: int) -> Frame
     of_bins = np.add.reduceat(by_count, edges[:-1])
     clip_level = _clip_level(by_count, peak, full_scale) if full_scale else peak + 1
     share = float(by_count[clip_level:].sum() / pixels.size)
-    return FrameStatistics(edges.astype(np.float64), of_bins, peak, clip_level, share)
+    low, high = np.searchsorted(by_count.cumsum(), np.array(_USUAL) * pixels.size)
+    return FrameStatistics(edges.astype(np.float64), of_bins, peak, clip_level, share, (int(low), int(high)))
 
 
 @compiled

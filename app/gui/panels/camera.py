@@ -1,6 +1,5 @@
 """The camera panel: the newest frame with lattice, lost lenslets and mean displacement drawn over it."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,7 +11,7 @@ from app.acquisition.instrument import Status
 from app.gui.panels.panel import Entries, Panel, Request, Shown
 from app.gui.widgets import camera_image, theme
 from app.gui.widgets.buttons import Choice, Toggle
-from app.gui.widgets.camera_image import CameraImage, ClippedPixels, DrawingView, Measuring, Picture, Segments
+from app.gui.widgets.camera_image import CameraImage, DrawingView, Measuring, Picture, Segments
 from app.gui.widgets.copies import add_copy_menu, as_table
 from app.gui.widgets.layouts import column, row, row_of, unfocused
 from app.gui.widgets.presentation import MAGNIFICATIONS, AdaptiveScale, percent
@@ -30,9 +29,8 @@ _CONTRAST_TIP = "Contrast: automatic (1 % to 99.8 % of the pixels), full range, 
 _FULL, _FROZEN = "full range", "frozen contrast"
 _CONTRASTS = ("auto contrast", _FULL, _FROZEN)
 _COLOURS_TIP = "Colours of the camera image"
-_LEVELS_INTERVAL_S = 0.5
-_LEVELS_PERCENT = (1.0, 99.8)
-_LEVELS_SLACK = 0.1  # of their span: smaller changes leave the levels alone
+_LEVELS_SLACK = 0.1  # of their span: smaller changes leave black and white alone, so that nothing flickers
+_MOST_COUNTS = 65535  # while the full scale is unknown
 _CLOSEST_PX = 8  # side of the smallest area that fills the view
 _FARTHEST = 2.0  # widths and heights of the frame that the view shows at most
 _HINT = (
@@ -75,7 +73,8 @@ class CameraPanel(Panel):
         self._lattice: Lattice | None = None
         self._sensor: Sensor | None = None
         self.full_scale = 0  # highest count; 0 is unknown
-        self._levels, self._reach = ContrastLevels(), AdaptiveScale(MAGNIFICATIONS)  # longest arrow over its room
+        self._levels: tuple[float, float] | None = None  # counts that are black and white
+        self._reach = AdaptiveScale(MAGNIFICATIONS)  # longest arrow over its room
         self._magnification = 1.0  # of the arrows
         self._pointer: QPointF | None = None
         self._inspected: Lenslet | None = None
@@ -87,8 +86,8 @@ class CameraPanel(Panel):
         self.arrows_toggle = Toggle("Arrows", moved, is_on=True, key="camera/arrows")
         self.lattice_toggle.toggled.connect(self._show_overlay)
         self.arrows_toggle.toggled.connect(self._show_overlay)
-        self.contrast = Choice(_CONTRAST_TIP, _CONTRASTS, self._restart_contrast, key="camera/contrast")
-        self.colours = Choice(_COLOURS_TIP, ("grey", "inferno"), self._show_colours, key="camera/colours")
+        self.contrast = Choice(_CONTRAST_TIP, _CONTRASTS, self._adapt_contrast, key="camera/contrast")
+        self.colours = Choice(_COLOURS_TIP, ("grey", "inferno"), self._use_colours, key="camera/colours")
 
         self.tool = Choice(_TOOL_TIP, _TOOLS.items(), self._use_tool)
         self._make_picture()
@@ -116,7 +115,6 @@ class CameraPanel(Panel):
         self._arrows = Segments(self._view, theme.AMBER_ON_IMAGE, shadow=3)  # visible on black and on white
         self._inspected_box = Segments(self._view, theme.ACCENT_ON_IMAGE, width=2)
         self._drawn = Segments(self._view, theme.AMBER_ON_IMAGE, width=2)  # around lenslets to exclude
-        self._clipped = ClippedPixels(self._view)
         self.measuring = Measuring(self._view)
         self._view.drawn.connect(self._draw_with_tool)
         self._view.sigRangeChanged.connect(self._keep_in_sight)
@@ -171,6 +169,7 @@ class CameraPanel(Panel):
 
     def show_result(self, found: tuple[FrameStatistics, MeasuredPart]) -> None:
         self.shown.statistics, measured = found
+        self._adapt_contrast()
         self.measuring.show_measured(measured)
 
     def propose(self, survey: Survey | None) -> None:
@@ -182,38 +181,46 @@ class CameraPanel(Panel):
 
     def show_measurement(self, measurement: Measurement) -> None:
         frame, wavefront = measurement.frame, measurement.wavefront
-        is_first = self._frame is None  # a remembered frozen contrast begins with its levels
         is_new_shape = self._frame is None or self._frame.pixels.shape != frame.pixels.shape
         self._frame, self._displacement = frame, None if wavefront is None else wavefront.displacement
-        choice, before = self.contrast.currentText(), self._levels.levels
-        if choice != _FROZEN or is_first:
-            self._levels.follow(frame, self.full_scale, is_automatic=choice != _FULL)
-        if self._levels.levels != before:
-            self.levels_changed.emit(*self._levels.levels)
         self._draw()
         if is_new_shape:
             self.measuring.shape = frame.pixels.shape
             self._placeholder.hide()
             self._view.setLimits(minXRange=_CLOSEST_PX, minYRange=_CLOSEST_PX)
             self.reset_zoom()
-        self._clipped.show_of(frame, self.shown.statistics)
         self._show_overlay()
 
     def _draw(self) -> None:
         if self._frame is not None:
-            self._image.show_counts(self._frame.pixels, *self._levels.levels)
+            black, white = self._levels or (0, self.full_scale or _MOST_COUNTS)
+            found = self.shown.statistics
+            clip_level = found.clip_level if found is not None and found.clipped_share else None
+            self._image.show_counts(self._frame.pixels, black, white, clip_level)
 
     def use_levels(self, black: float, white: float) -> None:
         self.contrast.setCurrentText(_FROZEN)
-        self._levels.levels = black, max(white, black + 1)
+        self._show_levels(black, white)
+
+    def _show_levels(self, black: float, white: float) -> None:
+        self._levels = black, max(white, black + 1)
+        self.levels_changed.emit(*self._levels)
         self._draw()
 
-    def _restart_contrast(self) -> None:
-        self._levels.restart()
-        if self.shown.measurement is not None:
-            self.show_measurement(self.shown.measurement)
+    def _adapt_contrast(self) -> None:
+        """Follow the statistics, or the full scale; a remembered frozen contrast begins with its levels."""
+        found, choice = self.shown.statistics, self.contrast.currentText()
+        if choice == _FULL and self.full_scale:
+            low, high = 0, self.full_scale
+        elif found is not None and (choice != _FROZEN or self._levels is None):
+            low, high = found.usual
+        else:
+            return
+        black, white = self._levels or (0.0, 0.0)
+        if max(abs(low - black), abs(max(high, low + 1) - white)) > _LEVELS_SLACK * (white - black):
+            self._show_levels(low, high)
 
-    def _show_colours(self) -> None:
+    def _use_colours(self) -> None:
         self._image.use_colours(self.colours.currentText())
         self._draw()
 
@@ -381,26 +388,3 @@ class CameraPanel(Panel):
             return f"{text}    lenslet {name}"
         self._graphics.setToolTip(f"Lenslet {name} is lost: {reason}")
         return f"{text}    lenslet {name}: {reason}"
-
-
-class ContrastLevels:
-    """Black and white level of the camera image; changes are rare and coarse, so that it does not flicker."""
-
-    def __init__(self) -> None:
-        self.levels = (0.0, 1.0)
-        self._time_s = -math.inf
-
-    def restart(self) -> None:
-        self._time_s = -math.inf
-
-    def follow(self, frame: Frame, full_scale: int, *, is_automatic: bool) -> None:
-        """Adapt to a frame: to 1 % and 99.8 % of its pixels if automatic, else to 0 and the full scale."""
-        if frame.host_time_s < self._time_s + _LEVELS_INTERVAL_S:
-            return
-        self._time_s = frame.host_time_s
-        low, high = 0.0, float(full_scale)
-        if is_automatic or not full_scale:
-            low, high = (float(level) for level in np.percentile(frame.pixels[::4, ::4], _LEVELS_PERCENT))
-        change = max(abs(low - self.levels[0]), abs(high - self.levels[1]))
-        if change > _LEVELS_SLACK * (self.levels[1] - self.levels[0]):
-            self.levels = (low, max(high, low + 1))

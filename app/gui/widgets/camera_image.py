@@ -1,4 +1,4 @@
-"""The camera picture, in camera pixels: frame, clipped pixels, segments over both, and tools that draw and measure.
+"""The camera picture, in camera pixels: frame, segments over it, and tools that draw and measure.
 
 pyqtgraph's own image item converts a frame twice, Qt's part in threads that wait for a core.
 """
@@ -20,9 +20,8 @@ from app.gui.widgets.layouts import column
 from app.gui.widgets.plot import Canvas, Plot
 from app.gui.widgets.presentation import colour_table, number
 from app.gui.widgets.texts import ElidedLabel
-from app.results.frame_statistics import AreaStatistics, FrameStatistics, MeasuredPart, Selection, lengths_of
+from app.results.frame_statistics import AreaStatistics, MeasuredPart, Selection, lengths_of
 from app.results.pictures import Pixels, shaded
-from drivers.interface import Frame
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, lenslet_centers
 
@@ -44,11 +43,15 @@ class CameraImage(pg.GraphicsObject):  # type: ignore[misc] # ships no types
         self.use_colours("grey")
         view.addItem(self)
 
-    def show_counts(self, counts: NDArray[np.integer[Any]], black: float, white: float) -> None:
-        """Show the counts of a frame (row, column)."""
+    def show_counts(
+        self, counts: NDArray[np.integer[Any]], black: float, white: float, clip_level: int | None = None
+    ) -> None:
+        """Show the counts of a frame (row, column), red from `clip_level` on."""
         if counts.shape != self.pixels.shape:
             self.prepareGeometryChange()
         self.pixels = shaded(counts, black, white, self._table)  # the image refers to its memory
+        if clip_level is not None:
+            self.pixels[counts >= clip_level] = theme.RED_ON_IMAGE.rgb()
         rows, columns = counts.shape
         memory: Any = self.pixels.data
         self._image = QImage(memory, columns, rows, 4 * columns, QImage.Format.Format_RGB32)
@@ -63,24 +66,6 @@ class CameraImage(pg.GraphicsObject):  # type: ignore[misc] # ships no types
 
     def paint(self, painter: QPainter, *_: object) -> None:
         painter.drawImage(self.boundingRect(), self._image)
-
-
-class ClippedPixels(pg.ImageItem):  # type: ignore[misc] # ships no types
-    """Paints clipped pixels red over the camera image."""
-
-    def __init__(self, view: pg.ViewBox) -> None:
-        super().__init__(axisOrder="row-major")  # pyqtgraph's default is column-major
-        self.setLookupTable(np.array([[0, 0, 0, 0], theme.RED_ON_IMAGE.getRgb()], np.uint8))
-        self.setZValue(0.5)
-        view.addItem(self)
-
-    def show_of(self, frame: Frame, known: FrameStatistics | None) -> None:
-        """Show those of a frame, if there were any when the statistics were taken."""
-        self.setVisible(known is not None and known.clipped_share > 0)
-        if known is not None and self.isVisible():
-            clipped = frame.pixels >= known.clip_level
-            self.setImage(clipped.view(np.uint8), autoLevels=False, levels=(0, 1))
-            self.setRect(QRectF(-0.5, -0.5, *clipped.shape[::-1]))
 
 
 class Picture(Canvas):

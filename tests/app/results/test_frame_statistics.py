@@ -29,6 +29,7 @@ def test_histogram_counts_every_pixel_once() -> None:
     np.testing.assert_array_equal(found.pixels, expected)
     assert found.pixels.sum() == pixels.size
     assert found.peak == pixels.max()
+    np.testing.assert_allclose(found.usual, np.percentile(pixels, (1, 99.8)), atol=3)
 
 
 @pytest.mark.parametrize("peak", [1000, 20000, 50000, 60000])
