@@ -3,23 +3,12 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPoint, QRect, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import (
-    QColor,
-    QHelpEvent,
-    QImage,
-    QKeyEvent,
-    QMouseEvent,
-    QPainter,
-    QPaintEvent,
-    QPen,
-    QPixmap,
-    QRegion,
-)
+from PyQt6.QtGui import QColor, QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QRegion
 from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui.widgets import theme
@@ -34,7 +23,7 @@ LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the num
 _CAPTION_PX = 100  # small views stand apart, if there is room, so that their captions fit
 MARGIN_PX = 3  # around all views, for the selection frame
 _BETWEEN_PX = 4  # between the captions of neighbours
-_CAPTIONED = ((2, 50), (1, 40))  # lines and least px: of narrower views only the tool tips have the numbers
+_CAPTIONED = ((2, 50), (1, 40), (0, 0))  # lines and least px: of narrower views only the tool tips have the numbers
 STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
 
 Caption = tuple[tuple[str, ...], tuple[str, ...]]  # two lines, each with its wordings, longest first
@@ -67,12 +56,21 @@ class Places:
         return QRect(self.first + QPoint(view_column * self.step.width(), view_row * self.step.height()), self.size)
 
 
-def arrange_views(room: QSize, shape: tuple[int, ...], *, bar_space: int, lines: int, line_px: int) -> Places:
-    """Arrange maps (view_row, view_column, row, column) in a room, each above so many lines of captions."""
+@lru_cache
+def arrange_views(
+    room: tuple[int, int], shape: tuple[int, ...], *, bar_space: int, line_px: int, is_captioned: bool
+) -> Places:
+    """Arrange maps (view_row, view_column, row, column) in a room, width and height, above captions that fit."""
+    arrange = partial(_arrange, QSize(*room), shape, bar_space, line_px)
+    captioned = _CAPTIONED if is_captioned else _CAPTIONED[-1:]
+    return next(places for lines, least in captioned if (places := arrange(lines)).size.width() >= least)
+
+
+def _arrange(room: QSize, shape: tuple[int, ...], bar_space: int, line_px: int, lines: int) -> Places:
     view_rows, view_columns, rows, columns = shape
     below, gap = (lines * line_px + 4, _GAP_PX) if lines else (0, _NARROW_GAP_PX)
     if not min(shape):
-        return Places(QPoint(), QSize(), QSize(), 0, caption_lines=0, tiles=QRegion())
+        return Places(QPoint(), QSize(0, 0), QSize(), 0, caption_lines=0, tiles=QRegion())
     width = (room.width() - 2 * MARGIN_PX - bar_space - (view_columns - 1) * gap) / view_columns
     height = (room.height() - 2 * MARGIN_PX - (view_rows - 1) * gap) / view_rows - below
     scale = max(min(width / columns, height / rows), 0)
@@ -118,9 +116,7 @@ class ViewGrid(QWidget):
         self._pixels: Pixels = np.zeros((0, 0, 0, 0), np.uint32)
         self._shown_scale: ColourScale | None = None
         self._least_number = self._number_width = self.fontMetrics().horizontalAdvance(widest)  # px
-        self._laid_out_for: tuple[int, ...] = ()
-        self._bar_key: tuple[str, QSize] | None = None  # colours and size of the pixmap
-        self._bar_pixmap = QPixmap()
+        self._painted: Places | None = None
         self.is_stale = False  # whether the maps are grey, since dark or reference no longer fit
         self.captions: Mapping[tuple[int, int], Caption] = {}  # by view_row and view_column
         self.selection: tuple[int, int] | None = None  # the framed view
@@ -136,7 +132,7 @@ class ViewGrid(QWidget):
             self._pixels = scale.pixels(maps.values)
             if self.is_stale:
                 self._pixels = _faded(self._pixels, self.palette().window().color())
-            if scale == before and not self._is_moved:
+            if scale == before and self.places is self._painted:
                 self.update(self.places.tiles)  # captions and colour bar are as before, and cost as much as the maps
                 return
             is_same = before is not None and before.title == scale.title
@@ -170,6 +166,7 @@ class ViewGrid(QWidget):
             painter.drawText(self.rect(), Qt.AlignmentFlag.AlignCenter, self.empty)
             return
         places, painted = self.places, QRegion(self.rect()) if event is None else event.region()
+        self._painted = places
         if painted.intersects(places.tiles):
             self._paint_maps(painter, maps)
         if self.selection is not None:
@@ -238,37 +235,17 @@ class ViewGrid(QWidget):
 
     @property
     def places(self) -> Places:
-        """Return the places of the views, computed again when something that they depend on has changed."""
-        if self._is_moved:
-            self._laid_out_for = self._layout_key
-            shape = (0, 0, 0, 0) if self.maps is None else self.maps.values.shape
-            line = self.fontMetrics().height()
-            space, has_bar = self.bar_space, self.has_bar
-            if has_bar is None:
-                has_bar = self.width() >= 2 * space + line and self.height() >= LEAST_LINES * line
-            arrange = partial(arrange_views, self.size(), shape, bar_space=space if has_bar else 0, line_px=line)
-            self._places = arrange(lines=0)
-            for lines, least in _CAPTIONED if self._is_captioned else ():
-                captioned = arrange(lines=lines)
-                if captioned.size.width() >= least:
-                    self._places = captioned
-                    break
-        return self._places
+        shape, line = (0, 0, 0, 0) if self.maps is None else self.maps.values.shape, self.fontMetrics().height()
+        (width, height), space, has_bar = (self.width(), self.height()), self.bar_space, self.has_bar
+        if has_bar is None:
+            has_bar = width >= 2 * space + line and height >= LEAST_LINES * line
+        space *= has_bar
+        return arrange_views((width, height), shape, bar_space=space, line_px=line, is_captioned=self._is_captioned)
 
     @property
     def bar_space(self) -> int:
         """Width of a colour bar with its numbers, px."""
         return _BAR_MARGIN_PX + _BAR_WIDTH_PX + _BAR_TICK_PX + self._number_width
-
-    @property
-    def _layout_key(self) -> tuple[int, ...]:
-        shape, line = () if self.maps is None else self.maps.values.shape, self.fontMetrics().height()
-        return (self.width(), self.height(), line, self._number_width, self.has_bar is not False, *shape)
-
-    @property
-    def _is_moved(self) -> bool:
-        """True if size, font, numbers or shape have changed since the places were computed."""
-        return self._layout_key != self._laid_out_for
 
     def _paint_maps(self, painter: QPainter, maps: Maps) -> None:
         """Paint all maps; unknown pixels, which are transparent, are hatched.
@@ -317,7 +294,7 @@ class ViewGrid(QWidget):
     def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
         line, bar = self.fontMetrics().height(), self._bar(maps)
         painter.setOpacity(0.5 if self.is_stale else 1.0)
-        painter.drawPixmap(bar.topLeft(), self._colour_bar(self._scale(maps), bar.size()))
+        painter.drawImage(bar.topLeft(), _colour_bar(self._scale(maps).colours, bar.width(), bar.height()))
         painter.setOpacity(1.0)
         painter.setPen(theme.TEXT)
         title = QRect(bar.left(), bar.top() - line - 4, self.width(), line)
@@ -328,16 +305,6 @@ class ViewGrid(QWidget):
             painter.drawLine(bar.right() + 1, y, bar.right() + 4, y)
             place = QRect(bar.right() + _BAR_TICK_PX, text_y, self._number_width, line)
             painter.drawText(place, Qt.AlignmentFlag.AlignVCenter, text)
-
-    def _colour_bar(self, scale: ColourScale, size: QSize) -> QPixmap:
-        """Return the bar without its numbers; scaling an image in every frame took longer than all maps."""
-        key = (scale.colours, size)
-        if key != self._bar_key:
-            bar = colour_table(scale.colours)
-            at = np.linspace(len(bar) - 1, 0, size.height()).round().astype(np.intp)
-            self._bar_key = key
-            self._bar_pixmap = QPixmap.fromImage(_image(np.repeat(bar[at, None], size.width(), axis=1)).copy())
-        return self._bar_pixmap
 
     def _bar(self, maps: Maps) -> QRect:
         """Return the place of the colour bar, below its title."""
@@ -352,6 +319,14 @@ class ViewGrid(QWidget):
         if len(ticks) > most:
             ticks = ticks[:: max((len(ticks) - 1) // 2, 1)]
         return ticks[:: len(ticks) - 1] if len(ticks) > most else ticks
+
+
+@lru_cache
+def _colour_bar(colours: str, width: int, height: int) -> QImage:
+    """Return the bar without its numbers; scaling an image in every frame took longer than all maps."""
+    table = colour_table(colours)
+    at = np.linspace(len(table) - 1, 0, height).round().astype(np.intp)
+    return _image(np.repeat(table[at, None], width, axis=1)).copy()
 
 
 def _faded(pixels: Pixels, background: QColor) -> Pixels:
