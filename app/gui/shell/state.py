@@ -22,6 +22,12 @@ from app.gui.widgets.texts import label
 
 _LAYOUT = 1  # a state of another version is ignored
 _THEME, _SIZE = "preferences/theme", "preferences/text"  # keys of the settings
+_PROPERTIES = (  # of Qt, that hold the state of a part
+    (QComboBox, "currentText"),
+    (QLineEdit, "text"),
+    (QAction | QAbstractButton, "checked"),
+    (QWidget, "visible"),
+)
 _SIZES = (80, 100, 125, 150)  # percent of the desktop's
 
 
@@ -68,35 +74,22 @@ def fit_to_screen(window: QMainWindow) -> None:
 
 
 def _state(part: QObject) -> object:
-    match part:
-        case QActionGroup():
-            return "" if (chosen := part.checkedAction()) is None else chosen.text()
-        case QComboBox():
-            return part.currentText()
-        case QLineEdit():
-            return part.text()
-        case QAction() | QAbstractButton():
-            return int(part.isChecked())
-        case QWidget():
-            return int(not part.isHidden())
-    raise TypeError(f"{type(part).__name__} has no state to save")
+    if isinstance(part, QActionGroup):
+        return "" if (chosen := part.checkedAction()) is None else chosen.text()
+    return part.property(_property(part))
 
 
 def _restore(part: QObject, value: str) -> None:
-    is_on = value == "1"
-    match part:
-        case QActionGroup():
-            for action in part.actions():
-                if action.text() == value:
-                    action.trigger()
-        case QComboBox():
-            part.setCurrentText(value)  # ignored if there is no such item
-        case QLineEdit():
-            part.setText(value)
-        case QAction() | QAbstractButton():
-            part.setChecked(is_on)
-        case QWidget():
-            part.setVisible(is_on)
+    if isinstance(part, QActionGroup):
+        for action in part.actions():
+            if action.text() == value:
+                action.trigger()
+    else:
+        part.setProperty(_property(part), value)  # ignored by a choice without such an item
+
+
+def _property(part: QObject) -> str:
+    return next(name for kind, name in _PROPERTIES if isinstance(part, kind))
 
 
 def apply_preferences(application: QApplication, settings: QSettings) -> None:
