@@ -372,8 +372,8 @@ def find_shown_layers(
 ) -> xr.Dataset | str:
     """Search for `count` layers, or fit one at a known `ratio` of field to pupil position if `count` is 0.
 
-    Distances are measured from the `origin`, if possible. An exception of `check` ends the search. Returns the problem
-    if there are no layers.
+    Distances are measured from the `origin`, if possible. An exception of `check` ends the search. Phases are about the
+    middle of their range, half of which is the `phase_limit` (layer,), rad. Returns the problem if there are no layers.
     """
     calibration, wavefront = measurement.calibration, measurement.wavefront
     if calibration is None or wavefront is None:
@@ -383,7 +383,10 @@ def find_shown_layers(
         found = search_layers(layers, count, check=check) if count else layers.fit(ratio)
     except ReconstructionError as error:
         return str(error)
-    return layers_dataset(found, calibration.bench, origin, _SHOWN_POINTS)
+    shown = layers_dataset(found, calibration.bench, origin, _SHOWN_POINTS)
+    phase = shown["layer_phase"]
+    values, limits_rad = zip(*map(centred, phase.values), strict=True)
+    return shown.assign(layer_phase=phase.copy(data=np.array(values)), phase_limit=("layer", list(limits_rad)))
 
 
 @kept_while_alive(maxsize=1)

@@ -21,7 +21,6 @@ from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
 from app.results.analysis import Origin
 from app.results.layers import (
     axis_label,
-    centred,
     distance_in_words,
     distance_m,
     distance_range_m,
@@ -150,9 +149,8 @@ class LayersPanel(Panel):
         self.map.show_stale(is_stale=True)
 
     def _show_maps(self, found: xr.Dataset) -> None:
-        maps, limits_rad = zip(*map(centred, found["layer_phase"].values), strict=True)
-        values = np.array(maps) * self.shown.per_rad
-        limit = self._scale.follow(max(limits_rad) * self.shown.per_rad)
+        values = found["layer_phase"].values * self.shown.per_rad
+        limit = self._scale.follow(float(found["phase_limit"].max()) * self.shown.per_rad)
         reach_mm = (float(found["x"][-1]) * 1e3, float(found["y"][-1]) * 1e3)
         unit = str(self.shown.unit)
 
