@@ -146,9 +146,9 @@ class Photographer:
                 self._wait(lambda panel=panel, thread=thread: panel in thread.requests and not thread.is_busy)  # type: ignore[misc] # mypy and defaults
             self._save(name.lower(), window)
         window.panels.wavefronts.menu.change(views=9)
-        window.status_line.timing_row.toggle()
+        window.status_line.toggle_times()
         self._save("nine_views_and_times", window)
-        window.status_line.timing_row.toggle()
+        window.status_line.toggle_times()
         window.panels.wavefronts.menu.change(views=None)
         window.panels.wavefronts.enlarge()
         self._save_others("enlarged", window)

@@ -170,7 +170,7 @@ class MainWindow(BaseWindow):
                 *self._entries_of_panels("&View"),
                 ("Previous frame of a replay", ",", self.replay.back),
                 ("Next frame of a replay", ".", self.replay.forth),
-                ("Processing times", "T", self.status_line.timing_row.toggle),
+                ("Processing times", "T", self.status_line.toggle_times),
                 None,
                 ("Panels", "", self.docks.menu()),
                 ("Plots", "I", self.docks.toggle_tabs),

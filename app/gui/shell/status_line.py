@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from statistics import median
 
 import numpy as np
-from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QGridLayout, QLabel, QWidget
+from PyQt6.QtWidgets import QLabel, QWidget
 
 from app.acquisition.instrument import Status
 from app.gui.panels.panel import Verdict
@@ -33,7 +32,7 @@ _OLD_S = 30.0  # age of a correction; the next one takes some seconds at most
 _WINDOW_S = 1.0  # over which rate and delay are taken
 _TIMES_INTERVAL_S = 1.0  # the percentiles of thousands of times take a millisecond
 _GAP_PX = 14  # between two parts
-_TIMES = ("median", "99 %", "max")
+_STAGES = "".join(f"<p>{stage.replace('_', ' ')}: {meaning}</p>" for stage, meaning in MEANINGS.items())
 
 
 class StatusLine(QWidget):
@@ -45,8 +44,9 @@ class StatusLine(QWidget):
         self._recent: deque[tuple[float, int, float, int]] = deque()  # time, frames acquired, delay, frames lost
         self.shown = 0
         self._times_due_s = -math.inf
-        self.timing_row = TimingRow()
-        self.timing_row.setObjectName("window/times")
+        self.times = label("")
+        self.times.setObjectName("window/times")
+        self.times.hide()
         self.devices = label("", "dim")
         self.simulated = label("SIMULATED", "badge")
         self.simulated.setToolTip("No real device: camera, light and sample are computed")
@@ -71,7 +71,7 @@ class StatusLine(QWidget):
         self._counted, self._of_correction, self._of_limits = named[0], named[-2], named[-1]
         self._of_limits.hide()
         line = row(*named, (self.assumed, 1), self.simulated, self.devices, spacing=_GAP_PX)
-        column(self.timing_row, line, spacing=2, parent=self).setContentsMargins(10, 0, 10, 2)
+        column(self.times, line, spacing=2, parent=self).setContentsMargins(10, 0, 10, 2)
 
     def count(self, measurement: Measurement) -> None:
         self.shown += 1
@@ -80,6 +80,9 @@ class StatusLine(QWidget):
         self._recent.append((time_s, counts.acquired, measurement.latency_s, counts.lost))
         while self._recent[0][0] < time_s - _WINDOW_S and len(self._recent) > 2:
             self._recent.popleft()
+
+    def toggle_times(self) -> None:
+        self.times.setVisible(self.times.isHidden())
 
     def restart(self) -> None:
         self._newest = None
@@ -100,11 +103,12 @@ class StatusLine(QWidget):
 
         `processes` tells the state of each one; `trouble`, which is not alive.
         """
-        if timings is not None and (time.monotonic() > self._times_due_s or self.timing_row.isVisible()):
+        if timings is not None and time.monotonic() > self._times_due_s:
             self._times_due_s = time.monotonic() + _TIMES_INTERVAL_S
-            summary = timings.summary()
-            self.timing_row.update_text(summary)
-            self.delay.setToolTip(f"<p>{_DELAY}.</p>{_timing_table(summary)}")
+            table = _timing_table(timings.summary(), self.fontMetrics().horizontalAdvance("to reconstruct"))
+            self.times.setText(table)
+            for shown in (self.times, self.delay):
+                shown.setToolTip(f"<p>{_DELAY}.</p>{table}{_STAGES}")
         names: tuple[str, ...] = ()
         if status is not None:
             self.simulated.setVisible(status.bench.is_simulated)
@@ -190,49 +194,14 @@ def _duration(seconds: float) -> str:
     return f"{seconds * 1e3:.1f} ms" if seconds < 1 else f"{seconds:.1f} s"
 
 
-class TimingRow(QWidget):
-    """Median, 99th percentile and maximum of every stage; hidden at first."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        grid = QGridLayout(self)
-        grid.setContentsMargins(0, 0, 0, 4)
-        grid.setHorizontalSpacing(_GAP_PX)
-        grid.setVerticalSpacing(0)
-        for index, text in enumerate(("ms", *_TIMES)):
-            grid.addWidget(label(text, "dim"), index, 0)
-        self.values: dict[TimedStage, tuple[QLabel, ...]] = {}
-        for at, stage in enumerate(STAGES, 1):
-            name = label(stage.replace("_", " "), "dim")
-            self.values[stage] = tuple(label(NOTHING) for _ in _TIMES)
-            for index, widget in enumerate((name, *self.values[stage])):
-                widget.setToolTip(f"{stage.replace('_', ' ')}: {MEANINGS[stage]}")
-                widget.setAlignment(Qt.AlignmentFlag.AlignRight)
-                grid.addWidget(widget, index, at)
-            grid.setColumnMinimumWidth(at, self.fontMetrics().horizontalAdvance("0000.0"))
-        grid.setColumnStretch(len(STAGES) + 1, 1)
-        self.hide()
-
-    def toggle(self) -> None:
-        self.setVisible(self.isHidden())
-
-    def update_text(self, summaries: Mapping[TimedStage, StageTimes]) -> None:
-        for stage, values in self.values.items():
-            for value, number in zip(values, _numbers(summaries[stage]), strict=True):
-                value.setText(number)
-
-
-def _timing_table(summaries: Mapping[TimedStage, StageTimes]) -> str:
-    """Return all stages as an HTML table."""
-    rows = "".join(
-        f"<tr><td>{stage.replace('_', ' ')}&nbsp;</td><td align='right'>{' / '.join(_numbers(summaries[stage]))}&nbsp;"
-        f"</td><td>{MEANINGS[stage]}</td></tr>"
-        for stage in STAGES
-    )
-    return f"<table><tr><td></td><td>{' / '.join(_TIMES)}, ms&nbsp;</td><td></td></tr>{rows}</table>"
-
-
-def _numbers(summary: StageTimes) -> tuple[str, ...]:
-    """Format the times of a stage in ms."""
-    times_s = (summary.p50_s, summary.p99_s, summary.max_s)
-    return tuple(f"{seconds * 1e3:.1f}" if summary.count else NOTHING for seconds in times_s)
+def _timing_table(summaries: Mapping[TimedStage, StageTimes], width_px: int) -> str:
+    """Return median, 99th percentile and maximum of all stages, in ms, as an HTML table with columns of one width."""
+    rows = [[stage.replace("_", " ") for stage in STAGES]]
+    for name in ("p50_s", "p99_s", "max_s"):
+        times_s = [float(getattr(summaries[stage], name)) for stage in STAGES]
+        rows.append([NOTHING if math.isnan(time_s) else f"{time_s * 1e3:.1f}" for time_s in times_s])
+    lines = []
+    for name, texts in zip(("ms", "median", "99 %", "max"), rows, strict=True):
+        cells = "".join(f"<td width='{width_px}' align='right'>{text}</td>" for text in texts)
+        lines.append(f"<tr><td>{name}</td>{cells}</tr>")
+    return f"<table cellspacing='0'>{''.join(lines)}</table>"

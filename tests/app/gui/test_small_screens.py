@@ -144,7 +144,7 @@ def test_low_window_remembers_the_layout_of_a_tall_one(make_window: MakeWindow, 
 def test_recording_bar_and_times_fit_into_a_low_window(make_window: MakeWindow) -> None:
     window = low_window(make_window)
     window.recording_bar.prepare()
-    window.status_line.timing_row.toggle()
+    window.status_line.toggle_times()
     settle()
     assert window.width() <= SCREEN.width()
     assert window.height() <= SCREEN.height() - 40  # for the frame

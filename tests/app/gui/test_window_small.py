@@ -62,7 +62,7 @@ def fill(window: MainWindow) -> None:
         assumed=Assumptions(refinement=refinement),
     )
     window.messages.alarm(LONG)
-    window.status_line.timing_row.show()
+    window.status_line.times.show()
     window.show_measurement(many)
     window.status_line.devices.setText("running")
     window.update_text()
