@@ -1,4 +1,4 @@
-"""Base of the main window: it keeps the focus, times its painting, takes dropped files, and survives errors."""
+"""Base of the main window: focus, times of painting, dropped files, pictures of it, and errors that it survives."""
 
 import sys
 import time
@@ -6,13 +6,18 @@ import traceback
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from types import TracebackType
 
-from PyQt6.QtCore import QEvent, QMimeData, Qt
+from PyQt6.QtCore import QEvent, QMimeData, QStandardPaths, Qt
 from PyQt6.QtGui import QDropEvent
 from PyQt6.QtWidgets import QMainWindow
 
+from app.errors import RunError
+from app.files import make_folder
+from app.gui.shell.messages import MessageStrip
+from app.gui.widgets.copies import write_picture
 from app.measurement.measurement import Measurement
 from app.timing import Timings
 
@@ -29,6 +34,8 @@ class BaseWindow(QMainWindow):
     def __init__(self) -> None:
         super().__init__()
         self.unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
+        self.messages = MessageStrip()
+        self.errors = ErrorReports(self.messages.alarm)
         self.setAcceptDrops(True)
 
     @abstractmethod
@@ -54,6 +61,20 @@ class BaseWindow(QMainWindow):
         timings.note("draw", seconds + end_s - start_s)
         timings.note("to_screen", end_s - measurement.exposure_end_s)
         return is_handled
+
+    def save_screenshot(self, path: Path | None = None) -> bool:
+        """Save a picture of the window, by default in the user's picture folder; return whether that succeeded."""
+        try:
+            if path is None:
+                folder = Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation) or ".")
+                make_folder(folder)
+                path = folder / f"svwfs-{datetime.now().astimezone():%Y%m%d-%H%M%S}.png"
+            write_picture(path, self.grab())
+        except RunError as error:
+            self.messages.warn(str(error))
+            return False
+        self.messages.inform(f"saved {path}")
+        return True
 
     def focusNextPrevChild(self, next: bool) -> bool:  # noqa: A002, N802 - Qt's names
         """Move the focus as Tab does, unless its widget has just been hidden or disabled."""

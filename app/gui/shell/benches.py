@@ -9,13 +9,14 @@ from typing import Any
 
 from PyQt6.QtCore import QObject, QSettings, Qt, QUrl
 from PyQt6.QtGui import QDesktopServices
-from PyQt6.QtWidgets import QDialog, QFileDialog, QHBoxLayout, QMenu, QWidget
+from PyQt6.QtWidgets import QDialog, QFileDialog, QHBoxLayout, QWidget
 
 from app.bench.bench_files import BenchError, bench_file, excerpt, read_bench_text
 from app.bench.config import Bench, load_bench, save_bench
 from app.bench.presets import DEFAULT, PRESETS
 from app.bench.trusted_libraries import unconfirmed
 from app.errors import InputError, RunError
+from app.gui.panels.panel import Entries
 from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.menus import RecentFiles, listing_menu
 from app.gui.shell.settings_dialog import BENCH_FILES, SettingsDialog, ask_bench_file
@@ -133,13 +134,18 @@ class Benches(QObject):
             self._messages.inform(f"saved {path}")
             self._remember(path)
 
-    def recent_menu(self) -> QMenu:
+    def menu_entries(self) -> Entries:
         text = "{0.name}  \N{EM DASH}  {0.parent}".format
-        return self.recent.menu(self._window, text, lambda path: self.open(str(path)))
-
-    def presets_menu(self) -> QMenu:
-        entries = [(name.replace("_", " "), partial(self.open, name)) for name in PRESETS]
-        return listing_menu(self._window, lambda: entries)
+        recent = self.recent.menu(self._window, text, lambda path: self.open(str(path)))
+        presets = [(name.replace("_", " "), partial(self.open, name)) for name in PRESETS]
+        return (
+            ("Open a bench", "Ctrl+O", self.ask),
+            ("Open a recent bench", "", recent),
+            ("Open a preset", "", listing_menu(self._window, lambda: presets)),
+            ("New bench from my camera", "Ctrl+N", self.make),
+            ("Settings of the bench", "Ctrl+,", self.edit),
+            ("Save the bench", "Ctrl+S", self.save),
+        )
 
     def _explain(self, source: str, overrides: tuple[str, ...], error: InputError) -> None:
         line = error.line if isinstance(error, BenchError) else None

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
@@ -142,6 +143,16 @@ class Controller(QObject):
         future = submit(self.acquisition)
         self._pending.append((future, then, otherwise))
         return future
+
+    def show_file(self, path: Path) -> None:
+        """Show a frame of a file in place of the camera's."""
+        if self.acquisition is None:
+            return
+        if self.acquisition.recording is not None and self.acquisition.recording.stage == "recording":
+            self.messages.warn(f"{path.name}: is not shown during a recording, of which it would be part")
+            return
+        text = f"{path.name} is shown, reconstructed with the present reference; Space returns to the camera"
+        self.send(lambda to: to.show_file(path), lambda _: self.messages.inform(text))
 
     def cancel(self) -> None:
         if self.acquisition is not None:

@@ -191,6 +191,24 @@ def show_about(parent: QWidget, present: Mapping[str, str]) -> None:
     TextDialog("about", "About svwfs", parent, about).show()
 
 
+def help_entries(
+    window: QWidget,
+    menus: Mapping[str, Entries],
+    messages: MessageStrip,
+    show_tour: Callable[[], object],
+    facts: Callable[[], Mapping[str, str]],
+) -> Entries:
+    """Return the entries of the help menu, which is itself among the `menus`; "About" shows the `facts`."""
+    return (
+        ("Shortcuts and conventions", "F1", lambda: show_keys(window, menus)),
+        ("Message log", "Ctrl+L", lambda: show_log(window, messages)),
+        ("Documentation", "Shift+F1", lambda: show_documentation(window, messages.warn)),
+        ("Tour of the window", "", show_tour),
+        ("How to cite", "", lambda: show_citation(window)),
+        ("About svwfs", "", lambda: show_about(window, facts())),
+    )
+
+
 class Tour(QFrame):
     """A bubble that explains one outlined part after the other; the window stays usable."""
 

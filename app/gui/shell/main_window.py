@@ -3,49 +3,44 @@
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from PyQt6.QtCore import QEventLoop, QSettings, QSize, QStandardPaths, Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import QEventLoop, QSettings, QSize, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QResizeEvent
-from PyQt6.QtWidgets import QApplication, QFileDialog, QWidget
+from PyQt6.QtWidgets import QApplication, QWidget
 
 from app.acquisition.carrier import Activity, Carrier
 from app.acquisition.instrument import Status
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
-from app.errors import InputError, RunError
-from app.files import make_folder
+from app.errors import InputError
 from app.gui.panels.panel import Entries, Shown
 from app.gui.panels.registry import make_panels
 from app.gui.shell.access import Access
 from app.gui.shell.analyses import Analyses
 from app.gui.shell.attachment import Attachment
-from app.gui.shell.base_window import BaseWindow, ErrorReports, LateMeasurements
+from app.gui.shell.base_window import BaseWindow, LateMeasurements
 from app.gui.shell.benches import Benches
 from app.gui.shell.calibration import CalibrationGuide, Routines
 from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.device_dialogs import DevicePresets, SensorRegionDialog
 from app.gui.shell.docks import PanelDocks
-from app.gui.shell.help import Tour, show_about, show_citation, show_documentation, show_keys, show_log
+from app.gui.shell.help import Tour, help_entries
 from app.gui.shell.light_control import LightControl
 from app.gui.shell.menus import fill_menus
-from app.gui.shell.messages import MessageStrip
 from app.gui.shell.recording import RecordingBar, RecordingPanel
 from app.gui.shell.replay_bar import ReplayBar
 from app.gui.shell.state import PreferencesDialog, fit_to_screen, restore_state, save_state
 from app.gui.shell.status_line import StatusLine
 from app.gui.shell.wording import Situation, advice, light_when_closing, liveness, way_out
 from app.gui.widgets import theme
-from app.gui.widgets.copies import write_picture
 from app.gui.widgets.fields import NumberField
 from app.gui.widgets.layouts import column
 from app.gui.widgets.timers import REFRESH_MS, timer
 from app.images import SUFFIXES
 from app.measurement.measurement import Measurement
-from app.recording.folder import read_run
 from drivers.light_source import MAY_BE_ON
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
@@ -75,8 +70,6 @@ class MainWindow(BaseWindow):
         self.shown = Shown(self)
         self.panels = make_panels(self.shown)
         self.controls = self.panels.controls
-        self.messages = MessageStrip()
-        self.errors = ErrorReports(self.messages.alarm)
         self.status_line = StatusLine()
         self.controller = Controller(self.messages)
         self.attachment = Attachment(self.controller, self)
@@ -128,9 +121,7 @@ class MainWindow(BaseWindow):
             "auto_exposure": lambda _: self.routines.expose(),
             "sensor_region": lambda _: self.region_dialog.begin(),
         }
-        self.controls.requested.connect(
-            lambda name, value: acts[name](value) if name in acts else self.settings.want(name, value)
-        )
+        self.controls.requested.connect(lambda name, value: acts.get(name, partial(self.settings.want, name))(value))
         self.shown.exclusion_requested.connect(lambda *which: self.settings.change(("lenslets", which)))
         self.messages.cancel_requested.connect(self.panels.camera.put_tool_away)
         self.messages.reconnect_requested.connect(self._reconnect)
@@ -147,25 +138,37 @@ class MainWindow(BaseWindow):
 
     def _menus(self) -> Mapping[str, Entries]:
         """Return all menus: those of the panels follow the entries of the window that belong before them."""
-        bar, full = self.recording_bar, Qt.WindowState.WindowFullScreen
+        full = Qt.WindowState.WindowFullScreen
+        presets: Entries = ()
         preferences: Entries = ()
         if self._settings is not None:  # else the window remembers nothing
+            dialog = DevicePresets(self.controller, self.controls, self._settings, self)
+            presets = (("Presets of exposure and mask", "", dialog.show),)
             preferences = (("Preferences", "", PreferencesDialog(self._settings, self).show),)
         menus: dict[str, Entries] = {
             "&File": (
-                ("Start or stop recording", "W", self.recording_panel.record),
-                ("Name, note and end of the recording", "Shift+W", bar.prepare),
-                ("Save the last seconds", "K", self.recording_panel.keep),
-                ("Replay a recording", "Ctrl+Shift+O", self._choose_recording),
-                ("Replay a recent recording", "", bar.recent_menu()),
-                ("Choose the recordings folder", "", bar.choose_recordings_folder),
+                *self.recording_bar.menu_entries(),
                 None,
                 *self._entries_of_panels("&File"),
                 ("Save a screenshot", "Ctrl+P", self.save_screenshot),
                 None,
                 ("Quit", "Ctrl+Q", self.quit),
             ),
-            "&Bench": self._bench_entries(),
+            "&Bench": (
+                *self.benches.menu_entries(),
+                None,
+                *presets,
+                *self._entries_of_panels("&Bench"),
+                ("Check the background", "B", self.routines.check_background),
+                ("Measure the camera's nonlinearity", "", self.routines.measure_linearity),
+                None,
+                ("Accept the proposal", "Return", self.messages.enter),
+                ("Cancel, discard or dismiss", "Esc", self.messages.escape),
+                ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect),
+                None,
+                ("Take control of the instrument", "", self.attachment.take_control),
+                ("End the instrument's process", "", self.attachment.end_instrument),
+            ),
             "&View": (
                 *self._entries_of_panels("&View"),
                 ("Previous frame of a replay", ",", self.replay.back),
@@ -179,41 +182,8 @@ class MainWindow(BaseWindow):
                 ("Full screen", "F11", lambda: self.setWindowState(self.windowState() ^ full)),
             ),
         }
-        menus["&Help"] = (
-            ("Shortcuts and conventions", "F1", lambda: show_keys(self, menus)),
-            ("Message log", "Ctrl+L", partial(show_log, self, self.messages)),
-            ("Documentation", "Shift+F1", lambda: show_documentation(self, self.messages.warn)),
-            ("Tour of the window", "", self.show_tour),
-            ("How to cite", "", lambda: show_citation(self)),
-            ("About svwfs", "", self._show_about),
-        )
+        menus["&Help"] = help_entries(self, menus, self.messages, self.show_tour, self._facts)
         return menus
-
-    def _bench_entries(self) -> Entries:
-        presets: Entries = ()
-        if self._settings is not None:
-            show = DevicePresets(self.controller, self.controls, self._settings, self).show
-            presets = (("Presets of exposure and mask", "", show),)
-        return (
-            ("Open a bench", "Ctrl+O", self.benches.ask),
-            ("Open a recent bench", "", self.benches.recent_menu()),
-            ("Open a preset", "", self.benches.presets_menu()),
-            ("New bench from my camera", "Ctrl+N", self.benches.make),
-            ("Settings of the bench", "Ctrl+,", self.benches.edit),
-            ("Save the bench", "Ctrl+S", self.benches.save),
-            None,
-            *presets,
-            *self._entries_of_panels("&Bench"),
-            ("Check the background", "B", self.routines.check_background),
-            ("Measure the camera's nonlinearity", "", self.routines.measure_linearity),
-            None,
-            ("Accept the proposal", "Return", self.messages.enter),
-            ("Cancel, discard or dismiss", "Esc", self.messages.escape),
-            ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect),
-            None,
-            ("Take control of the instrument", "", self.attachment.take_control),
-            ("End the instrument's process", "", self.attachment.end_instrument),
-        )
 
     def _entries_of_panels(self, title: str) -> Entries:
         return tuple(entry for panel in self.panels for entry in panel.menu_entries().get(title, ()))
@@ -340,29 +310,14 @@ class MainWindow(BaseWindow):
             advice=advice(status, self._activity, measurement),
         )
 
-    def save_screenshot(self, path: Path | None = None) -> bool:
-        """Save a picture of the window, by default in the user's picture folder; return whether that succeeded."""
-        try:
-            if path is None:
-                folder = Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation) or ".")
-                make_folder(folder)
-                path = folder / f"svwfs-{datetime.now().astimezone():%Y%m%d-%H%M%S}.png"
-            write_picture(path, self.grab())
-        except RunError as error:
-            self.messages.warn(str(error))
-            return False
-        self.messages.inform(f"saved {path}")
-        return True
-
     def open_file(self, path: Path) -> None:
         try:
             if path.is_dir():
-                read_run(path)
                 self.recording_bar.play(path)
             elif path.suffix == ".toml":
                 self.benches.open(str(path))
             elif path.suffix.lower() in SUFFIXES:
-                self._show_frame(path)
+                self.controller.show_file(path)
             else:
                 self.messages.warn(
                     f"{path.name}: drop a recording's folder, a bench (.toml) or a frame (.tif, .fits, .png, .npy)"
@@ -370,31 +325,10 @@ class MainWindow(BaseWindow):
         except InputError as error:
             self.messages.warn(str(error))
 
-    def _show_frame(self, path: Path) -> None:
-        acquisition = self.controller.acquisition
-        if acquisition is None:
-            return
-        if acquisition.recording is not None and acquisition.recording.stage == "recording":
-            self.messages.warn(f"{path.name}: is not shown during a recording, of which it would be part")
-            return
-        text = f"{path.name} is shown, reconstructed with the present reference; Space returns to the camera"
-        self.controller.send(lambda to: to.show_file(path), lambda _: self.messages.inform(text))
-
-    def _choose_recording(self) -> None:
-        folder = str(self.recording_bar.recordings_folder)
-        if chosen := QFileDialog.getExistingDirectory(self, "Replay a recording", folder):
-            self.open_file(Path(chosen))
-
     def show_tour(self) -> None:
         """Explain one part of the window after the other, beginning with the panels."""
-        messages = "What is wrong, why, and which key helps. Ctrl+L opens the log with times"
-        recording = (
-            "W records every frame and its calibration; K saves the last ten seconds. Afterwards: replay,"
-            " report and export. F1 lists all keys."
-        )
-        of_panels = ((panel, f"The {panel.title.lower()}", panel.about) for panel in self.panels if panel.about)
-        bars = (self.messages, "Messages", messages), (self.recording_panel, "Recording", recording)
-        tour = Tour(self, (*of_panels, *bars))
+        parts = (*self.panels, self.messages, self.recording_panel)
+        tour = Tour(self, tuple((part, f"The {part.title.lower()}", part.about) for part in parts if part.about))
         self.docks.settle.timeout.connect(tour.raise_)  # above a panel that has come to the front
         tour.begin()
 
@@ -403,10 +337,10 @@ class MainWindow(BaseWindow):
             self._settings.setValue(_TOUR, 1)
             self.show_tour()
 
-    def _show_about(self) -> None:
+    def _facts(self) -> dict[str, str]:
         status = self.controller.status
         devices = {} if status is None else {"Camera": status.camera_name, "Light": status.light_name}
-        show_about(self, {**devices, "Recordings": str(self.recording_bar.recordings_folder)})
+        return {**devices, "Recordings": str(self.recording_bar.recordings_folder)}
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
         """Turn the light off at once; the window shows that it waits until the devices are closed."""

@@ -22,6 +22,7 @@ _NOTICE_S = 8.0  # how long a notice is shown
 class MessageStrip(QFrame):
     """Shows one message by priority: failure, alarm, refused entry, question, notice, warning, advice."""
 
+    title, about = "Messages", "What is wrong, why, and which key helps. Ctrl+L opens the log with times"
     reconnect_requested = pyqtSignal()
     control_requested = pyqtSignal()
     cancel_requested = pyqtSignal()

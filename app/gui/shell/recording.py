@@ -1,4 +1,4 @@
-"""Recording: its buttons in the menu bar, the bar with its name, note and end, and the commands for afterwards."""
+"""Recording: its buttons in the menu bar, and the bar with its name, note and end, and what can be done afterwards."""
 
 import math
 import time
@@ -7,28 +7,27 @@ from concurrent.futures import Future
 from datetime import datetime
 from pathlib import Path
 
-from PyQt6.QtCore import QObject, QProcess, QProcessEnvironment, QSettings, QStandardPaths, Qt, QUrl
+from PyQt6.QtCore import QSettings, QStandardPaths, Qt, QUrl
 from PyQt6.QtGui import QDesktopServices
-from PyQt6.QtWidgets import QAbstractButton, QFileDialog, QFrame, QMenu, QSizePolicy, QWidget
+from PyQt6.QtWidgets import QFileDialog, QFrame, QMenu, QSizePolicy, QWidget
 
 from app.acquisition.carrier import Carrier
 from app.errors import InputError, RunError
+from app.gui.panels.panel import Entries
+from app.gui.shell.background_commands import BackgroundCommands
 from app.gui.shell.controller import Controller
 from app.gui.shell.menus import RecentFiles
-from app.gui.shell.messages import MessageStrip
 from app.gui.shell.wording import gaps_in_words, recording_ended
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberField, TextField
 from app.gui.widgets.layouts import row
-from app.gui.widgets.presentation import percent
 from app.gui.widgets.texts import ElidedLabel, label, mark_refused
-from app.progress import LINE_START, LINES, counted
-from app.recording.folder import describe, name_problem
+from app.progress import counted
+from app.recording.folder import describe, name_problem, read_run
 from app.recording.recorder import RECENT_S, RecordingLimit, RecordingState
 from app.results.export import FORMATS, Format
-from app.run_facts import command_line
 from drivers.interface import Range
 
 _WIDEST = "000000 frames   00:00   disk space for 000 min"  # of more, only the tool tip has the disk space
@@ -37,11 +36,16 @@ _BEHIND = 70  # waiting frames from which the number is shown
 _DISK_INTERVAL_S = 2.0  # between two queries of the free disk space
 _NAME_TIP = "Appended to the name of the folder when the recording is finished"
 _FOLDER = "folders/recordings"  # key of the settings
-_END_MS = 3000
 
 
 class RecordingPanel(QWidget):
     """Buttons, and the state of the recording."""
+
+    title = "Recording"
+    about = (
+        "W records every frame and its calibration; K saves the last ten seconds. Afterwards: replay,"
+        " report and export. F1 lists all keys."
+    )
 
     def __init__(self) -> None:
         super().__init__()
@@ -215,11 +219,28 @@ class RecordingBar(QFrame):
             self._disk_due_s = time.monotonic() + _DISK_INTERVAL_S
             self._asked_disk = acquisition.free_minutes(self.recordings_folder)
 
-    def recent_menu(self) -> QMenu:
-        return self.recent.menu(self, lambda folder: folder.name, self.play)
+    def menu_entries(self) -> Entries:
+        return (
+            ("Start or stop recording", "W", self._panel.record),
+            ("Name, note and end of the recording", "Shift+W", self.prepare),
+            ("Save the last seconds", "K", self._panel.keep),
+            ("Replay a recording", "Ctrl+Shift+O", self._choose_recording),
+            ("Replay a recent recording", "", self.recent.menu(self, lambda folder: folder.name, self.play)),
+            ("Choose the recordings folder", "", self.choose_recordings_folder),
+        )
+
+    def _choose_recording(self) -> None:
+        if chosen := QFileDialog.getExistingDirectory(self, "Replay a recording", str(self.recordings_folder)):
+            self.play(Path(chosen))
 
     def play(self, folder: Path) -> None:
-        self.commands.start_window("--replay", folder)
+        """Open a recording in another window."""
+        try:
+            read_run(folder)
+        except InputError as error:
+            self._messages.warn(str(error))
+        else:
+            self.commands.start_window("--replay", folder)
 
     def _restart(self) -> None:
         """Go on with another acquisition, perhaps without the recording that was under way, which may be cut off."""
@@ -342,70 +363,3 @@ def _recordings_folder(settings: QSettings | None) -> Path:
     if isinstance(chosen, str) and Path(chosen).is_dir():
         return Path(chosen)
     return Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation) or ".") / "svwfs"
-
-
-class BackgroundCommands(QObject):
-    """Runs commands and says how they ended."""
-
-    def __init__(self, messages: MessageStrip, parent: QObject) -> None:
-        super().__init__(parent)
-        self._messages = messages
-
-    def start(
-        self,
-        by: QAbstractButton,
-        begin: str,
-        *arguments: str | Path,
-        end: str,
-        then: Callable[[], object] | None = None,
-    ) -> None:
-        """Run a command to its end; meanwhile its button `by` is grey and shows the progress.
-
-        `begin` and `end` are the messages, `then` is called if it succeeds.
-        """
-        process, name, errors = QProcess(self), by.text(), list[str]()
-        environment = QProcessEnvironment.systemEnvironment()
-        environment.insert(LINES, "1")
-        process.setProcessEnvironment(environment)
-        by.setEnabled(False)
-
-        def read() -> None:
-            while process.canReadLine():
-                line = bytes(process.readLine().data()).decode(errors="replace").strip()
-                if line.startswith(LINE_START):
-                    by.setText(f"{name} {percent(float(line.removeprefix(LINE_START)))}")
-                elif line:
-                    errors.append(line)
-
-        def finish(status: int, how: QProcess.ExitStatus) -> None:
-            read()
-            process.deleteLater()
-            by.setText(name)
-            by.setEnabled(True)
-            if how is QProcess.ExitStatus.NormalExit and status == 0:
-                self._messages.inform(end)
-                if then is not None:
-                    then()
-            else:
-                self._messages.alarm(errors[-1].removeprefix("svwfs: ") if errors else f"{begin}: failed")
-
-        process.setReadChannel(QProcess.ProcessChannel.StandardError)
-        process.readyReadStandardError.connect(read)
-        process.finished.connect(finish)
-        self._messages.inform(begin)
-        process.start(*command_line(*arguments))
-
-    def start_window(self, *arguments: str | Path) -> None:
-        """Open another window, which lives on when this one closes."""
-        started, _ = QProcess.startDetached(*command_line("live", *arguments))
-        if not started:
-            self._messages.warn("another window could not be started")
-
-    def close(self) -> None:
-        """End the commands that still run; their output files appear only when they are whole."""
-        for process in self.findChildren(QProcess):
-            process.blockSignals(True)
-            process.terminate()
-            if not process.waitForFinished(_END_MS):
-                process.kill()
-                process.waitForFinished(_END_MS)

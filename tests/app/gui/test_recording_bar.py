@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from PyQt6.QtCore import QProcess, QSettings, Qt, QUrl
 from PyQt6.QtGui import QDesktopServices
-from PyQt6.QtWidgets import QFileDialog, QLineEdit
+from PyQt6.QtWidgets import QFileDialog, QLineEdit, QMenu
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, press
@@ -236,7 +236,7 @@ def test_saved_seconds_and_recent_recordings(make_window: MakeWindow, qtbot: QtB
     assert folder is not None
     assert window.recording_bar.isVisible()
     assert RecentFiles(settings, "recent/recordings").paths() == (folder,)
-    menu = window.recording_bar.recent_menu()
+    (menu,) = (each for each in window.findChildren(QMenu) if each.title() == "Replay a recent recording")
     menu.aboutToShow.emit()
     assert [action.text() for action in menu.actions()] == [folder.name]
 
