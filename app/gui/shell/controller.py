@@ -24,8 +24,7 @@ from app.measurement.routines import Cancelled
 T = TypeVar("T")
 Then = Callable[[Any], object] | None  # receives a result
 Otherwise = Callable[[Exception], object] | None
-Call = tuple[Any, ...]  # a request of the instrument, and its arguments
-_BENCH = "bench"  # kind of the commands that change registration, reconstruction, lattice or mask
+_MASK, _BENCH = "mask", "bench"  # kind of the commands that change registration, reconstruction, lattice or mask
 _MODES = {"amplifier", "readout_speed"}  # their commands return what else has changed
 _SILENT_S = 5.0  # for the end of a process that does not answer
 _FRAMES_MS = 500  # between two of them: they stop the camera
@@ -186,55 +185,46 @@ class SettingsControl:
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
         self._sent: set[str] = set()  # kinds of the commands under way
-        self._next: dict[str, tuple[Callable[[], Call], Then]] = {}  # by kind
+        self._next: dict[str, Then] = {}  # kinds of those that follow, and what receives their results
         self._changes: list[tuple[str, Any]] = []  # of the next command of the bench
-        self._mask: str | None = None  # of the next command, too
-        self._kinds: dict[str, str] = {}  # of the wanted settings
         self.wanted: dict[str, Any] = {}  # value of each setting that is not in force yet, by its name in the controls
         controller.connected.connect(self._restart)
 
     def _restart(self) -> None:
-        """Forget all commands: another acquisition begins."""
-        self._mask = None
         for each in (self._sent, self._next, self.wanted, self._changes):
             each.clear()
 
     def want(self, name: str, value: Any) -> None:
         """Set what the controls call `name`: a setting of a device, or one of the bench, "section.key"."""
-        is_of_bench = "." in name or name == "mask"
-        self.wanted[name], self._kinds[name] = value, _BENCH if is_of_bench else name
-        if "." in name:
+        self.wanted[name] = value
+        if _kind(name) == _BENCH:
             self.change((name, value))
-        elif is_of_bench:
-            self._mask = value
-            self.change()
         else:
-            then = self._controller.messages.warn if name in _MODES else None
-            self._keep(name, lambda: (Instrument.set, name, value), then)
+            self._keep(name, self._controller.messages.warn if name in _MODES else None)
 
     def change(self, *changes: tuple[str, Any], then: Then = None) -> None:
-        """Change settings of the open bench, see `Instrument.change_settings`; the devices stay open."""
+        """Change the mask or settings of the open bench, see `Instrument.change_settings`; the devices stay open."""
         self._changes += changes
-        _, earlier = self._next.get(_BENCH, (None, None))
-        self._keep(_BENCH, self._change_bench, then or earlier)
+        self._keep(_BENCH, then or self._next.get(_BENCH))
 
-    def _change_bench(self) -> Call:
-        """Return one command for all changes of the bench, so that the reconstruction is prepared once."""
-        changes, mask, self._changes, self._mask = self._changes, self._mask, [], None
-        return Instrument.change_settings, changes, mask
-
-    def _keep(self, kind: str, make: Callable[[], Call], then: Then) -> None:
-        self._next[kind] = make, then
+    def _keep(self, kind: str, then: Then) -> None:
+        self._next[kind] = then
         if kind not in self._sent:
             self._send_next(kind)
 
     def _send_next(self, kind: str) -> None:
         self._sent.discard(kind)
         if kind not in self._next:
-            self.wanted = {name: value for name, value in self.wanted.items() if self._kinds[name] != kind}
+            self.wanted = {name: value for name, value in self.wanted.items() if _kind(name) != kind}
             return
-        make, then = self._next.pop(kind)
-        command = make()
+        then = self._next.pop(kind)
+        command: tuple[Any, ...]
+        if kind == _BENCH:  # one command for all changes, so that the reconstruction is prepared once
+            changes, self._changes = self._changes, []
+            of_bench = [change for change in changes if change[0] != _MASK]
+            command = Instrument.change_settings, of_bench, dict(changes).get(_MASK)
+        else:
+            command = Instrument.set, kind, self.wanted[kind]
         self._sent.add(kind)
         self._controller.send(
             lambda to: to.submit(*command), partial(self._end, kind, then), partial(self._end, kind, None)
@@ -247,3 +237,7 @@ class SettingsControl:
             QTimer.singleShot(_FRAMES_MS, partial(self._send_next, kind))
         else:
             self._send_next(kind)
+
+
+def _kind(name: str) -> str:
+    return _BENCH if "." in name or name == _MASK else name
