@@ -95,6 +95,16 @@ def _settings(text: str) -> Iterator[tuple[str, int]]:
             yield f"{section}.{key[1]}".strip("."), number
 
 
+def faulty_lines(source: str, error: InputError) -> tuple[Path | None, int | None, tuple[tuple[int, str], ...]]:
+    """Return the file of a bench that could not be read, if it exists, the faulty line, and the lines around that."""
+    try:
+        path = bench_file(source)
+        line = error.line if isinstance(error, BenchError) else None
+        return path, line, () if line is None else excerpt(read_bench_text(path), line)
+    except InputError:
+        return None, None, ()
+
+
 def excerpt(text: str, line: int) -> tuple[tuple[int, str], ...]:
     """Return a line of a text and its neighbours, each with its number."""
     first = max(line - 1 - _AROUND, 0)

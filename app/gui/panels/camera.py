@@ -64,7 +64,6 @@ class CameraPanel(Panel):
         " exclude."
     )
     lenslet_clicked = pyqtSignal(int, int)  # row and column
-    levels_changed = pyqtSignal(float, float)  # counts that are black and white
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
@@ -73,7 +72,6 @@ class CameraPanel(Panel):
         self._lattice: Lattice | None = None
         self._sensor: Sensor | None = None
         self.full_scale = 0  # highest count; 0 is unknown
-        self._levels: tuple[float, float] | None = None  # counts that are black and white
         self._reach = AdaptiveScale(MAGNIFICATIONS)  # longest arrow over its room
         self._magnification = 1.0  # of the arrows
         self._pointer: QPointF | None = None
@@ -193,7 +191,7 @@ class CameraPanel(Panel):
 
     def _draw(self) -> None:
         if self._frame is not None:
-            black, white = self._levels or (0, self.full_scale or _MOST_COUNTS)
+            black, white = self.shown.levels or (0, self.full_scale or _MOST_COUNTS)
             found = self.shown.statistics
             clip_level = found.clip_level if found is not None and found.clipped_share else None
             self._image.show_counts(self._frame.pixels, black, white, clip_level)
@@ -203,8 +201,7 @@ class CameraPanel(Panel):
         self._show_levels(black, white)
 
     def _show_levels(self, black: float, white: float) -> None:
-        self._levels = black, max(white, black + 1)
-        self.levels_changed.emit(*self._levels)
+        self.shown.levels = black, max(white, black + 1)
         self._draw()
 
     def _adapt_contrast(self) -> None:
@@ -212,11 +209,11 @@ class CameraPanel(Panel):
         found, choice = self.shown.statistics, self.contrast.currentText()
         if choice == _FULL and self.full_scale:
             low, high = 0, self.full_scale
-        elif found is not None and (choice != _FROZEN or self._levels is None):
+        elif found is not None and (choice != _FROZEN or self.shown.levels is None):
             low, high = found.usual
         else:
             return
-        black, white = self._levels or (0.0, 0.0)
+        black, white = self.shown.levels or (0.0, 0.0)
         if max(abs(low - black), abs(max(high, low + 1) - white)) > _LEVELS_SLACK * (white - black):
             self._show_levels(low, high)
 

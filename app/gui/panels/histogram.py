@@ -49,14 +49,13 @@ class HistogramPanel(Panel):
             handle.setPen(pg.mkPen(theme.TEXT, width=2))
             handle.setHoverPen(pg.mkPen(theme.ACCENT, width=3))
 
-    def show_levels(self, black: float, white: float) -> None:
-        with QSignalBlocker(self.levels):
-            self.levels.setRegion((black, white))
-
     def show_numbers(self) -> None:
         found = self.shown.statistics
         if found is None or not self.isVisible():
             return
+        if self.shown.levels is not None:
+            with QSignalBlocker(self.levels):
+                self.levels.setRegion(self.shown.levels)
         self.curve.setData(found.level, np.log10(np.maximum(found.pixels, 0.8)))
         for line, part in zip(self._lines, (NEARLY_FULL, 1.0), strict=True):
             line.setValue(part * found.clip_level)

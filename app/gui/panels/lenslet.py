@@ -64,7 +64,7 @@ class LensletPanel(Panel):
         images = _Images()
         self.tiles = images.tiles
         about = "Leave this lenslet out of the wavefront, or use it again; noted in the bench and in recordings"
-        self.exclude = Button("Exclude", about, self._exclude)
+        self.exclude = Button("Exclude", about, lambda: shown.exclusion_requested.emit([self.lenslet], None))
         header = row((self.name, 1), self.exclude)
         column(header, column(self.numbers, self.quality, spacing=0), (images, 1), parent=self)
         self.select(None)
@@ -124,10 +124,6 @@ class LensletPanel(Panel):
         for tile, image, scale in zip(self.tiles.values(), images, scales, strict=True):
             tile.show_maps(None if image is None else Maps(image[None, None], scale, _describe))
         self._write(*_numbers(found))
-
-    def _exclude(self) -> None:
-        if self.lenslet is not None:
-            self.shown.exclusion_requested.emit([self.lenslet], None)
 
     def _show_state(self, state: str) -> None:
         self._state = state

@@ -48,6 +48,7 @@ class Shown(QObject):
         self.is_settled = True  # whether all commands are finished
         self.measurement: Measurement | None = None
         self.statistics: FrameStatistics | None = None  # of a recent frame
+        self.levels: tuple[float, float] | None = None  # counts that are black and white in the camera picture
         self.wavefront: Wavefront | None = None  # of the measurement, with the display options applied to its views
         self.unit, self.wavelength_m = Unit.RAD, float("nan")
         self.pinned_rad: float | None = None  # present value of the pinned coefficient

@@ -36,7 +36,6 @@ def make_panels(shown: Shown) -> Panels:
     """Make all panels, and connect those that follow each other."""
     made = Panels(*(kind(shown) for kind in get_type_hints(Panels).values()))
     made.camera.lenslet_clicked.connect(made.lenslet.inspect)
-    made.camera.levels_changed.connect(made.histogram.show_levels)
     made.histogram.levels_chosen.connect(made.camera.use_levels)
     made.coefficients.pinned.connect(made.history.pin)
     return made

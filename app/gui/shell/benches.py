@@ -11,7 +11,7 @@ from PyQt6.QtCore import QObject, QSettings, Qt, QUrl
 from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtWidgets import QDialog, QFileDialog, QHBoxLayout, QWidget
 
-from app.bench.bench_files import BenchError, bench_file, excerpt, read_bench_text
+from app.bench.bench_files import faulty_lines
 from app.bench.config import Bench, load_bench, save_bench
 from app.bench.presets import DEFAULT, PRESETS
 from app.bench.trusted_libraries import unconfirmed
@@ -148,18 +148,12 @@ class Benches(QObject):
         )
 
     def _explain(self, source: str, overrides: tuple[str, ...], error: InputError) -> None:
-        line = error.line if isinstance(error, BenchError) else None
+        path, line, lines = faulty_lines(source, error)
         choices: Choices = (
             ("Try again", "Read the bench again, after you have corrected it", lambda: self.open(source, overrides)),
             ("Open another \N{HORIZONTAL ELLIPSIS}", "Choose another bench file (Ctrl+O)", self.ask),
         )
-        lines: tuple[tuple[int, str], ...] = ()
-        try:
-            path = bench_file(source)
-            lines = () if line is None else excerpt(read_bench_text(path), line)
-        except InputError:
-            pass  # there is no such file
-        else:
+        if path is not None:
             url = QUrl.fromLocalFile(str(path.absolute()))  # opened in the program that the desktop has for it
             choices = (("Edit the file", f"Open {path}", lambda: QDesktopServices.openUrl(url)), *choices)
         place = "" if line is None else f"line {line}"

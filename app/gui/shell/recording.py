@@ -106,7 +106,9 @@ class RecordingBar(QFrame):
         self.setProperty("role", "strip")
         self._controller, self._messages, self._panel = controller, controller.messages, panel
         panel.record.clicked.connect(self._record)
-        panel.keep.clicked.connect(self._keep)
+        panel.keep.clicked.connect(
+            lambda: controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
+        )
         controller.connected.connect(self._restart)
         self._settings, self.recordings_folder = settings, _recordings_folder(settings)
         self._starting: Future[None] | None = None  # the last start of a recording
@@ -253,9 +255,6 @@ class RecordingBar(QFrame):
                 self._messages.alarm(f"recording {self._of.name} was cut off: svwfs recover {self._of} finishes it")
             self._forget()
         self._has_failed = False
-
-    def _keep(self) -> None:
-        self._controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
 
     def _record(self, on: bool) -> None:
         acquisition = self._controller.acquisition

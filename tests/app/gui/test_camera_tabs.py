@@ -258,15 +258,17 @@ def test_lenslet_is_excluded_by_hand_and_used_again(live: tuple[MainWindow, Fake
 
 def test_two_handles_set_the_contrast_of_the_camera_picture(window: MainWindow, qtbot: QtBot) -> None:
     camera, levels = window.panels.camera, window.panels.histogram.levels
+    window.docks.show_panel(window.panels.histogram)
     pixels = dim_frame()
     pixels[100:130, 50:90] = 5000  # 0.9 %
     window.show_measurement(make_measurement(pixels, views()))
     count_pixels(qtbot, window)
-    assert levels.getRegion() == camera._levels == (1000, 5000)
+    assert levels.getRegion() == window.shown.levels == (1000, 5000)
     levels.lines[0].setValue(900.0)
     levels.lines[1].setValue(1100.0)  # as a drag does
     assert camera.contrast.currentText() == "frozen contrast"
-    assert camera._levels == (900, 1100)
+    assert window.shown.levels == (900, 1100)
     assert camera._image.pixels[0, 0] & 0xFF in range(126, 130)  # 1000 counts: middle grey
     camera.contrast.setCurrentText("full range")
+    window.update_text()
     assert levels.getRegion() == (0, 65535)
