@@ -13,7 +13,7 @@ from typer.models import CommandInfo
 from app.commands import options, terminal
 from app.errors import InputError, Interrupted
 from app.files import require_suffix
-from app.results.analysis import RecordingFolder, load
+from app.results.analysis import load
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,20 +41,21 @@ def command_of(kind: type[Analysis]) -> Callable[..., None]:
     """Return a function with the options of an analysis, which computes, writes, draws and tells it."""
 
     def run(source: Path, out: Path, plot: Path | None = None, *, overwrite: bool, **chosen: Any) -> None:
-        if kind.source is RecordingFolder:
-            options.check_recordings(source)
         from reconstruction.errors import ReconstructionError
 
         analysis = kind(**chosen)
         reads, writes = analysis.more_files(source)
+        sources = analysis.sources(source)
         allowed = () if kind.needs_suffix else analysis.suffixes
-        job = options.Job(out, *writes, reads=reads, sources=[source], suffixes=allowed, plot=plot, overwrite=overwrite)
+        options.check_files(
+            out, *writes, reads=reads, sources=sources, suffixes=allowed, plot=plot, overwrite=overwrite
+        )
         if kind.needs_suffix:
             require_suffix(out, *analysis.suffixes)
         try:
-            with job.progress() as progress:
+            with terminal.progress_bar() as progress:
                 found = analysis.run(source, out, progress)
-                job.draw(lambda: analysis.draw(found), dpi=kind.picture_dpi)
+                options.draw(plot, lambda: analysis.draw(found), dpi=kind.picture_dpi)
         except ReconstructionError as error:
             raise InputError(f"{source}: {error}") from error
         except Interrupted:
@@ -62,8 +63,10 @@ def command_of(kind: type[Analysis]) -> Callable[..., None]:
         if (table := analysis.by_view(found)) is not None:
             terminal.print_by_view(*table)
         typer.echo("\n".join(analysis.sentences(found)) + kind.closing.format(out=out))
-        for each, settings in analysis.bench_changes(source).items():
-            terminal.print_notes(each, settings)
+        for each, settings in sources.items():
+            if analysis.reconstructs:
+                terminal.print_version_notice(each, settings=settings)
+            terminal.print_missing_lines(each)
 
     own = [each.replace(kind=each.KEYWORD_ONLY) for each in signature(kind, eval_str=True).parameters.values()]
     needed = [each for each in own if each.default is each.empty]

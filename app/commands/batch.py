@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from app.commands import options, terminal
-from app.errors import RunError
+from app.errors import InputError, RunError
 from app.progress import counted
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def batch(
 
     Example: svwfs batch run1 --refine 3 --scheduler tcp://node1:8786 --out refined.zarr
     """
-    options.check_recordings(*recordings)
+    _require_recording(recordings)
     from app.batch.run import check_batch, run_batch
     from app.batch.store import BatchJob
     from app.batch.workers import workers as start
@@ -61,6 +61,20 @@ def batch(
         raise RunError(f"{len(done.failed)} of {done.recordings} recordings failed")
     if lost := sum(map(len, done.damaged.values())):
         raise RunError(f"{counted(lost)} damaged and left out")
+
+
+def _require_recording(folders: list[Path]) -> None:
+    """Raise `InputError` if none of these folders holds a recording, before anything is loaded that takes seconds."""
+    from app.recording.folder import read_run
+
+    problems: list[str] = []
+    for folder in folders:
+        try:
+            read_run(folder)
+        except InputError as error:
+            problems.append(str(error))
+    if len(problems) == len(folders):
+        raise InputError("; ".join(dict.fromkeys(problems)))
 
 
 def print_batch(batch: Batch, out: Path) -> None:

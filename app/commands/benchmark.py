@@ -61,7 +61,7 @@ def benchmark(
     """
     from app.run_facts import write_record
 
-    job = options.Job(json, suffixes=(".json",), overwrite=overwrite)
+    options.check_files(json, suffixes=(".json",), overwrite=overwrite)
     if live is not None:
         from app.evaluation.benchmark.live_path import LivePlan
 
@@ -69,7 +69,7 @@ def benchmark(
         loaded = options.load(bench or DEFAULT, list(settings))
         folder = None if no_record else record_in or Path(gettempdir())
         live_plan = LivePlan(bench=loaded, seconds=live, record_in=folder, with_panels=panels)
-        with job.progress() as progress:
+        with terminal.progress_bar() as progress:
             figures = benchmark_acquisition(live_plan, progress)
         print_figures(figures)
         numbers, failed, problem = figures.tree(), figures.missed(), "missed"
@@ -81,7 +81,7 @@ def benchmark(
         from app.evaluation.benchmark import BenchmarkPlan, load_baseline, run_benchmark, worsened
 
         plan = BenchmarkPlan(bench=options.load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
-        with job.progress() as progress:
+        with terminal.progress_bar() as progress:
             numbers = run_benchmark(plan, progress)
         print_benchmark(numbers)
         failed, problem = worsened(numbers["ratios"], load_baseline()), "slower relative to the peers than the baseline"

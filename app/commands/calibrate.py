@@ -66,9 +66,9 @@ def calibrate(
     if linearity:
         if not all(given is None for given in (reference, dark, plot)):
             raise InputError("--linearity takes its own exposures: leave reference, --dark and --plot out")
-        job = options.Job(out, reads=options.files_of_bench(bench, loaded), suffixes=(".toml",), overwrite=overwrite)
+        options.check_files(out, reads=options.files_of_bench(bench, loaded), suffixes=(".toml",), overwrite=overwrite)
         terminal.confirm_libraries(loaded, trust=trust_library)
-        with job.progress() as progress:
+        with terminal.progress_bar() as progress:
             measured = find_linearity(loaded, average, progress)
         if out is not None:
             write_found(dataclasses.replace(loaded, linearity=measured.linearity), "linearity", bench, out)
@@ -82,10 +82,10 @@ def calibrate(
 
     options.check_images(reference, dark)
     reads = (reference, dark, *options.files_of_bench(bench, loaded))
-    job = options.Job(out, reads=reads, suffixes=(".toml",), plot=plot, overwrite=overwrite)
-    with job.progress() as progress:
+    options.check_files(out, reads=reads, suffixes=(".toml",), plot=plot, overwrite=overwrite)
+    with terminal.progress_bar() as progress:
         calibrated = find_lattice(reference, dark=dark, bench=loaded, progress=progress)
-    job.draw(lambda: lattice_figure(calibrated.reference, calibrated.survey))
+    options.draw(plot, lambda: lattice_figure(calibrated.reference, calibrated.survey))
     if out is not None:
         write_found(calibrated.bench, "lattice", bench, out)
     if as_json:

@@ -20,14 +20,14 @@ def light_off(bench: Annotated[str, options.bench_option("Bench TOML file.")]) -
     from app.errors import InputError, RunError
     from drivers.errors import BadValue
 
-    light = options.load(bench, None).light
-    if light.driver == "simulated":
+    loaded = options.load(bench, None)
+    if loaded.is_simulated:
         typer.echo("the light of this bench is simulated: there is nothing to switch off")
         return
-    if light.driver == "manual":
+    if loaded.has_manual_light:
         raise RunError("the light of this bench is manual: switch it off by hand")
     try:
-        with open_light(light) as opened:
+        with open_light(loaded.light) as opened:
             name = opened.name
     except BadValue as error:
         raise InputError(f"light: {error}") from error

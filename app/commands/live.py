@@ -200,7 +200,7 @@ def unattended_window(bench: Bench, access: Access, *, seconds: float | None, ou
     picture, results, run = (out / name for name in ("window.png", "result.nc", "run.json"))
     if (out / FRAME_LINES).exists():
         raise InputError(f"{out}: holds a recording; choose another folder with --out")
-    options.Job(picture, results, run, reads=bench.files, overwrite=overwrite)
+    options.check_files(picture, results, run, reads=bench.files, overwrite=overwrite)
     from app.acquisition.course import Course
     from app.gui.application import run_window, unattended_steps
 

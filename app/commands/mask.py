@@ -47,7 +47,7 @@ def mask(
     size_m = 2 * source.half_width_m if size is None else typed_number(size, "m", 1.0)
     if size_m is None or (size is not None and not size.rstrip().endswith("m")):  # no metres by mistake
         raise InputError(f"--size {size}: give a length with its unit, as 1.2mm or 1200um")
-    options.Job(out, reads=[*options.files_of_bench(bench, loaded), Path(name)], overwrite=overwrite)
+    options.check_files(out, reads=[*options.files_of_bench(bench, loaded), Path(name)], overwrite=overwrite)
     require_suffix(out, *WRITERS, kind="drawing's name")
     drawn = openings(name, source, size_m)
     drawing = draw(drawn)

@@ -68,8 +68,8 @@ def measure(
     """
     if attach:
         options.refuse_with_attach(bench=bench, mask=mask, average=average, auto_expose=auto_expose, set=setting)
-        job = _job(out, (), overwrite=overwrite)  # before another program loses control
-        with job.progress() as progress:
+        _check_files(out, (), overwrite=overwrite)  # before another program loses control
+        with terminal.progress_bar() as progress:
             measured = measure_attached(name, frames, out, progress, takes_control=take_control)
     elif take_control:
         raise InputError("--take-control is for an instrument that runs: add --attach")
@@ -79,8 +79,8 @@ def measure(
         mask_setting = [] if mask is None else [f"simulation.source.mask={mask}"]
         loaded = options.load(bench, [*(setting or []), *mask_setting])
         terminal.confirm_libraries(loaded, trust=trust_library)
-        job = _job(out, loaded.files, overwrite=overwrite)
-        with job.progress() as progress:
+        _check_files(out, loaded.files, overwrite=overwrite)
+        with terminal.progress_bar() as progress:
             measured = measure_bench(loaded, frames, out, progress, average=average, auto_expose=auto_expose)
     print_measurement(measured, out)
 
@@ -154,11 +154,11 @@ def _measured(live: LiveBench, frames: int, out: Path, progress: Progress, begin
     return measured
 
 
-def _job(out: Path, inputs: Collection[Path], *, overwrite: bool) -> options.Job:
+def _check_files(out: Path, inputs: Collection[Path], *, overwrite: bool) -> None:
     from app.recording.folder import check_free
 
     check_free(out)
-    return options.Job(*(out / name for name in MEASURED), reads=inputs, overwrite=overwrite)
+    options.check_files(*(out / name for name in MEASURED), reads=inputs, overwrite=overwrite)
 
 
 def _record(live: LiveBench, frames: int, out: Path, calibrate: Callable[[], object]) -> tuple[bool, str]:

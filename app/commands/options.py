@@ -1,4 +1,4 @@
-"""Options that several commands share, and the job of a command: files checked before it, and a picture after it."""
+"""Options that several commands share, the check of files before the work, and the picture after it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import typer
 from typer.core import TyperCommand, TyperOption
 
 from app.bench.presets import PRESETS
-from app.commands import terminal
 from app.errors import InputError
 from app.files import atomic_write, check_outputs, check_readable, check_suffix, require_suffix
 from app.results import analysis
@@ -86,59 +85,40 @@ def files_of_bench(bench: str, loaded: config.Bench) -> tuple[Path, ...]:
     return (bench_file(bench), *loaded.files)
 
 
-def check_recordings(*folders: Path) -> None:
-    """Raise `InputError` if none of these folders holds a recording, before anything is loaded that takes seconds."""
-    from app.recording.folder import read_run
-
-    problems: list[str] = []
-    for folder in folders:
-        try:
-            read_run(folder)
-        except InputError as error:
-            problems.append(str(error))
-    if len(problems) == len(folders):
-        raise InputError("; ".join(dict.fromkeys(problems)))
-
-
 def check_images(*images: Path | None) -> None:
     """Raise `InputError` if one of these files cannot be read."""
     for image in filter(None, images):
         check_readable(image)
 
 
-class Job:
-    """Files that a command writes, checked before its work; None stands for an option that was not given.
+def check_files(
+    *outputs: Path | None,
+    reads: Iterable[Path | None] = (),
+    sources: Iterable[Path] = (),
+    suffixes: tuple[str, ...] = (),
+    plot: Path | None = None,
+    overwrite: bool,
+) -> None:
+    """Check the files that a command will write, before its work; None stands for an option that was not given.
 
     The first has one of some `suffixes` if there are any, `plot` is a picture. No input is replaced: neither files that
     are read, nor those of `sources`, recordings and results. `InputError` says what is wrong.
     """
+    from app.recording.folder import parts_of
 
-    progress = staticmethod(terminal.progress_bar)
+    parts = [part for each in sources for part in (parts_of(each) if each.is_dir() else [each])]
+    check_outputs([*outputs, plot], inputs=[*reads, *parts], overwrite=overwrite)
+    if suffixes:
+        check_suffix(outputs[0], *suffixes)
+    if plot is not None:
+        require_suffix(plot, *PICTURES, kind="picture's name")
 
-    def __init__(
-        self,
-        *outputs: Path | None,
-        reads: Iterable[Path | None] = (),
-        sources: Iterable[Path | None] = (),
-        suffixes: tuple[str, ...] = (),
-        plot: Path | None = None,
-        overwrite: bool,
-    ) -> None:
-        from app.recording.folder import parts_of
 
-        parts = [part for each in filter(None, sources) for part in (parts_of(each) if each.is_dir() else [each])]
-        check_outputs([*outputs, plot], inputs=[*reads, *parts], overwrite=overwrite)
-        if suffixes:
-            check_suffix(outputs[0], *suffixes)
-        if plot is not None:
-            require_suffix(plot, *PICTURES, kind="picture's name")
-        self._plot = plot
-
-    def draw(self, figure: Callable[[], Figure], *, dpi: int = analysis.Analysis.picture_dpi) -> None:
-        """Make a figure of the result and write it, if a picture is wanted."""
-        if self._plot is not None:
-            with atomic_write(self._plot) as temporary:
-                figure().savefig(temporary, dpi=dpi)
+def draw(plot: Path | None, figure: Callable[[], Figure], *, dpi: int = analysis.Analysis.picture_dpi) -> None:
+    """Make a figure of the result and write it, if a picture is wanted."""
+    if plot is not None:
+        with atomic_write(plot) as temporary:
+            figure().savefig(temporary, dpi=dpi)
 
 
 class OnceCommand(TyperCommand):

@@ -33,8 +33,8 @@ def _add(name: str, preset: str, about: str, more: str = "", *, has_peers: bool 
 
         loaded, chosen = options.load(bench, setting), {"peers": peers} if has_peers else {}
         table = getattr(tables, name)(**chosen)
-        job = options.Job(*files_of([table], out), reads=loaded.files, overwrite=overwrite)
-        run_and_print(job, [table], loaded, seeds, out)
+        options.check_files(*files_of([table], out), reads=loaded.files, overwrite=overwrite)
+        run_and_print([table], loaded, seeds, out)
 
     own = [each for each in signature(reproduce).parameters.values() if has_peers or each.name != "peers"]
     reproduce.__signature__ = Signature(own)  # type: ignore[attr-defined] # for typer

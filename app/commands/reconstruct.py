@@ -50,12 +50,12 @@ def reconstruct(
     loaded = options.load(bench, setting)
     options.check_images(frame, reference, dark)
     reads = (frame, reference, dark, *options.files_of_bench(bench, loaded))
-    job = options.Job(out, reads=reads, suffixes=(".nc",), plot=plot, overwrite=overwrite)
+    options.check_files(out, reads=reads, suffixes=(".nc",), plot=plot, overwrite=overwrite)
     image, reference_image, dark_image = _read_images(frame, reference, dark, loaded.camera_model.bits)
     changes_rad: list[float] = []
     try:
         reconstructor = BenchReconstructor(loaded, reference_image, dark=dark_image)
-        with job.progress() if refine else nullcontext(lambda *_: None) as progress:
+        with terminal.progress_bar() if refine else nullcontext(lambda *_: None) as progress:
 
             def note_round(step: Round) -> None:
                 changes_rad.append(step.change_rad)
@@ -71,7 +71,7 @@ def reconstruct(
     names = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}
     dataset = result_dataset(wavefront, quality, with_psf=True).assign_attrs(refinement_rounds=len(changes_rad))
     write_results(out, dataset, bench=reconstructor.bench, inputs=names)
-    job.draw(lambda: views_figure(wavefront))
+    options.draw(plot, lambda: views_figure(wavefront))
     for note in filter(None, notes):
         terminal.remind(f"note: {note}")
     print_views(wavefront)

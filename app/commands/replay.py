@@ -34,7 +34,9 @@ def replay(
 
     Example: svwfs replay run1 --set reconstruction.method=zonal
     """
-    options.check_recordings(recording)
+    from app.recording.folder import read_run
+
+    read_run(recording)  # refused before anything is loaded that takes seconds
     from app.recording.reader import Recording
     from app.results.replay import change_of, changed_bench
     from app.results.replay import replay as run
@@ -45,12 +47,14 @@ def replay(
         reads = options.files_of_bench(bench, other)
     elif settings:
         reads = changed_bench(Recording(recording).bench, settings).files
-    job = options.Job(out, reads=reads, sources=[recording], suffixes=(".nc",), overwrite=overwrite)
-    with job.progress() as progress:
+    options.check_files(out, reads=reads, sources=[recording], suffixes=(".nc",), overwrite=overwrite)
+    with terminal.progress_bar() as progress:
         change = change_of(other, settings)
         made = run(recording, change, frames=frames, out=out, verify=verify, progress=progress)
     print_replay(made)
-    terminal.print_notes(recording, settings if bench is None else None)
+    if bench is None:
+        terminal.print_version_notice(recording, settings=settings)
+    terminal.print_missing_lines(recording)
 
 
 def print_replay(made: Replay) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from app.commands import options
+from app.commands import options, terminal
 
 _CONDITIONS = {"dark": (False, False), "reference": (True, False), "frame": (True, True)}  # light on, sample in
 _TRUTH = "truth.nc"
@@ -36,9 +36,9 @@ def simulate(
 
     loaded = options.load(bench, setting)
     outputs = [out / name for name in (*(f"{name}.tif" for name in _CONDITIONS), _TRUTH)]
-    job = options.Job(*outputs, reads=options.files_of_bench(bench, loaded), overwrite=overwrite)
+    options.check_files(*outputs, reads=options.files_of_bench(bench, loaded), overwrite=overwrite)
     with ExitStack() as stack:
-        progress = stack.enter_context(job.progress())
+        progress = stack.enter_context(terminal.progress_bar())
         opening = simulated_bench(loaded, lambda fraction: progress("rendering", fraction), ManualClock())
         simulated = stack.enter_context(closing(opening))
         camera = stack.enter_context(SimulatedCamera(simulated))

@@ -66,21 +66,21 @@ def study(
     studies = chosen_studies(names or [], frames)
     loaded = options.load(bench, setting)
     inputs = [*options.files_of_bench(bench, loaded), *(Path(name) for name in names or [])]
-    job = options.Job(*files_of(studies, out), reads=inputs, overwrite=overwrite)
+    options.check_files(*files_of(studies, out), reads=inputs, overwrite=overwrite)
     shared = nullcontext() if workers is None and scheduler is None else start(workers, scheduler, dashboard=dashboard)
     with shared as evaluate:
         if evaluate is not None and evaluate.dashboard:
             typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
-        run_and_print(job, studies, loaded, seeds, out, evaluate)
+        run_and_print(studies, loaded, seeds, out, evaluate)
 
 
 def run_and_print(
-    job: options.Job, studies: Sequence[Study], bench: Bench, seeds: int, out: Path, evaluate: Workers | None = None
+    studies: Sequence[Study], bench: Bench, seeds: int, out: Path, evaluate: Workers | None = None
 ) -> None:
     """Run studies under a progress bar, and print their results."""
     from app.evaluation.studies import run_studies
 
-    with job.progress() as progress:
+    with terminal.progress_bar() as progress:
         results = run_studies(bench, studies, seeds, out, progress, evaluate)
     print_results(results)
 

@@ -132,10 +132,8 @@ def print_version_notice(*sources: Path, settings: Iterable[str] = ()) -> None:
                 print_sentence(f"{source}: {notice}")
 
 
-def print_notes(source: Path, settings: Iterable[str] | None) -> None:
-    """Print the version notice of a source, unless `settings` of its bench are None: unused; warn of missing lines."""
-    if settings is not None:
-        print_version_notice(source, settings=settings)
+def print_missing_lines(source: Path) -> None:
+    """Warn of a recording in which the lines of frames are missing."""
     if source.is_dir():
         from app.recording.reader import Recording
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
     import xarray as xr
     from matplotlib.figure import Figure
@@ -66,6 +66,7 @@ class Analysis:
     needs_suffix: ClassVar[bool] = False  # which says what is written
     picture_dpi: ClassVar[int] = 150  # 0: it has no picture
     closing: ClassVar[str] = ""  # after the sentences on the terminal, of the file `out`
+    reconstructs: bool = True  # frames with their bench
 
     def run(self, source: Path, out: Path, progress: Progress) -> Any:
         """Compute the results and write them; return what was found."""
@@ -103,9 +104,9 @@ class Analysis:
         """Return more files that it reads and writes; `InputError` if one of them cannot be used."""
         return (), ()
 
-    def bench_changes(self, source: Path) -> Mapping[Path, Iterable[str] | None]:
-        """Return settings that were changed in the bench of each source; None if nothing was reconstructed with it."""
-        return {source: ()}
+    def sources(self, source: Path) -> dict[Path, Iterable[str]]:
+        """Return recordings and results that it works on, each with the changed settings of its bench."""
+        return {source: getattr(self, "setting", None) or ()}
 
 
 def load(name: str) -> type[Analysis]:

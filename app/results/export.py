@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -47,9 +47,21 @@ class Export(Analysis):
     frames: Frames = None
 
     @property
+    def reconstructs(self) -> bool:  # type: ignore[override] # of frames alone
+        """False for frames as they are."""
+        return self.to != "tiff"
+
+    @property
     def suffixes(self) -> tuple[str, ...]:  # type: ignore[override] # those of the format
         """Suffixes of the format."""
         return FORMATS[self.to][1]
+
+    def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:
+        """Refuse a folder without a recording, before anything is loaded that takes seconds."""
+        from app.recording.folder import read_run
+
+        read_run(source)
+        return (), ()
 
     def run(self, source: Path, out: Path, progress: Progress) -> str:
         """Write the frames of a recording, or their results, one after the other."""
@@ -66,7 +78,3 @@ class Export(Analysis):
     def sentences(self, found: str) -> list[str]:
         """Say what was written."""
         return [found]
-
-    def bench_changes(self, source: Path) -> Mapping[Path, Iterable[str] | None]:
-        """Return no change; None for frames, which are not reconstructed."""
-        return {source: None if self.to == "tiff" else ()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -71,12 +71,14 @@ class Report(Analysis):
         title = f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames"
         return residual.field, title, ((f"{value:.3f}" for value in row) for row in residual.rms_rad)
 
-    def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:  # noqa: ARG002 - as in `Analysis`
-        """Return the other recording."""
-        from app.recording.folder import parts_of
+    def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:
+        """Refuse a folder without a recording, before anything is loaded that takes seconds."""
+        from app.recording.folder import read_run
 
-        return () if self.beside is None else parts_of(self.beside), ()
+        read_run(source)
+        return (), ()
 
-    def bench_changes(self, source: Path) -> Mapping[Path, Iterable[str] | None]:
+    def sources(self, source: Path) -> dict[Path, Iterable[str]]:
         """Return the changed settings of the first recording, and the other one."""
-        return {source: self.setting or ()} | ({} if self.beside is None else {self.beside: ()})
+        others = {} if self.beside is None else {self.beside: ()}
+        return Analysis.sources(self, source) | others
