@@ -1,6 +1,7 @@
 """`svwfs simulate`: simulated frames and the true wavefronts as files."""
 
-from contextlib import ExitStack, closing
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,11 +38,11 @@ def simulate(
     loaded = options.load(bench, setting)
     outputs = [out / name for name in (*(f"{name}.tif" for name in _CONDITIONS), _TRUTH)]
     options.check_files(*outputs, reads=options.files_of_bench(bench, loaded), overwrite=overwrite)
-    with ExitStack() as stack:
-        progress = stack.enter_context(terminal.progress_bar())
-        opening = simulated_bench(loaded, lambda fraction: progress("rendering", fraction), ManualClock())
-        simulated = stack.enter_context(closing(opening))
-        camera = stack.enter_context(SimulatedCamera(simulated))
+    with (
+        terminal.progress_bar() as progress,
+        closing(simulated_bench(loaded, partial(progress, "rendering"), ManualClock())) as simulated,
+        SimulatedCamera(simulated) as camera,
+    ):
         images: dict[str, Any] = {}  # Ctrl-C while they are rendered leaves no half set
         state: int | None = None
         for name, (light_on, sample_in) in _CONDITIONS.items():

@@ -27,7 +27,7 @@ _SMALLEST = 10.0, 4.2  # width of the figure and height of its maps, inches; tit
 
 def views_figure(wavefront: Wavefront) -> Figure:
     """Return the figure of the views, +x to the right and +y down as on the camera."""
-    views, field, sensor = wavefront.views, wavefront.field, wavefront.sensor
+    views, field = wavefront.views, wavefront.field
     width, height = np.maximum(_SMALLEST, (4.4 * field.view_columns + 2.8, 2.5 * field.view_rows + 0.4))
     figure = Figure(figsize=(width, height + _CURVES_HEIGHT), layout="constrained")
     (maps,), (curves,) = figure.subfigures(2, 1, squeeze=False, height_ratios=[height, _CURVES_HEIGHT])
@@ -36,10 +36,7 @@ def views_figure(wavefront: Wavefront) -> Figure:
     captions = [[f"RMS {rms(view):.3f}  PV {peak_to_valley(view):.2f} rad" for view in row] for row in views]
     draw_maps(left, views, _with_places(field, captions), ("RdBu_r", Normalize(-limit, limit), "wavefront (rad)"))
     _draw_psf(right, wavefront)
-    middle = field.view_rows // 2, field.view_columns // 2
-    axes = curves.subplots(1, 2)
-    draw_transfer(axes[0], mtf(views[middle], sensor), place_of_view(field, *middle))
-    draw_structure(axes[1], isoplanatism(wavefront))
+    draw_curves(curves, wavefront)
     return figure
 
 
@@ -79,8 +76,16 @@ def _draw_psf(figure: SubFigure, wavefront: Wavefront) -> None:
     draw_maps(figure, maps, _with_places(wavefront.field, captions), ("inferno", scale, title))
 
 
-def draw_transfer(axis: Axes, transfer: Mtf, where: str) -> None:
-    """Draw the modulation transfer along x and y at a position named `where`."""
+def draw_curves(figure: SubFigure, wavefront: Wavefront) -> None:
+    """Draw the modulation transfer of the middle view, and the difference of wavefronts over their separation."""
+    field = wavefront.field
+    middle = field.view_rows // 2, field.view_columns // 2
+    left, right = figure.subplots(1, 2)
+    _draw_transfer(left, mtf(wavefront.views[middle], wavefront.sensor), place_of_view(field, *middle))
+    _draw_structure(right, isoplanatism(wavefront))
+
+
+def _draw_transfer(axis: Axes, transfer: Mtf, where: str) -> None:
     for name, frequency_per_rad, values, limit in (
         ("x", transfer.frequency_x_per_rad, transfer.along_x, transfer.limit_x),
         ("y", transfer.frequency_y_per_rad, transfer.along_y, transfer.limit_y),
@@ -91,8 +96,7 @@ def draw_transfer(axis: Axes, transfer: Mtf, where: str) -> None:
     axis.legend(title="- - diffraction limit", fontsize=8, title_fontsize=8)
 
 
-def draw_structure(axis: Axes, found: Isoplanatism) -> None:
-    """Draw the difference of wavefronts over their separation in the field, with and without tilt."""
+def _draw_structure(axis: Axes, found: Isoplanatism) -> None:
     for name, curve in (("with tilt", found.curve), ("tilt removed", found.curve_without_tilt)):
         separation_mm = np.append(0.0, curve.separation_m * 1e3)
         rms_rad, least_rad, most_rad = np.pad([curve.rms_rad, curve.least_rad, curve.most_rad], ((0, 0), (1, 0)))

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from app.files import atomic_write
 from app.progress import Progress
 from app.results.coefficients import MAP_ACROSS, coefficient_maps, draw_field, evenly_spread, strongest
-from app.results.figures import draw_maps, draw_structure, draw_transfer, place_of_view, show_grey
+from app.results.figures import draw_curves, draw_maps, place_of_view, show_grey
 from app.results.report_summary import Fact, Residual, Statistics, Summary, facts
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_coefficients import FieldCoefficients, ModalFit, field_coefficients
 from reconstruction.geometry import Field
-from reconstruction.quality.image_quality import mtf
 from reconstruction.quality.isoplanatism import isoplanatism
 from reconstruction.wavefront import peak_to_valley, rms
 
@@ -180,11 +179,7 @@ def draw_certainty(figure: FigureBase, summary: Summary, stats: Statistics) -> N
     image = sigma.imshow(stats.sigma, cmap="viridis", vmin=0)
     sigma.set(title="error bar of one frame", xticks=[], yticks=[], facecolor="0.6")
     maps.colorbar(image, ax=sigma, label="standard deviation (rad)", shrink=0.8)
-    field, views = stats.wavefront.field, stats.wavefront.views
-    middle = field.view_rows // 2, field.view_columns // 2
-    transfer, structure = curves.subplots(1, 2)
-    draw_transfer(transfer, mtf(views[middle], summary.bench.sensor), place_of_view(field, *middle))
-    draw_structure(structure, isoplanatism(stats.wavefront))
+    draw_curves(curves, stats.wavefront)
     for axis in (*trend.axes, *maps.axes, *curves.axes):
         axis.title.set_fontsize(8.5)
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from importlib.metadata import version
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,29 +223,19 @@ class HdfFile(io.RawIOBase):
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("r+b", buffering=0)
-        self._position = 0
         self._end = os.fstat(self._file.fileno()).st_size
         self._unwritten: list[tuple[int, bytes]] = []
         self._error: OSError | None = None
 
-    def __enter__(self) -> Self:
-        return self
-
     def seek(self, offset: int, whence: int = os.SEEK_SET, /) -> int:
-        """Move to a position."""
-        self._position = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._position, os.SEEK_END: self._end}[whence]
-        return self._position
-
-    def tell(self) -> int:
-        """Return the position."""
-        return self._position
+        """Move to a position; the end is that of all that was written."""
+        return self._file.seek(self._end + offset) if whence == os.SEEK_END else self._file.seek(offset, whence)
 
     def write(self, data: Any, /) -> int:
         """Write all bytes, to the disk or else to the memory."""
-        left, begin = memoryview(data).cast("B"), self._position
+        left, begin = memoryview(data).cast("B"), self.tell()
         if self._error is None:
             try:
-                self._file.seek(begin)
                 rest = left
                 while rest:
                     rest = rest[self._file.write(rest) :]
@@ -253,27 +243,25 @@ class HdfFile(io.RawIOBase):
                 self._error = error
         if self._error is not None:
             self._unwritten.append((begin, bytes(left)))
-        self._position += len(left)
-        self._end = max(self._end, self._position)
+        self._end = max(self._end, self.seek(begin + len(left)))
         return len(left)
 
     def readinto(self, buffer: Any, /) -> int:
         """Fill the buffer as far as the file goes."""
-        target, begin = memoryview(buffer).cast("B"), self._position
+        target, begin = memoryview(buffer).cast("B"), self.tell()
         length = max(0, min(len(target), self._end - begin))
-        self._file.seek(begin)
         stored = self._file.read(length).ljust(length, b"\0")
         target[:length] = stored
         for offset, data in self._unwritten:
             first, last = max(offset, begin), min(offset + len(data), begin + length)
             if first < last:
                 target[first - begin : last - begin] = data[first - offset : last - offset]
-        self._position += length
+        self.seek(begin + length)
         return length
 
     def truncate(self, size: int | None = None, /) -> int:
         """Set the length."""
-        self._end = self._position if size is None else size
+        self._end = self.tell() if size is None else size
         if self._error is None:
             try:
                 self._file.truncate(self._end)

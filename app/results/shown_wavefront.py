@@ -9,10 +9,8 @@ from typing import Self
 
 import numpy as np
 
-from app.bench.config import parse_bench
 from app.errors import InputError
-from app.results.result_file import reading_results
-from app.results.sources import modes_of
+from app.results.sources import mean_of_frames, modes_of, read_bench_of
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import FieldModes
@@ -60,13 +58,10 @@ class StoredWavefront:
 
         `InputError` if it holds none, or not for `lenslets` (lenslet_row, lenslet_column).
         """
-        with reading_results(path) as results:
-            if "coefficients" not in results or "bench" not in results.attrs:
-                raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method = 'modal'")
-            bench = parse_bench(results.attrs["bench"], str(path), is_recorded=True)
-            frames = [name for name in ("frame",) if name in results.dims]
-            coefficients = results["coefficients"].mean(frames).transpose("pupil_mode", "field_mode").values
-            views = results["wavefront"].mean(frames).transpose("view_row", "view_column", ...).values
+        bench = read_bench_of(path)
+        coefficients, views = mean_of_frames(path)
+        if not coefficients.size:
+            raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method = 'modal'")
         if lenslets not in {None, views.shape[2:]}:
             raise InputError("{}: has {} x {} lenslets, the bench {} x {}".format(path, *views.shape[2:], *lenslets))
         unknown = np.isnan(views).all(axis=(0, 1))

@@ -149,6 +149,14 @@ def mean_wavefront(source: Path, bench: Bench, frames: str | None, progress: Pro
     the third degree if there are at least four along a side. `InputError` if the source cannot be read, or has neither
     coefficients nor several views.
     """
+    coefficients, views = mean_of_frames(source, frames, progress)
+    if coefficients.size and bench.registration.fits_warps:
+        return _of_modes(bench, coefficients, views)
+    return _between_views(source, bench, views)
+
+
+def mean_of_frames(source: Path, frames: str | None = None, progress: Progress = lambda *_: None) -> _Frame:
+    """Return the mean of frames; `InputError` if they do not go together, or there are none."""
     read = _recorded_frames if source.is_dir() else _stored_frames
     coefficients, views, count = np.zeros(()), np.zeros(()), 0
     for of_frame, views_of_frame in read(source, frames, progress):
@@ -157,9 +165,7 @@ def mean_wavefront(source: Path, bench: Bench, frames: str | None, progress: Pro
         coefficients, views, count = coefficients + of_frame, views + views_of_frame, count + 1
     if not count:
         raise InputError(f"{source}: has no frame with a wavefront")
-    if coefficients.size and bench.registration.fits_warps:
-        return _of_modes(bench, coefficients / count, views / count)
-    return _between_views(source, bench, views / count)
+    return coefficients / count, views / count
 
 
 def _stored_frames(source: Path, frames: str | None, progress: Progress) -> Iterator[_Frame]:
@@ -170,9 +176,11 @@ def _stored_frames(source: Path, frames: str | None, progress: Progress) -> Iter
         chosen = selected(frames, stacked.sizes["frame"], source)
         for done, index in enumerate(chosen, 1):
             frame = stacked.isel(frame=index)
-            coefficients = frame["coefficients"].values if "coefficients" in frame else np.zeros(0)
+            coefficients = np.zeros(0)
+            if "coefficients" in frame:
+                coefficients = frame["coefficients"].transpose("pupil_mode", "field_mode").values
             require_plausible(source, coefficients)
-            yield coefficients, frame["wavefront"].values
+            yield coefficients, frame["wavefront"].transpose("view_row", "view_column", ...).values
             progress("reading wavefronts", done / len(chosen))
 
 
