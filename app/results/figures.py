@@ -1,8 +1,11 @@
 """Figures of results as image files: views of a wavefront, and a lattice over its reference."""
 
+from __future__ import annotations
+
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,8 +23,14 @@ from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, 
 from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 _CURVES_HEIGHT = 2.6  # inches
 _SHOWN_PERCENT = (0.5, 99.8)  # percentiles at the ends of the grey scale
+_LARGEST_POINTS = 8.0  # of the captions of maps
+_LETTER = 0.62  # width of a letter over its size, on average
+_MAPS_PART = 0.82  # of the width; the rest is for the colour bar
 _SMALLEST = 10.0, 4.2  # width of the figure and height of its maps, inches; titles need them
 
 
@@ -33,30 +42,33 @@ def views_figure(wavefront: Wavefront) -> Figure:
     (maps,), (curves,) = figure.subfigures(2, 1, squeeze=False, height_ratios=[height, _CURVES_HEIGHT])
     ((left, right),) = maps.subfigures(1, 2, squeeze=False)
     limit = float(np.nanmax(np.abs(views), initial=0)) or 1.0
-    captions = [[f"RMS {rms(view):.3f}  PV {peak_to_valley(view):.2f} rad" for view in row] for row in views]
-    draw_maps(left, views, _with_places(field, captions), ("RdBu_r", Normalize(-limit, limit), "wavefront (rad)"))
+
+    def caption(*view: int) -> str:
+        numbers = f"RMS {rms(views[view]):.3f}  PV {peak_to_valley(views[view]):.2f} rad"
+        return f"{place_of_view(field, *view)}\n{numbers}"
+
+    draw_maps(left, views, caption, ("RdBu_r", Normalize(-limit, limit), "wavefront (rad)"))
     _draw_psf(right, wavefront)
     draw_curves(curves, wavefront)
     return figure
 
 
 def draw_maps(
-    figure: SubFigure,
-    maps: Floats,
-    captions: list[list[str]],
-    colours: tuple[str, Normalize, str],
-    *,
-    fontsize: float = 8,
+    figure: SubFigure, maps: Floats, caption: Callable[[int, int], str], colours: tuple[str, Normalize, str]
 ) -> None:
-    """Draw a map (row, column) of every view with its caption; NaN is grey.
+    """Draw maps (view_row, view_column, row, column), each under the `caption` of its view; NaN is grey.
 
     `colours` are the name of a colour map, its scale and its title.
     """
     name, scale, title = colours
-    axes = figure.subplots(len(captions), len(captions[0]), squeeze=False)
-    for (row, column), axis in np.ndenumerate(axes):
-        axis.imshow(maps[row, column], cmap=name, norm=scale)
-        axis.set_title(captions[row][column], fontsize=fontsize)
+    axes = figure.subplots(*maps.shape[:2], squeeze=False)
+    captions = {view: caption(*view) for view in np.ndindex(axes.shape)}
+    longest = max(len(line) for text in captions.values() for line in text.splitlines())
+    width_inches = _MAPS_PART * figure.bbox.width / figure.get_figure(root=True).dpi / axes.shape[1]
+    points = min(_LARGEST_POINTS, 72 * width_inches / longest / _LETTER)  # so that neighbours do not touch
+    for view, axis in np.ndenumerate(axes):
+        axis.imshow(maps[view], cmap=name, norm=scale)
+        axis.set_title(captions[view], fontsize=points)
         axis.set_xticks([])
         axis.set_yticks([])
         axis.set_facecolor("0.6")
@@ -70,10 +82,14 @@ def _draw_psf(figure: SubFigure, wavefront: Wavefront) -> None:
     angle_rad = psf_angles_rad(sensor, reach_rad if math.isfinite(reach_rad) else 1e-3)
     maps = psf(wavefront.views, sensor, angle_rad=angle_rad)
     middle = angle_rad.size // 2
-    captions = [[f"Strehl {one[middle, middle]:.3f}  peak {one.max():.3f}" for one in row] for row in maps]
+
+    def caption(*view: int) -> str:
+        numbers = f"Strehl {maps[view][middle, middle]:.3f}  peak {maps[view].max():.3f}"
+        return f"{place_of_view(wavefront.field, *view)}\n{numbers}"
+
     scale = PowerNorm(0.5, 0, float(np.nanmax(maps, initial=0)) or 1.0)
     title = f"point-spread function within $\\pm${angle_rad[-1] * 1e3:.2g} mrad (1 = perfect peak)"
-    draw_maps(figure, maps, _with_places(wavefront.field, captions), ("inferno", scale, title))
+    draw_maps(figure, maps, caption, ("inferno", scale, title))
 
 
 def draw_curves(figure: SubFigure, wavefront: Wavefront) -> None:
@@ -110,6 +126,20 @@ def _draw_structure(axis: Axes, found: Isoplanatism) -> None:
     axis.legend(fontsize=8)
 
 
+def draw_map(axes: Axes, values: xr.DataArray, title: str, colours: str, ticks: tuple[float, ...]) -> None:
+    """Draw a map (y, x) over positions in mm, with a colour bar from the first to the last tick, rad."""
+    edges_mm = [1e3 * float(values[name].max()) for name in ("x", "y")]  # middle of the last pixel
+    x_mm, y_mm = (edge + (edge / max(size - 1, 1) or 0.5) for edge, size in zip(edges_mm, values.T.shape, strict=True))
+    image = axes.imshow(values, cmap=colours, vmin=ticks[0], vmax=ticks[-1], extent=(-x_mm, x_mm, y_mm, -y_mm))
+    axes.set_title(title, fontsize=8.5)
+    for axis, edge_mm in zip((axes.xaxis, axes.yaxis), edges_mm, strict=True):
+        axis.set_ticks(sorted({-edge_mm, 0.0, edge_mm}))
+    axes.tick_params(labelsize=7)
+    axes.set_facecolor("0.9")
+    bar = axes.figure.colorbar(image, ax=axes, location="bottom", shrink=0.9, ticks=ticks, format="%.2g rad")
+    bar.ax.tick_params(labelsize=7)
+
+
 def show_grey(axes: Axes, image: NDArray[Any]) -> None:
     """Show an image (row, column) in grey; the few darkest and brightest pixels do not count."""
     darkest, brightest = np.percentile(image, _SHOWN_PERCENT)
@@ -119,13 +149,6 @@ def show_grey(axes: Axes, image: NDArray[Any]) -> None:
 def place_of_view(field: Field, row: int, column: int) -> str:
     """Return the position of a view in words."""
     return f"({field.view_x_m[column] * 1e3:+.2f}, {field.view_y_m[row] * 1e3:+.2f}) mm"
-
-
-def _with_places(field: Field, captions: list[list[str]]) -> list[list[str]]:
-    return [
-        [f"{place_of_view(field, row, column)}\n{caption}" for column, caption in enumerate(line)]
-        for row, line in enumerate(captions)
-    ]
 
 
 _LIT, _DARK, _BESIDE, _CUT = "#35d0ba", "#ff5a5f", "#ffd166", "#9aa5b1"

@@ -83,6 +83,8 @@ class Layers(Analysis):
         """Draw the misfit over the distance, and phase and error of each layer."""
         from matplotlib.figure import Figure
 
+        from app.results.figures import draw_map
+
         layers = found.sizes["layer"]
         figure = Figure(figsize=(9.6, 3.2 + 3.6 * layers), layout="constrained")
         (top,), (bottom,) = figure.subfigures(2, 1, squeeze=False, height_ratios=[1, 1.3 * layers])
@@ -92,9 +94,10 @@ class Layers(Analysis):
             where = distance_in_words(float(of_layer["distance_m"]), np.nan, found.attrs["distances_from"])
             values, limit = centred(of_layer["layer_phase"].values)
             centred_phase = of_layer["layer_phase"].copy(data=values)
-            _draw_map(phase, centred_phase, f"phase (rad), {where}", "RdBu_r", (-limit, limit))
+            draw_map(phase, centred_phase, f"phase, {where}", "RdBu_r", (-limit, 0.0, limit))
+            phase.set(xlabel="x on the layer (mm)", ylabel="y (mm)")
             sigmas = of_layer["layer_phase_sigma"]
-            _draw_map(sigma, sigmas, "standard deviation (rad)", "viridis", (0, float(np.nanpercentile(sigmas, 98))))
+            draw_map(sigma, sigmas, "standard deviation", "viridis", (0.0, float(np.nanpercentile(sigmas, 98))))
         return figure
 
     def sentences(self, found: xr.Dataset) -> list[str]:
@@ -335,15 +338,6 @@ def _draw_curve(axes: Axes, found: xr.Dataset) -> None:
     axes.set(ylabel="unexplained share", title=f"Verdict: {found.attrs['verdict']}{doubt}")
     set_distance_axes(axes, found, found["distance_m"].values)
     axes.legend(fontsize=8)
-
-
-def _draw_map(axes: Axes, values: xr.DataArray, title: str, colours: str, limits: tuple[float, float]) -> None:
-    x_mm, y_mm = (values[name].values * 1e3 for name in ("x", "y"))
-    extent = (x_mm[0], x_mm[-1], y_mm[-1], y_mm[0])
-    image = axes.imshow(values, cmap=colours, vmin=limits[0], vmax=limits[1], extent=extent)
-    axes.set(xlabel="x on the layer (mm)", ylabel="y (mm)")
-    axes.set_title(title, fontsize=9)
-    axes.figure.colorbar(image, ax=axes, shrink=0.85)
 
 
 def layers_sentences(found: xr.Dataset) -> list[str]:

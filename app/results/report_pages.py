@@ -70,9 +70,6 @@ _LABEL_INCHES, _LINE_INCHES = 0.85, 0.18
 _COLUMNS = 98  # characters of a line beside the labels
 _MOST_LINES = 32  # of all facts; more would leave no place for the wavefronts
 _MOST_VIEWS = 5  # along each axis; more would be too small
-_LARGEST_POINTS = 8.0
-_LETTER = 0.62  # width of a letter over its size, on average
-_MAPS_PART = 0.82  # of the width; the rest is for the colour bar
 
 
 def draw_overview(figure: FigureBase, summary: Summary) -> None:
@@ -109,19 +106,17 @@ def draw_views(
     """
     rows, columns = (_some(count) for count in views.shape[:2])
     scale = limit or float(np.nanmax(np.abs(views), initial=0)) or 1.0
-    captions = [
-        [
-            f"{place_of_view(field, row, column)}\n" * with_places
-            + f"{rms(views[row, column]):.3f} / {peak_to_valley(views[row, column]):.2f}"
-            for column in columns
-        ]
-        for row in rows
-    ]
+
+    def caption(row: int, column: int) -> str:
+        view = rows[row], columns[column]
+        place = f"{place_of_view(field, *view)}\n" * with_places
+        return f"{place}{rms(views[view]):.3f} / {peak_to_valley(views[view]):.2f}"
+
     hidden = views.shape[0] * views.shape[1] - len(rows) * len(columns)
     note = f"; {hidden} more views are not shown" * bool(hidden)
     figure.suptitle(f"{title}: RMS / PV (rad){note}", fontsize=10)
     colours = ("RdBu_r", Normalize(-scale, scale), "rad")
-    draw_maps(figure, views[np.ix_(rows, columns)], captions, colours, fontsize=_fitting(captions, figure))
+    draw_maps(figure, views[np.ix_(rows, columns)], caption, colours)
 
 
 def _headline(summary: Summary) -> str:
@@ -144,13 +139,6 @@ def _draw_images(figure: SubFigure, summary: Summary) -> None:
         show_grey(axis, image)
         axis.set_title(f"{name}: {image.min():.0f} ... {image.max():.0f} counts", fontsize=10)
         axis.set(xticks=[], yticks=[])
-
-
-def _fitting(captions: list[list[str]], figure: SubFigure) -> float:
-    """Font size at which neighbouring captions do not touch, points."""
-    longest = max(len(line) for row in captions for caption in row for line in caption.splitlines())
-    width_inches = _MAPS_PART * figure.bbox.width / figure.get_figure(root=True).dpi / len(captions[0])
-    return min(_LARGEST_POINTS, 72 * width_inches / longest / _LETTER)
 
 
 def _some(count: int) -> list[int]:
