@@ -148,11 +148,12 @@ class Sweep(Study):
         return at if isinstance(at, str) else float(f"{at * self.axis_per_si:.6g}")
 
     def summary(self, data: pd.DataFrame) -> pd.DataFrame:
-        """Mean residual and spread over the repeats with a result, mean of lost lenslets, median time, limit.
+        """Mean residual and spread over the repeats with a result, mean of lost lenslets, limit.
 
         A limit measured with the result, `asked_rad`, precedes `limits_rad`; `coverage` is that of an error bar.
         """
-        cases = data.groupby([*self.dims], observed=True)
+        unknown = {name: math.nan for name in ("asked_rad", "coverage") if name not in data}
+        cases = data.assign(**unknown).groupby([*self.dims], observed=True)
         summary = pd.DataFrame(
             {
                 "mean_rad": cases["rms_rad"].mean(),
@@ -160,14 +161,12 @@ class Sweep(Study):
                 "observations": cases["rms_rad"].count(),
                 "lost_lenslets": cases["lost"].mean(),
                 "left_cell_lenslets": cases["left_cell"].mean(),
-                "seconds": cases["seconds"].median(),
+                "asked_rad": cases["asked_rad"].mean(),
+                "coverage": cases["coverage"].mean(),
             }
         )
         asked = [self.limits_rad.get(curve, {}).get(at, math.nan) for curve, at in summary.index]
-        summary["asked_rad"] = pd.Series(asked, summary.index, float)
-        if "asked_rad" in data:
-            summary["asked_rad"] = cases["asked_rad"].mean().fillna(summary["asked_rad"])
-            summary["coverage"] = cases["coverage"].mean()
+        summary["asked_rad"] = summary["asked_rad"].fillna(pd.Series(asked, summary.index, float))
         if "faults" in data:  # raised in any of the repeats
             raised = cases["faults"].agg(lambda each: reduce(or_, each.dropna().astype(int), 0))
             summary["flags"] = raised.map(lambda faults: Fault(int(faults)).name or "")

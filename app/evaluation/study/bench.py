@@ -4,7 +4,6 @@ The reference and the frame have the imperfections, the bench's settings do not.
 lenslets, apart from the wavelengths: each has its own images, which add up.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -16,7 +15,7 @@ from app.acquisition.devices import scene_of
 from app.bench.config import Bench
 from app.evaluation.frames import seeded, with_screen, with_source
 from app.evaluation.studies import CaseResult, Sweep
-from app.evaluation.study.estimators import WarpEstimator, compared, with_rms
+from app.evaluation.study.estimators import compared, warp_estimator, with_rms, without_wavefront
 from app.evaluation.study.noise import EmCamera, camera, error_bar_rad
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image, PointField
@@ -216,13 +215,12 @@ def _measured(bench: Bench, case: _Case, images: tuple[Image, Image], truth: Flo
         bench = replace(bench, sensor=replace(bench.sensor, lenslet_focal_length_m=told_m))
     reference, seed = em_camera.counts(images[0]), bench.simulation.seed
     frame = em_camera.exposed(images[1] * np.float32(case.brightness), seed, 0)
-    estimator = WarpEstimator(bench, reference, None, noise=em_camera.noise)
+    estimator = warp_estimator(bench, reference, None, noise=em_camera.noise)
     try:
         displacement = estimator.reconstructor.register(frame)
         samples = {"free": FREE, "layers": estimator.reconstructor.find_sample(displacement)}
-    except ReconstructionError as problem:
-        values = {"rms_rad": math.nan, "lost": math.nan, "left_cell": math.nan, "seconds": math.nan}
-        yield CaseResult(at={"curve": "layers", "at": at}, values=values, problem=str(problem))
+    except ReconstructionError as refusal:
+        yield without_wavefront("layers", at, estimator, refusal)
         return
     for curve, sample in samples.items():
         wavefront = estimator.reconstructor.solve(displacement, sample=sample)

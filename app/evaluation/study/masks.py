@@ -28,9 +28,10 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, seeded, with_screen, with_source
 from app.evaluation.studies import CaseResult, Output, Printed, Study, StudyResult, Sweep, known_rows
-from app.evaluation.study.estimators import WarpEstimator, compared, mean_rms_within, with_rms
+from app.evaluation.study.estimators import compared, mean_rms_within, warp_estimator, with_rms
 from app.evaluation.study.noise import bound_rad, camera, error_bar_rad, scatter_of, true_lenslet, without_prior
 from app.evaluation.study.sweeps import NEAR_SOURCE, lit_views
+from app.measurement.estimator import Estimator
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
@@ -121,7 +122,7 @@ class _MaskStudy:
             raise InputError("no view lies inside it: check [field] view_spacing_m")
         self._reference = NoiseFreeFrames(bench).reference()
         self._square_peak = float(square.max())
-        self._estimator = WarpEstimator(bench, self._reference, None)
+        self._estimator = warp_estimator(bench, self._reference, None)
         self.hidden = self._estimator.reconstructor.hidden
         self.light = float(self._reference.sum() / square.sum())  # relative to the square
 
@@ -167,7 +168,7 @@ class _MaskStudy:
 class LinearPass:
     """One pass of an estimator for screens without noise, to first order in their wavefronts."""
 
-    def __init__(self, bench: Bench, estimator: WarpEstimator, reference: Image) -> None:
+    def __init__(self, bench: Bench, estimator: Estimator, reference: Image) -> None:
         self._bench, self._reconstructor = bench, estimator.reconstructor
         self._at_rest = self._reconstructor.register(reference)
         registration = self._reconstructor.registration_for(reference)
@@ -260,7 +261,7 @@ def _predicted(bench: Bench, square: Image, views: NDArray[np.bool_], seeds: ran
     if not lit_views(bench).any():
         raise InputError("no view lies inside it")
     counts = seen.counts(reference * np.float32(PEAKS_E[1] / square.max()))
-    estimator = WarpEstimator(bench, counts, WARP, noise=seen.noise, reconstruction=without_prior(bench))
+    estimator = warp_estimator(bench, counts, WARP, noise=seen.noise, reconstruction=without_prior(bench))
     reconstructor = estimator.reconstructor
     light, peak = float(reference.sum() / square.sum()), float(reference.max() / square.max())
     values = {"light": light, "peak": peak, "hidden": float(reconstructor.hidden)}

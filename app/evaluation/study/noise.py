@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from app.bench.config import Bench
 from app.evaluation.frames import NoiseFreeFrame, NoiseFreeFrames, exposure_of, seeded
 from app.evaluation.studies import CaseResult, Sweep
-from app.evaluation.study.estimators import WarpEstimator, WarpEstimators, compared, with_rms
+from app.evaluation.study.estimators import compare, compared, warp_estimator, warp_estimators, with_rms
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
@@ -92,7 +92,7 @@ class EmCamera:
 
     def reconstructor(self, bench: Bench, electrons: Image, warp: Warp | None = None, **more: Any) -> Reconstructor:
         """Prepare the reconstruction against a reference without noise."""
-        return WarpEstimator(bench, self.counts(electrons), warp, noise=self.noise, **more).reconstructor
+        return warp_estimator(bench, self.counts(electrons), warp, noise=self.noise, **more).reconstructor
 
 
 def camera(bench: Bench, speed: int = SLOW, em_gain: float = 1.0) -> EmCamera:
@@ -108,9 +108,9 @@ def _photons(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseRes
             progress(f"{peak_e:g} electrons", (done + index / len(_PEAKS_E)) / len(seeds))
             scale = np.float32(peak_e / frame.photons.max())
             draws = [em_camera.exposed(frame.photons * scale, seed, draw) for draw in range(_DRAWS)]
-            estimators = WarpEstimators(bench, em_camera.counts(reference * scale), noise=em_camera.noise)
+            estimators = warp_estimators(bench, em_camera.counts(reference * scale), noise=em_camera.noise)
             for noisy in draws:
-                yield from estimators.compare(noisy, frame.truth, peak_e)
+                yield from compare(estimators, noisy, frame.truth, peak_e)
             automatic = em_camera.reconstructor(bench, reference * scale)
             for noisy in draws:
                 yield compared("automatic warp", peak_e, automatic(noisy), frame.truth)

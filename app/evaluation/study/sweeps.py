@@ -16,7 +16,17 @@ from app.bench.imaging_model import by_pixel
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrame, NoiseFreeFrames, seeded, simulating, with_screen, with_source
 from app.evaluation.studies import CaseResult, Sweep
-from app.evaluation.study.estimators import AUTOMATIC, REFINED, ROUNDS, WARPS, WarpEstimator, WarpEstimators, compared
+from app.evaluation.study.estimators import (
+    AUTOMATIC,
+    REFINED,
+    ROUNDS,
+    WARPS,
+    compare,
+    compared,
+    warp_estimator,
+    warp_estimators,
+)
+from app.measurement.estimator import Estimator
 from app.progress import Progress
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
@@ -36,13 +46,12 @@ def _over_screens(
     """Measure noise-free frames of the bench changed by each value, against the reference of the unchanged bench."""
 
     def measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
-        estimators = WarpEstimators(bench, NoiseFreeFrames(bench).reference())
+        estimators = warp_estimators(bench, NoiseFreeFrames(bench).reference())
         for done, screen in enumerate(seeded(bench, seeds, first_seed)):
             for index, value in enumerate(values):
                 progress(f"{value:g}", (done + index / len(values)) / len(seeds))
-                frames = NoiseFreeFrames(change(screen, value))
-                frame = frames.frame()
-                yield from estimators.compare(frame.photons, frame.truth, value, sample=frames.sample)
+                frame = NoiseFreeFrames(change(screen, value)).frame()
+                yield from compare(estimators, frame.photons, frame.truth, value)
 
     return measure
 
@@ -97,8 +106,6 @@ _METHODS = {
     "automatic": AUTOMATIC,
 }
 _DRIFT_RAD_PER_S = 0.3  # change of the wavefront, mean RMS over the views
-_AGES_S = (1, 2)  # of the bias
-_FILM_S = sorted({age_s * back for age_s in _AGES_S for back in range(ROUNDS + 1)})  # ages of the frames
 _STEP_M = 10e-6  # screen shift that measures the change per metre
 
 
@@ -110,56 +117,46 @@ def _ensembles(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseR
         for done, screen in enumerate(seeded(with_screen(bench, correlation_length_m=length_m), seeds)):
             progress(f"rendering {length_m * 1e3:g} mm", (index + done / len(seeds)) / len(_CORRELATION_LENGTHS_M) / 2)
             drifting = NoiseFreeFrames(_drifting(screen))
-            films.append((length_m, {seconds: drifting.frame(state=seconds) for seconds in _FILM_S}))
+            films.append((length_m, [drifting.frame(state=age_s) for age_s in reversed(range(ROUNDS + 1))]))
     methods = list(product(_ENSEMBLE_WARPS, _METHODS.items()))
     for index, (warp, (method, reconstruction)) in enumerate(methods):
         progress(f"{warp}, {method}", (1 + index / len(methods)) / 2)
         try:
-            estimator = WarpEstimator(bench, reference, warp, reconstruction=reconstruction)
+            estimator = warp_estimator(bench, reference, warp, reconstruction=reconstruction)
+            register, solve = estimator.reconstructor.register, estimator.reconstructor.solve
         except ReconstructionError:  # too many modes for so few lenslets
             continue
         for length_m, film in films:
-            wavefront = estimator.reconstructor.solve(estimator.reconstructor.register(film[0].photons))
-            yield compared(f"{warp}, {method}", length_m, wavefront, film[0].truth)
-        if method == "automatic" and warp in REFINED:
-            for length_m, film in films:
-                yield from _refined(warp, estimator, length_m, film)
+            displacement, truth = register(film[-1].photons), film[-1].truth
+            yield compared(f"{warp}, {method}", length_m, solve(displacement), truth)
+            if method != "automatic" or warp not in REFINED:
+                continue
+            sample = estimator.reconstructor.find_sample(displacement)
+            wavefronts = {
+                "layers": solve(displacement, sample=sample),
+                "live": _live(estimator, film, sample, is_refined=False),
+                f"refined {ROUNDS}x": estimator.solve(displacement, sample=sample, rounds=ROUNDS)[0],
+                "refined live, 1 s old": _live(estimator, film, sample, is_refined=True),
+            }
+            for name, wavefront in wavefronts.items():
+                yield compared(f"{warp}, {name}", length_m, wavefront, truth)
 
 
-def _refined(
-    warp: Warp, estimator: WarpEstimator, length_m: float, film: dict[int, NoiseFreeFrame]
-) -> Iterator[CaseResult]:
-    """Follow a film in one pass over the layers found; refine the newest frame by itself, then by those before it."""
-    newest, reconstructor = film[0], estimator.reconstructor
-    displacement = reconstructor.register(newest.photons)
-    sample = reconstructor.find_sample(displacement)
-    yield compared(f"{warp}, layers", length_m, reconstructor.solve(displacement, sample=sample), newest.truth)
-    wavefront = _one_pass_live(estimator, [film[seconds] for seconds in reversed(_FILM_S)], sample)
-    yield compared(f"{warp}, live", length_m, wavefront, newest.truth)
-    rounds = estimator.rounds(displacement, sample=sample)
-    for count, (wavefront, seconds) in enumerate(rounds, 1):
-        yield compared(f"{warp}, refined {count}x", length_m, wavefront, newest.truth, seconds=seconds)
-    for age_s in _AGES_S:
-        frames = [film[age_s * back] for back in reversed(range(ROUNDS + 1))]
-        wavefront = _refined_live(estimator, frames, sample)
-        yield compared(f"{warp}, refined live, {age_s} s old", length_m, wavefront, newest.truth)
+def _live(
+    estimator: Estimator, film: Sequence[NoiseFreeFrame], sample: AssumedSample, *, is_refined: bool
+) -> Wavefront:
+    """Follow a film to its last frame as the acquisition does.
 
-
-def _one_pass_live(estimator: WarpEstimator, film: Sequence[NoiseFreeFrame], sample: AssumedSample) -> Wavefront:
-    """Register each frame from the displacement of the one before it, as the acquisition does."""
-    displacement = estimator.reconstructor.register(film[0].photons)
+    Each frame is registered from the displacement of the one before it; refined, it is corrected by that one's bias.
+    """
+    reconstructor = estimator.reconstructor
+    displacement = reconstructor.register(film[0].photons)
+    wavefront, bias = reconstructor.solve(displacement, sample=sample), None
     for frame in film[1:]:
-        displacement = estimator.reconstructor.register(frame.photons, start=displacement)
-    return estimator.reconstructor.solve(displacement, sample=sample)
-
-
-def _refined_live(estimator: WarpEstimator, film: Sequence[NoiseFreeFrame], sample: AssumedSample) -> Wavefront:
-    """Correct each frame by the bias of the one before it, which was itself corrected in the same way."""
-    reconstructor, refinement = estimator.reconstructor, estimator.refinement
-    wavefront = reconstructor.solve(reconstructor.register(film[0].photons), sample=sample)
-    for frame in film[1:]:
-        displacement, bias = reconstructor.register(frame.photons), refinement.bias(wavefront)
-        wavefront = reconstructor.solve(displacement, bias=bias.displacement, sample=sample)
+        if is_refined:
+            bias = estimator.refinement.bias(wavefront).displacement
+        displacement = reconstructor.register(frame.photons, start=displacement)
+        wavefront = reconstructor.solve(displacement, bias=bias, sample=sample)
     return wavefront
 
 
@@ -173,7 +170,7 @@ def _drifting(bench: Bench) -> Bench:
     # rounded, so that its frames are cached
     along_m_per_s = float(np.format_float_scientific(speed_m_per_s / math.sqrt(2), 3))
     drifting = with_screen(bench, drift_x_m_per_s=along_m_per_s, drift_y_m_per_s=along_m_per_s)
-    return simulating(drifting, drifting_states=max(_AGES_S) * ROUNDS + 1, state_duration_s=1.0)
+    return simulating(drifting, drifting_states=ROUNDS + 1, state_duration_s=1.0)
 
 
 ENSEMBLES = Sweep(
@@ -181,7 +178,7 @@ ENSEMBLES = Sweep(
     title="The ensembles",
     axis="correlation length (mm)",
     axis_per_si=1e3,
-    left_out=("modal", "1x", "2x", "2 s old"),
+    left_out=("modal",),
     measure=_ensembles,
     # of the preset's square
     limits_rad={"quartic, layers": dict(zip(_CORRELATION_LENGTHS_M, (0.055, 0.036, 0.026), strict=True))},
@@ -196,11 +193,11 @@ def _sources(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseRes
     for index, mask in enumerate(_MASKS):
         with_mask = with_source(bench, mask=mask)
         views = lit_views(with_mask)
-        estimators = WarpEstimators(with_mask, NoiseFreeFrames(with_mask).reference())
+        estimators = warp_estimators(with_mask, NoiseFreeFrames(with_mask).reference())
         for done, screen in enumerate(seeded(with_mask, seeds)):
             progress(mask, (index + done / len(seeds)) / len(_MASKS))
             frame = NoiseFreeFrames(screen).frame()
-            yield from estimators.compare(frame.photons, frame.truth, mask, views=views)
+            yield from compare(estimators, frame.photons, frame.truth, mask, views=views)
 
 
 def lit_views(bench: Bench) -> NDArray[np.bool_]:
@@ -235,11 +232,10 @@ def _over_errors(values: tuple[float, ...], errors: dict[str, _Error]) -> _Measu
         cases = [(kind, value, wrong) for kind, wrong in errors.items() for value in values]
         for done, (kind, value, wrong) in enumerate(cases):
             progress(f"{kind} {value:g}", done / len(cases))
-            # affine adds no information
-            wrongly = wrong(bench, value)
-            estimators = WarpEstimators(wrongly, reference, warps=("quadratic", "cubic"), refined=("cubic",))
+            estimators = warp_estimators(wrong(bench, value), reference, ("quadratic", "cubic"))
             for frame in frames:
-                yield from estimators.compare(frame.photons, frame.truth, value, prefix=f"{kind}: ")
+                prefix = f"{kind}: "
+                yield from compare(estimators, frame.photons, frame.truth, value, prefix=prefix, refined=("cubic",))
 
     return measure
 
@@ -299,10 +295,10 @@ def _dead(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult
             alive[order[: round(fraction * order.size)]] = 0.0
             alive = alive.reshape(shape)
             light = by_pixel(alive, _lattice(bench), *reference.shape)
-            estimators = WarpEstimators(bench, reference * light, refined=("cubic",))
-            yield from estimators.compare(frame.photons * light, frame.truth, fraction)
+            estimators = warp_estimators(bench, reference * light)
+            yield from compare(estimators, frame.photons * light, frame.truth, fraction, refined=("cubic",))
             if fraction > 0:
-                cubic, curve = estimators.by_warp["cubic"], "cubic refined, at the dead ones"
+                cubic, curve = estimators["cubic"], "cubic refined, at the dead ones"
                 displacement = cubic.reconstructor.register(frame.photons * light)
                 wavefront, _ = cubic.solve(displacement, sample=FREE, rounds=ROUNDS)
                 yield compared(curve, fraction, wavefront, frame.truth, lenslets=alive == 0.0)

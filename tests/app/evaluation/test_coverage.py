@@ -11,10 +11,12 @@ import pytest
 
 from app.bench.config import load_bench
 from app.evaluation.frames import NoiseFreeFrames
-from app.evaluation.study.estimators import WARPS, WarpEstimator
+from app.evaluation.study.estimators import WARPS, warp_estimator
 from app.evaluation.study.noise import camera, without_prior
+from app.measurement.estimator import Estimator
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
+from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.wavefront import Wavefront, without_piston
 
 NORMAL = math.erf(math.sqrt(0.5))
@@ -51,7 +53,7 @@ def test_error_bars_cover_68_percent(small_toml: Path) -> None:
         for peak_e in PEAKS_E:
             frame, reference = (image * np.float32(peak_e / light.max()) for image in (light, frames.reference(mask)))
             counts, settings = seen.counts(reference), without_prior(bench)
-            estimator = WarpEstimator(bench, counts, warp, reconstruction=settings, noise=seen.noise)
+            estimator = warp_estimator(bench, counts, warp, reconstruction=settings, noise=seen.noise)
             solve, register = estimator.reconstructor.solve, estimator.reconstructor.register
             still = register(seen.counts(frame))
             noisy = [register(seen.exposed(frame, 1, next(draw))) for _ in range(DRAWS)]
@@ -61,8 +63,8 @@ def test_error_bars_cover_68_percent(small_toml: Path) -> None:
             if peak_e != PEAKS_E[number % 2]:
                 continue
 
-            def in_rounds(displacement: Displacement, estimator: WarpEstimator = estimator) -> Wavefront:
-                return estimator.rounds(displacement, 1)[-1][0]
+            def in_rounds(displacement: Displacement, estimator: Estimator = estimator) -> Wavefront:
+                return estimator.solve(displacement, sample=FREE, rounds=1)[0]
 
             some = noisy[:REFINED_DRAWS]
             refined += coverage([in_rounds(each) for each in some], in_rounds(still).views)

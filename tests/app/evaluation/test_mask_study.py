@@ -16,7 +16,7 @@ from support.command_line import run
 from app.bench.config import load_bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, with_source
-from app.evaluation.study.estimators import WarpEstimator, mean_rms_within
+from app.evaluation.study.estimators import mean_rms_within, warp_estimator
 from app.evaluation.study.masks import LinearPass, local_screen, many_masks_study, mask_study
 from app.evaluation.study.sweeps import lit_views
 from reconstruction.modes.field_modes import LegendreModes
@@ -50,7 +50,7 @@ def test_linear_pass_predicts_the_error_of_the_simulated_one(small_toml: Path, l
     bench = load_bench(small_toml, (*screen, neglect, f"simulation.source.mask='{mask}'"))
     frames = NoiseFreeFrames(bench)
     frame, reference = frames.frame(mask), frames.reference(mask)
-    estimator = WarpEstimator(bench, reference, "affine")
+    estimator = warp_estimator(bench, reference, "affine")
     simulated = estimator.reconstructor.solve(estimator.reconstructor.register(frame.photons))
     predicted = estimator.reconstructor.solve(LinearPass(bench, estimator, reference)(frames.sample))
     everywhere = np.ones((5, 7), np.bool_)

@@ -13,7 +13,7 @@ from app.bench.config import load_bench
 from app.evaluation.frames import NoiseFreeFrames
 from app.evaluation.studies import collect
 from app.evaluation.study import noise
-from app.evaluation.study.estimators import WarpEstimator
+from app.evaluation.study.estimators import warp_estimator
 from app.evaluation.study.noise import PHOTONS, bound_rad, camera, scatter_of, without_prior
 from reconstruction.wavefront import Wavefront
 
@@ -44,7 +44,7 @@ def test_scatter_of_estimator_is_near_the_bound(small_toml: Path) -> None:
     electrons = frames.reference("checkerboard") * np.float32(2e3 / frames.reference("checkerboard").max())
     settings = without_prior(bench)
     assert settings.pupil_modes == 15  # fourth degree on 5 x 7 lenslets
-    estimator = WarpEstimator(bench, seen.counts(electrons), "quadratic", reconstruction=settings, noise=seen.noise)
+    estimator = warp_estimator(bench, seen.counts(electrons), "quadratic", reconstruction=settings, noise=seen.noise)
     reconstructor = estimator.reconstructor
     without = reconstructor(seen.counts(electrons))
     scatter = scatter_of((reconstructor(seen.exposed(electrons, 1, draw)) for draw in range(100)), without.views)

@@ -69,7 +69,7 @@ def test_unknown_sweep_is_rejected_before_computing(
 
 
 def sampled(rms_rad: float, *, at: float | str = "here", lost: int = 0) -> CaseResult:
-    values = {"rms_rad": rms_rad, "lost": lost, "left_cell": 0, "seconds": math.nan}
+    values = {"rms_rad": rms_rad, "lost": lost, "left_cell": 0}
     return CaseResult(at={"curve": "affine", "at": at}, values=values)
 
 
