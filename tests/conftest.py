@@ -19,7 +19,7 @@ from support.optics import PAPER, SmallBench, checkerboard
 
 from app.acquisition.devices import simulated_bench
 from app.measurement import live_solver
-from app.measurement.finder import Finder
+from app.measurement.live_solver import Finder
 from simulated_devices.clock import ManualClock
 
 if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone

@@ -70,7 +70,7 @@ class Status:
     warning: str  # why wavefronts are missing or doubtful; empty if they are good
     mask_note: str = ""  # which deformations the mask hides; empty if it shows all
     is_calibrated: bool = False  # frames can be reconstructed
-    prepares: bool = False  # the first frames show what is assumed of later ones: layers, or a correction
+    has_finder: bool = False  # of layers or a correction, which the first frames show
     temperature_c: float | None = field(default=None, compare=False)  # of the camera's sensor; None if unknown
 
     @property
@@ -162,7 +162,7 @@ class Instrument:
             warning=light.off_reason or problem or of_dark or of_reference or judged.sentence,
             mask_note="" if estimator is None else mask_sentence(estimator.reconstructor),
             is_calibrated=estimator is not None,
-            prepares=self._solver is not None and self._solver.prepares,
+            has_finder=self._solver is not None and self._solver.has_finder,
             temperature_c=camera.temperature_c,
         )
 

@@ -285,7 +285,7 @@ class LiveBench:
         begin = partial(acquisition.start_recording, Path(folder), command=command, limit=limit)
         course = Course(acquisition, self._progress)
         is_played = isinstance(self._bench.camera, RecordingSettings)  # each of its frames counts
-        if not status.is_running and (is_played or not status.prepares):
+        if not status.is_running and (is_played or not status.has_finder):
             self._result(begin())
             self._start_camera()
         else:

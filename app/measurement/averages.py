@@ -33,7 +33,7 @@ class Average:
 
     @classmethod
     def of_image(cls, image: Counts) -> Self:
-        """Take an image from elsewhere as it is, whatever its type; nothing else is known of it."""
+        """Take an image (row, column), counts, as it is, whatever its type; nothing else is known of it."""
         unknown = np.broadcast_to(np.float32(np.nan), image.shape)
         return cls(cast("NDArray[np.float32]", image), unknown, 1, np.nan, np.nan, "")
 
@@ -131,7 +131,7 @@ def check_background(devices: Devices, dark: Average, frames: int, watch: Watch)
 
 
 def compare_backgrounds(dark: Average, now: Average, levels: list[float]) -> BackgroundCheck:
-    """Compare two averages without light; `levels` are the mean counts of the frames of `now`."""
+    """Compare two averages without light; `levels` are the mean counts of each frame of `now`."""
     difference = now.mean.astype(np.float64) - dark.mean
     drift = float(np.median(difference))
     per_frame = 1 / dark.frames + 1 / now.frames

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from app.bench.config import Bench, as_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.measurement.estimator import Estimator, mask_sentence
+from app.measurement.estimator import ROUNDS, Estimator, mask_sentence
 from reconstruction.arrays import Counts
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import KnownNoise, TransferCurve
@@ -88,7 +88,7 @@ def reconstructor(
     return BenchReconstructor(as_bench(bench), reference, dark=dark, full_scale=full_scale, frame=frame, own=own)
 
 
-def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = 3) -> Wavefront:
+def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = ROUNDS) -> Wavefront:
     """Reconstruct a frame and remove the estimator's bias with the forward model of the bench.
 
     Parameters
@@ -257,7 +257,10 @@ def whole_number(value: object, what: str) -> int:
 
 
 def full_scale_of(image: NDArray[Any], bits: int) -> float:
-    """Saturation level: the lower maximum of camera and integer type; infinite for floats beyond the camera's range."""
+    """Saturation level of an image (row, column), counts: the lower maximum of camera and integer type.
+
+    It is infinite for floats beyond the camera's range.
+    """
     camera = 2.0**bits - 1
     if image.dtype.kind in "ui":
         return min(camera, float(np.iinfo(image.dtype).max))

@@ -33,6 +33,8 @@ from reconstruction.refinement import Refinement, Round
 from reconstruction.settings import FIELD_MODES
 from reconstruction.wavefront import Wavefront
 
+ROUNDS = 3  # of refinement, where nobody chooses
+
 Solve: TypeAlias = Callable[[Displacement], tuple[Wavefront, Assumptions]]
 
 

@@ -49,6 +49,7 @@ def measure_linearity(devices: Devices, cell_px: float, frames: int, watch: Watc
         light.set_on(True)
 
         def signal(exposure_s: float) -> tuple[Image, Image]:
+            """Counts above the dark and their variance, counts^2, (row, column)."""
             lit, dark = averaged(exposure_s), darks[exposure_s]
             check_lit(light)
             variance = (lit.variance + dark.variance) / np.float32(frames)

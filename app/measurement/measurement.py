@@ -13,7 +13,11 @@ from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
 
-SKIPPED = "passed over: the computer was behind, and a newer frame was there"  # stored in recordings
+SKIPPED = "skipped: the computer was too slow"  # stored in recordings
+SKIPPED_SENTENCES = {
+    SKIPPED,
+    "passed over: the computer was behind, and a newer frame was there",
+}  # the latter in old ones
 _COUNTS = {1: "one layer", 2: "two layers"}
 
 RefinementStage = Literal["off", "preparing", "applied", "moved", "worse", "failed"]

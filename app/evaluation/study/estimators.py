@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from app.bench.config import Bench
 from app.evaluation.studies import CaseResult, Position
 from app.measurement.calibration import Calibration
-from app.measurement.estimator import Estimator
+from app.measurement.estimator import ROUNDS, Estimator
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
@@ -18,7 +18,6 @@ from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.wavefront import Wavefront, mean_rms
 
-ROUNDS = 3  # of refinement
 WARPS: tuple[Warp, ...] = ("affine", "quadratic", "cubic", "quartic")
 REFINED: tuple[Warp, ...] = ("quadratic", "cubic", "quartic")
 AUTOMATIC = ReconstructionSettings()  # modal, the number of modes chosen from the lattice

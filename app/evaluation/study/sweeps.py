@@ -19,14 +19,13 @@ from app.evaluation.studies import CaseResult, Sweep
 from app.evaluation.study.estimators import (
     AUTOMATIC,
     REFINED,
-    ROUNDS,
     WARPS,
     compare,
     compared,
     warp_estimator,
     warp_estimators,
 )
-from app.measurement.estimator import Estimator
+from app.measurement.estimator import ROUNDS, Estimator
 from app.progress import Progress
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice

@@ -16,9 +16,8 @@ from support.patience import HANG_S, wait_until
 
 from app.bench.config import Bench
 from app.measurement.estimator import Estimator
-from app.measurement.finder import Finder, FinderProcess, Found, Solved
-from app.measurement.finder import _are_alike as are_alike
-from app.measurement.live_solver import LiveSolver
+from app.measurement.live_solver import Finder, FinderProcess, Found, LiveSolver, Solved
+from app.measurement.live_solver import _are_alike as are_alike
 from app.measurement.measurement import Assumptions, RefinementState
 from reconstruction.arrays import PointField
 from reconstruction.displacement import Displacement
@@ -456,7 +455,7 @@ def test_process_that_dies_is_reported_and_frames_go_on(
 def test_no_thread_without_layers_and_refinement(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
     before = set(threading.enumerate())  # those of other tests may be at their last finding
     solver = solver_of(paper_bench, reconstructor, refine=False)
-    assert not solver.prepares
+    assert not solver.has_finder
     displacement = reconstructor.register(bowl(paper_bench, 1.0))
     wavefront, assumed = solver.solve(displacement, 0.0)
     assert assumed == (FREE, RefinementState())

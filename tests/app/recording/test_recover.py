@@ -323,7 +323,7 @@ def test_put_aside_lines_are_never_overwritten(tmp_path: Path) -> None:
 
 def test_missing_results_calibrations_and_biases_are_listed(tmp_path: Path, calibration: Calibration) -> None:
     bias = RANDOM.normal(size=(7, 9, 3, 2))
-    passed_over = make_record(2, calibration, displacement=None, coefficients=None, problem="passed over")
+    passed_over = make_record(2, calibration, displacement=None, coefficients=None, problem="skipped")
     records = [*make_chain(calibration, 2), passed_over, make_record(3, calibration, bias=bias, bias_age_s=0.1)]
     records[0] = replace(records[0], start=RANDOM.normal(size=(7, 9, 3, 2)))
     write(tmp_path / "r", [*records, make_record(4)])

@@ -337,7 +337,9 @@ def test_calibration_changes_are_replayed(eventful: Recording) -> None:
 
 def test_replay_starts_as_recorded_after_skipped_frames(quick_toml: Path, tmp_path: Path) -> None:
     recording = record(quick_toml, tmp_path / "run", frames=4, before=1, passed_over=[0, 1])
+    sentence_of_version_0_2 = "passed over: the computer was behind, and a newer frame was there"
     assert [recording.start(index) is None for index in range(4)] == [True, True, False, False]
+    edit_line(recording, 1, problem=sentence_of_version_0_2)
     made = replayed(recording.folder, verify=True)
     assert made.verification is not None
     assert (made.verification.frames, made.verification.different) == (2, 0)

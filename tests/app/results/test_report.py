@@ -211,7 +211,7 @@ def test_second_page_shows_error_bars_and_lost_lenslets(summary: Summary, mine: 
     assert f"no light: {lost}" in said(figure)
     assert "frames lost" not in said(figure)
     edit_line(mine, 1, lost=3)
-    edit_line(mine, 3, problem="passed over", rms_rad=None)
+    edit_line(mine, 3, problem="skipped", rms_rad=None)
     other = summarise(Recording(mine.folder), None, lambda *_: None)
     assert other.statistics is not None
     assert len(other.statistics.frames) == FRAMES  # skipped only live
