@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from app.bench.config import Bench
 from app.errors import InputError, Interrupted
-from app.files import atomic_write, make_folder, write_csv
+from app.files import atomic_write, make_folder, write_whole
 from app.progress import Evaluate, Progress, named, part
 from app.run_facts import write_record
 from reconstruction.arrays import Floats
@@ -62,9 +62,8 @@ class Output:
     """The files of a study, or of all sweeps so far."""
 
     tree: Row  # for JSON
-    lines: Sequence[Row]  # for CSV
+    table: pd.DataFrame  # for CSV
     figure: Figure
-    columns: Sequence[str] = ()  # of the CSV; by default those of the lines
 
 
 class Printed(NamedTuple):
@@ -85,18 +84,30 @@ class Study:
     measure: Callable[[Bench, range, Progress], Iterable[CaseResult]]
 
     dims: ClassVar[tuple[str, ...]] = ()
+    key: ClassVar[str] = ""  # of the lines in the JSON
 
     @property
     def files(self) -> tuple[str, str, str]:
         """Names of JSON, CSV and PNG."""
         return f"{self.name}.json", f"{self.name}.csv", f"{self.name}.png"
 
-    def output(self, results: "Sequence[StudyResult]") -> Output:
-        """Return what is written of the newest of some results, which is of this study."""
+    def summary(self, data: pd.DataFrame) -> pd.DataFrame:
+        """Return the numbers over the repeats."""
         raise NotImplementedError
+
+    def output(self, results: "Sequence[StudyResult]") -> Output:
+        """Return what is written of the newest of some results, which is of this study; here its summary."""
+        data = results[-1].data
+        table = self.summary(data)
+        tree = {"seeds": results[-1].seeds, "title": self.title, self.key: known_rows(table)}
+        return Output(tree, table, self.figure(data))
 
     def printed(self, data: pd.DataFrame) -> Printed:
         """Return what is printed."""
+        raise NotImplementedError
+
+    def figure(self, data: pd.DataFrame) -> Figure:
+        """Return the figure."""
         raise NotImplementedError
 
 
@@ -175,13 +186,12 @@ class Sweep(Study):
     def output(self, results: Sequence[StudyResult]) -> Output:
         """Return the files of all sweeps so far."""
         sweeps = sweeps_of(results)
-        tree, lines, columns = dict[str, Row](), list[Row](), dict.fromkeys(("sweep", *self.dims))
+        tree, tables = dict[str, Row](), list[pd.DataFrame]()
         for sweep, data in sweeps:
             summary, curves = sweep.summary(data), dict[str, list[Row]]()
-            columns |= dict.fromkeys(summary.columns)
-            for row in known_rows(summary):
-                point = row | {"at": sweep.shown(row["at"])}
-                lines.append({"sweep": sweep.name, **point})
+            summary["at"] = [sweep.shown(at) for at in summary["at"]]
+            tables.append(summary)
+            for point in known_rows(summary):
                 curves.setdefault(point.pop("curve"), []).append(point)
             tree[sweep.name] = {"title": sweep.title, "axis": sweep.axis, "curves": curves}
         across = min(2, len(sweeps))
@@ -192,7 +202,8 @@ class Sweep(Study):
             sweep.draw(data, panel)
         for panel in axes[len(sweeps) :]:
             panel.set_axis_off()
-        return Output({"seeds": results[-1].seeds, "sweeps": tree}, lines, figure, [*columns])
+        table = pd.concat(tables, keys=tree, names=["sweep"]).reset_index("sweep")
+        return Output({"seeds": results[-1].seeds, "sweeps": tree}, table, figure)
 
     def printed(self, data: pd.DataFrame) -> Printed:
         """Return a line for each curve; for each position if these are more, and have names, which may be long."""
@@ -271,16 +282,14 @@ class TrialStudy(Study):
     dims: ClassVar = ("case",)
 
     @staticmethod
-    def trials(data: pd.DataFrame) -> list[Row]:
-        """Return case, name and known quantities of every trial; `as_asked` if within all its limits; `refusal`."""
+    def trials(data: pd.DataFrame) -> pd.DataFrame:
+        """Return case, name and quantities of every trial; `as_asked` if within all its limits; `refusal`."""
         quantities = quantities_of(data)
         limit = data[[f"{each}{_LIMIT}" for each in quantities]].to_numpy()
         as_asked = ((data[quantities].to_numpy() <= limit) | np.isnan(limit)).all(axis=1)  # false without a result
-        shown = data[["case", "name", *quantities]].assign(as_asked=as_asked, refusal=data["problem"])
-        return known_rows(shown)
+        return data[["case", "name", *quantities]].assign(as_asked=as_asked, refusal=data["problem"])
 
-    @staticmethod
-    def summary(data: pd.DataFrame) -> pd.DataFrame:
+    def summary(self, data: pd.DataFrame) -> pd.DataFrame:
         """Median, worst value and limit of every quantity of a case."""
         cases = data.groupby("case", observed=True)
         parts = []
@@ -293,34 +302,27 @@ class TrialStudy(Study):
     def output(self, results: Sequence[StudyResult]) -> Output:
         """Return the trials, counts and summary of each case, and the figure."""
         data = results[-1].data
-        trials, quantities = self.trials(data), quantities_of(data)
-        cases: dict[str, Row] = {}
-        for case in data["case"].cat.categories:
-            here = [each for each in trials if each["case"] == case]
-            counts = {"trials": len(here), "as_asked": sum(each["as_asked"] for each in here)}
-            refusals = [each["refusal"] for each in here if each["refusal"]]
-            cases[case] = {**counts, "refusals": refusals, **{quantity: {} for quantity in quantities}}
+        trials, cases = self.trials(data), dict[str, Row]()
+        for case, here in trials.groupby("case", observed=True):
+            refusals = [each for each in here["refusal"] if each]
+            cases[str(case)] = {"trials": len(here), "as_asked": int(here["as_asked"].sum()), "refusals": refusals}
         for row in known_rows(self.summary(data)):
             cases[row.pop("case")][row.pop("quantity")] = row
-        columns = ["case", "name", *quantities, "as_asked", "refusal"]
         tree = {"seeds": results[-1].seeds, "title": self.title, "cases": cases}
-        return Output(tree, trials, self.figure(data), columns)
+        return Output(tree, trials, self.figure(data))
 
     def printed(self, data: pd.DataFrame) -> Printed:
         """Return a line for each case, and the refusals."""
-        trials, quantities = self.trials(data), quantities_of(data)
-        cells: dict[tuple[str, str], str] = {}
-        for row in known_rows(self.summary(data)):
+        trials = self.trials(data)
+        are_as_asked = trials.groupby("case", observed=True)["as_asked"]
+        lines = {case: [case, f"{each.sum()} of {len(each)}"] for case, each in are_as_asked}
+        for row in known_rows(self.summary(data)):  # the quantities of a case in their order
             asked = f" ({row['asked']:g})" if "asked" in row else ""
             known = f"{row['median']:.3g} / {row['worst']:.3g}{asked}" if "worst" in row else "-"
-            cells[row["case"], row["quantity"]] = known
-        lines = []
-        for case in data["case"].cat.categories:
-            are_as_asked = [trial["as_asked"] for trial in trials if trial["case"] == case]
-            counted = f"{sum(are_as_asked)} of {len(are_as_asked)}"
-            lines.append([case, counted, *(cells[case, quantity] for quantity in quantities)])
-        refusals = (f"{each['case']}, {each['name']}: {each['refusal']}" for each in trials if each["refusal"])
-        return Printed(self.title, ("", "as asked", *quantities), lines, ["median / worst (limit)", *refusals])
+            lines[row["case"]].append(known)
+        refusals = [f"{each.case}, {each.name}: {each.refusal}" for each in trials.itertuples() if each.refusal]
+        headings = ("", "as asked", *quantities_of(data))
+        return Printed(self.title, headings, lines.values(), ["median / worst (limit)", *refusals])
 
     def figure(self, data: pd.DataFrame) -> Figure:
         """Draw every trial as a point, a panel per quantity, a row per case; short black lines are the limits."""
@@ -429,7 +431,6 @@ def write_newest(results: Sequence[StudyResult], out: Path) -> None:
     made = study.output(results)
     numbers, table, picture = (out / name for name in study.files)
     write_record(numbers, made.tree)
-    columns = made.columns or list(dict.fromkeys(name for line in made.lines for name in line))
-    write_csv(table, columns, ([line.get(name, "") for name in columns] for line in made.lines))
+    write_whole(table, made.table.to_csv(index=False, lineterminator="\r\n"))
     with atomic_write(picture) as temporary:
         made.figure.savefig(temporary, dpi=100)

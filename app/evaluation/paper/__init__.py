@@ -254,7 +254,7 @@ class ComparisonTable(Study):
             | {f"real_{name}": value for name, value in ours["real"].get(method, {}).items()}
             for method in dict.fromkeys([*ours["neglected"], *ours["real"]])
         ]
-        return Output(tree, lines, self.figure(data))
+        return Output(tree, pd.DataFrame(lines, dtype=object), self.figure(data))
 
     def printed(self, data: pd.DataFrame) -> Printed:
         """Return a line for each method."""

@@ -1,6 +1,6 @@
 """Corrected images beside the truth: photographs through a strongly space-variant screen, restored in several ways."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, ClassVar
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from app.bench.config import Bench
 from app.evaluation.frames import NoiseFreeFrames, seeded, simulate, with_screen
-from app.evaluation.studies import CaseResult, Output, Printed, Study, StudyResult, known_rows
+from app.evaluation.studies import CaseResult, Printed, Study
 from app.measurement.bench_reconstructor import BenchReconstructor
 from app.progress import Progress
 from reconstruction.arrays import Floats
@@ -140,14 +140,13 @@ class PhotographStudy(Study):
     """Restored photographs of several objects: `image` (row, column) over the object's peak, and `psnr_db`."""
 
     dims: ClassVar = ("object", "way")
+    key: ClassVar = "photographs"
 
-    def output(self, results: Sequence[StudyResult]) -> Output:
-        """Return mean, lowest and highest peak signal-to-noise ratio over the repeats, dB, and the pictures."""
-        data = results[-1].data
+    def summary(self, data: pd.DataFrame) -> pd.DataFrame:
+        """Mean, lowest and highest peak signal-to-noise ratio over the repeats, dB."""
         psnr_db = data.groupby([*self.dims], observed=True)["psnr_db"]
         summary = pd.DataFrame({"mean_db": psnr_db.mean(), "least_db": psnr_db.min(), "most_db": psnr_db.max()})
-        lines = known_rows(summary.dropna().reset_index())
-        return Output({"seeds": results[-1].seeds, "title": self.title, "photographs": lines}, lines, self.figure(data))
+        return summary.dropna().reset_index()
 
     def printed(self, data: pd.DataFrame) -> Printed:
         """Return a line for each object."""

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, seeded, with_screen, with_source
-from app.evaluation.studies import CaseResult, Output, Printed, Study, StudyResult, Sweep, known_rows
+from app.evaluation.studies import CaseResult, Printed, Study, Sweep
 from app.evaluation.study.estimators import compared, mean_rms_within, warp_estimator, with_rms
 from app.evaluation.study.noise import bound_rad, camera, error_bar_rad, scatter_of, true_lenslet, without_prior
 from app.evaluation.study.sweeps import NEAR_SOURCE, lit_views
@@ -285,20 +285,14 @@ class MaskComparison(Study):
     """Predictions for many masks, sorted by the bound at the middle exposure."""
 
     dims: ClassVar = ("mask",)
+    key: ClassVar = "masks"
 
-    @staticmethod
-    def summary(data: pd.DataFrame) -> pd.DataFrame:
+    def summary(self, data: pd.DataFrame) -> pd.DataFrame:
         """Return a row for each mask that could be predicted: means over the seeds, the best first."""
         means = data.groupby("mask", observed=True).mean(numeric_only=True)
         if "light" not in means:
             raise InputError("; ".join(f"mask {row.mask}: {row.problem}" for row in data.itertuples()))
         return means.dropna(subset="light").sort_values(_BOUNDS[PEAKS_E[1]]).reset_index()
-
-    def output(self, results: Sequence[StudyResult]) -> Output:
-        """Return the masks, the best first, and error against light."""
-        data = results[-1].data
-        lines = known_rows(self.summary(data).astype({"mask": str}))
-        return Output({"seeds": results[-1].seeds, "title": self.title, "masks": lines}, lines, self.figure(data))
 
     def printed(self, data: pd.DataFrame) -> Printed:
         """Return a line for each mask, the best first."""

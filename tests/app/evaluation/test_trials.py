@@ -40,15 +40,15 @@ def measure(_bench: Bench, seeds: range, _progress: Progress) -> Iterator[CaseRe
 STUDY = TrialStudy(name="made", title="Made up", measure=measure)
 
 
-def trials_of(study: TrialStudy, small_toml: Path) -> tuple[pd.DataFrame, list[dict[str, object]]]:
+def trials_of(study: TrialStudy, small_toml: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
     data = collect(study.dims, study.measure(load_bench(small_toml), range(1), lambda *_: None))
-    return data, list(study.trials(data))
+    return data, study.trials(data)
 
 
 def test_trial_is_as_asked_within_all_limits() -> None:
     results = [made("", a=2.0, b=0.0), made("", a=2.1, b=0.0), made("", a=1.0, b=math.nan)]
     trials = STUDY.trials(collect(STUDY.dims, results))
-    assert [each["as_asked"] for each in trials] == [True, False, False]
+    assert trials["as_asked"].tolist() == [True, False, False]
 
 
 def test_trials_are_written_and_printed(
@@ -81,12 +81,12 @@ def test_trials_are_written_and_printed(
 def test_calibration_meets_its_limits(small_toml: Path) -> None:
     data, trials = trials_of(calibration_trials(FOREIGN_FRAMES), small_toml)
     cases = data["case"].tolist()
-    assert cases == [each["case"] for each in trials]  # one each
+    assert cases == trials["case"].tolist()  # one each
     assert {case.rpartition(", ")[2] for case in cases} == {"clean", "faint"}
     assert {"square_reference.tif, clean", "random lattices, stars, faint"} <= set(cases)
-    assert not any(each["refusal"] for each in trials)
+    assert not trials["refusal"].any()
     timeless = data.drop(columns=["CPU time (s)", "CPU time (s), limit"])
-    assert all(each["as_asked"] for each in TrialStudy.trials(timeless))
+    assert TrialStudy.trials(timeless)["as_asked"].all()
     limits = data[data["case"] == "random lattices, square, faint"].iloc[0]
     assert [limits[f"{name}, limit"] for name in ("centre (px)", "pitch (px)", "rotation (mrad)")] == [0.2, 0.04, 0.4]
 
@@ -118,7 +118,7 @@ def test_calibration_measures_wrong_results(monkeypatch: pytest.MonkeyPatch, sma
 
     monkeypatch.setattr(module, "survey", wrong)
     results = calibration_trials().measure(load_bench(small_toml), range(1), lambda *_: None)
-    (first,) = TrialStudy.trials(collect(TrialStudy.dims, itertools.islice(results, 1)))
+    first = TrialStudy.trials(collect(TrialStudy.dims, itertools.islice(results, 1))).iloc[0]
     expected = {
         "centre (px)": 5.0,
         "pitch (px)": 0.25,
@@ -137,11 +137,12 @@ def test_exposure_meets_its_limits_or_reports_the_problem(monkeypatch: pytest.Mo
     monkeypatch.setattr(module, "_IMAGES", {"squares": module._IMAGES["squares"]})
     _, trials = trials_of(module.EXPOSURE, small_toml)
     assert len(trials) == 3 * module._STARTS * module._RIGHT
-    assert all(each["as_asked"] for each in trials)
-    assert {each["frames"] for each in trials} >= {1, 3, 4}
+    assert trials["as_asked"].all()
+    assert set(trials["frames"]) >= {1, 3, 4}
     monkeypatch.setattr(module, "_RIGHT", 1)
     dark = {**module._EIGHT, "well_counts": 100.0}
     monkeypatch.setattr(module, "_CAMERAS", (module._Camera("full", Range(0.01, 1.0), dark),))
-    _, (first, *_) = trials_of(module.EXPOSURE, small_toml)
+    _, trials = trials_of(module.EXPOSURE, small_toml)
+    first = trials.iloc[0]
     assert not first["as_asked"]
     assert "do not follow" in str(first["refusal"])
