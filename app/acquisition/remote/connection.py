@@ -22,9 +22,9 @@ from app.acquisition.instrument import Instrument, Status
 from app.acquisition.place import DYING_S, NAME, Place, clear_abandoned
 from app.acquisition.process_state import Condition, ProcessState
 from app.acquisition.remote.frames import RemoteFrames
-from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Hello, Notice, Sign, State, Traveller, Wanted
+from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Hello, Notice, Sign, State, Traveller
 from app.acquisition.remote.outbox import ANSWER_S, Outbox
-from app.acquisition.remote.wire import Packed
+from app.acquisition.remote.wire import Packed, unpacked
 from app.acquisition.wake import Wake
 from app.bench.config import Bench
 from app.errors import RunError
@@ -94,7 +94,7 @@ class Connection:
         self._has_state, self._closing = threading.Event(), threading.Event()
         self._ended: Exception | None = None
         self._outbox = Outbox(lambda: self.error or RunError(_CLOSED))
-        self._arrivals = Arrivals(self._ask)
+        self._arrivals = Arrivals()
         self._pause_s = 0.0 if sinks else _SHOWN_S
         self._frames = RemoteFrames(self._arrivals.find, (self._note, *sinks), self._pause_s)
         self._heard_s = self._said_s = math.inf  # until the instrument is reached
@@ -258,13 +258,9 @@ class Connection:
         self._frames.join(timeout_s)
 
     def _send(self, request: str, *arguments: Any, **named: Any) -> Future[Any]:
-        future = self._outbox.add_command(request, arguments, named)
+        future = self._outbox.add(request, arguments, named)
         self._wake.notify()
         return future
-
-    def _ask(self, number: int) -> None:
-        self._outbox.add(Wanted(number))
-        self._wake.notify()
 
     def _note(self, measurement: Measurement) -> None:
         self.timings.note("to_result", measurement.latency_s)
@@ -317,8 +313,7 @@ class Connection:
         is_gone = self._monitor in ready and recv_monitor_message(self._monitor)["event"] == zmq.EVENT_DISCONNECTED
         while self._socket.poll(0):
             self._heard_s = time.monotonic()
-            for message in self._arrivals.receive(self._socket.recv()):
-                self._take(message)
+            self._take(unpacked(self._socket.recv(), self._arrivals.find))
         if is_gone and self._ended is None:
             self._is_gone, self._started = True, ()
             clear_abandoned(self.place.name, DYING_S)
@@ -346,7 +341,7 @@ class Connection:
             case Notice():
                 self._frames.announce(message)
             case Traveller():
-                self._frames.try_again()
+                self._arrivals.keep(message)
             case Accepted():
                 self._outbox.note_accepted(message.number)
             case Answer():

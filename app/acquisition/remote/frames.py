@@ -74,10 +74,6 @@ class RemoteFrames:
             self._notice = notice
             self._has_news.notify_all()
 
-    def try_again(self) -> None:
-        """Read the next record again, as an object that was absent has arrived."""
-        self.announce(replace(self._notice))
-
     def outdate(self, count: int) -> None:
         """Let no sink receive records up to a count any more: they were measured before a command was executed."""
         with self._delivering:
@@ -122,7 +118,7 @@ class RemoteFrames:
                     self._wait_for_news(notice)
 
     def _wait_for_news(self, notice: Notice) -> None:
-        """Wait until there is another notice than this one; not for long, as an absent object is asked for again."""
+        """Wait until there is another notice than this one; not for long, as an absent object comes without one."""
         with self._has_news:
             self._has_news.wait_for(lambda: self._notice is not notice or self._closing.is_set(), _WAIT_S)
 

@@ -2,17 +2,16 @@
 
 import math
 import threading
-import time
-from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, TypeVar
+from typing import Any
 
 from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Status
 from app.acquisition.process_state import ProcessState
-from app.acquisition.remote.wire import Absent, unpacked
+from app.acquisition.remote.wire import Absent
 from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
@@ -24,11 +23,8 @@ from drivers import errors
 from reconstruction.errors import ReconstructionError
 from reconstruction.registration.gauss_newton import Propagated
 
-M = TypeVar("M")
-
 MOST_BYTES = 2**28  # of a message to the instrument: a calibration of 2048 x 2048 pixels has a third
 _KEPT = 8  # objects; in use are two or three
-_ASK_AGAIN_S = 3.0  # for an object
 _ERRORS: dict[str, type[Exception]] = {
     each.__name__: each
     for each in (
@@ -63,18 +59,6 @@ class Command:
     named: Mapping[str, Any] = field(default_factory=dict)
     may_light: bool = True  # False if the light was switched off after it, but before it was sent or heard
     until_s: float = math.inf  # the latest begin, of `time.monotonic()`: soon after, its client gives it up
-
-
-def held_off(message: M) -> M:
-    """Return a message that precedes one to switch the light off: a command may not light."""
-    return replace(message, may_light=False) if isinstance(message, Command) else message
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """A client lacks an object."""
-
-    number: int
 
 
 class Sign(Enum):
@@ -157,10 +141,11 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Traveller:
-    """An object by itself."""
+    """An object by itself, sent before any message that has its number, and the numbers that still occur in some."""
 
     number: int
     value: Any
+    kept: tuple[int, ...]
 
 
 class Travellers:
@@ -188,73 +173,30 @@ class Travellers:
             _trim(self._numbered)
             return self._last
 
-    def __getitem__(self, number: int) -> Any:
+    def after(self, number: int) -> list[Traveller]:
+        """The objects with higher numbers, in their order."""
         with self._lock:
-            return next((value for found, value in self._numbered.values() if found == number), None)
+            kept = sorted(self._numbered.values(), key=lambda each: each[0])
+        numbers = tuple(each for each, _ in kept)
+        return [Traveller(each, value, numbers) for each, value in kept if each > number]
 
 
 class Arrivals:
-    """A client's end of that: messages in the order in which they were sent, with their objects.
+    """A client's end of that: the objects that have arrived. One thread keeps them, two find them."""
 
-    One thread receives; two find objects.
-    """
+    def __init__(self) -> None:
+        self._objects: dict[int, Any] = {}
 
-    def __init__(self, ask: Callable[[int], object]) -> None:
-        """`ask` requests the object of a number."""
-        self._ask, self._lock = ask, threading.Lock()
-        self._objects: OrderedDict[int, Any] = OrderedDict()
-        self._asked_s: dict[int, float] = {}
-        self._waiting: deque[bytes | bytearray] = deque()
+    def keep(self, traveller: Traveller) -> None:
+        """Keep an object, unless it is there already, and those that still occur in messages."""
+        known = {traveller.number: traveller.value} | self._objects
+        self._objects = {number: value for number, value in known.items() if number in traveller.kept}
 
     def find(self, number: int) -> Any:
-        """Return the object of a number; if it has not come, it is asked for, and `Absent` raised."""
-        with self._lock:
-            if number in self._objects:
-                self._objects.move_to_end(number)
-                return self._objects[number]
-            now_s = time.monotonic()
-            is_due = now_s > self._asked_s.get(number, -math.inf) + _ASK_AGAIN_S
-            if is_due:
-                self._asked_s[number] = now_s
-        if is_due:
-            self._ask(number)
-        raise Absent(number)
-
-    def receive(self, body: bytes | bytearray) -> Iterator[Any]:
-        """Yield the messages that can be read now: one whose object is missing waits, and those behind it, too."""
-        try:
-            message = unpacked(body, self.find)
-        except Absent:
-            self._waiting.append(body)
-            return
-        if isinstance(message, Traveller):
-            self._keep(message)
-            yield message
-            yield from self._released(message.number)
-        elif self._waiting:
-            self._waiting.append(body)
-        else:
-            yield message
-
-    def _keep(self, traveller: Traveller) -> None:
-        with self._lock:
-            self._asked_s.pop(traveller.number, None)
-            if traveller.value is not None:
-                self._objects[traveller.number] = traveller.value
-                _trim(self._objects)
-
-    def _released(self, number: int) -> Iterator[Any]:
-        """Yield what waited; left out is a state whose object has come as None: the instrument has a newer one."""
-        while self._waiting:
-            try:
-                message = unpacked(self._waiting[0], self.find)
-            except Absent as absent:
-                if absent.args != (number,):
-                    return
-                self._waiting.popleft()
-            else:
-                self._waiting.popleft()
-                yield message
+        """Return the object of a number; raise `Absent` if it has not arrived."""
+        if number not in (objects := self._objects):
+            raise Absent(number)
+        return objects[number]
 
 
 def _trim(kept: OrderedDict[int, Any]) -> None:

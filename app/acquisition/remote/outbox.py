@@ -1,4 +1,4 @@
-"""Messages of a client that wait to be sent, and its commands that wait for an answer."""
+"""Commands of a client that wait to be sent, or for an answer."""
 
 import itertools
 import math
@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any
 
-from app.acquisition.remote.messages import MOST_BYTES, Answer, Command, Wanted, held_off
+from app.acquisition.remote.messages import MOST_BYTES, Answer, Command
 from app.acquisition.remote.wire import Packed
 from app.errors import RunError
 from drivers.errors import BadValue
@@ -19,22 +19,17 @@ _ON_ITS_WAY_S = 1.0  # for the news that it was accepted
 
 
 class Outbox:
-    """Takes messages from any thread, for the one that sends them."""
+    """Takes commands from any thread, for the one that sends them."""
 
     def __init__(self, loss: Callable[[], Exception]) -> None:
         """`loss` tells why nothing is sent any more, after `close`."""
         self._loss, self._is_closed = loss, False
         self._numbers, self._lock = itertools.count(1), threading.Lock()
-        self._waiting: list[Command | Wanted] = []
+        self._waiting: list[Command] = []
         self._unanswered: dict[int, tuple[Future[Any], float]] = {}  # with the time when the command was sent
         self._accepted: set[int] = set()
 
-    def add(self, message: Wanted) -> None:
-        """Take a message that has no answer."""
-        with self._lock:
-            self._waiting.append(message)
-
-    def add_command(self, request: str, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> Future[Any]:
+    def add(self, request: str, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> Future[Any]:
         """Take a command; return the future of its result. One to switch the light off holds for all that wait."""
         future: Future[Any] = Future()
         future.set_running_or_notify_cancel()  # what is sent cannot be called back
@@ -50,7 +45,7 @@ class Outbox:
         with self._lock:
             if not self._is_closed:
                 if request == "switch_light_off":
-                    self._waiting = [held_off(earlier) for earlier in self._waiting]
+                    self._waiting = [replace(earlier, may_light=False) for earlier in self._waiting]
                 self._unanswered[command.number] = future, math.inf
                 self._waiting.append(command)
                 return future
@@ -58,16 +53,15 @@ class Outbox:
         return future
 
     def take(self) -> list[bytearray]:
-        """Return the messages that are sent now; a command must begin before it is given up here."""
+        """Return the messages to send now; a command must begin before it is given up here."""
         now_s = time.monotonic()
         with self._lock:
             taken, self._waiting = self._waiting, []
-            for message in taken:
-                if isinstance(message, Command) and message.number in self._unanswered:
-                    self._unanswered[message.number] = self._unanswered[message.number][0], now_s
+            for command in taken:
+                if command.number in self._unanswered:
+                    self._unanswered[command.number] = self._unanswered[command.number][0], now_s
         until_s = now_s + ANSWER_S - _ON_ITS_WAY_S
-        timed = [replace(one, until_s=until_s) if isinstance(one, Command) else one for one in taken]
-        return [Packed(message).message() for message in timed]
+        return [Packed(replace(command, until_s=until_s)).message() for command in taken]
 
     def note_accepted(self, number: int) -> None:
         """Note that a command has arrived, and may take its time."""

@@ -32,10 +32,7 @@ from app.acquisition.remote.messages import (
     RingRecord,
     Sign,
     State,
-    Traveller,
     Travellers,
-    Wanted,
-    held_off,
     watching,
 )
 from app.acquisition.remote.ring import RingWriter
@@ -87,6 +84,7 @@ class _Client:
     pause_s: float
     heard_s: float
     is_behind: bool = False  # news were left out for it
+    objects: int = 0  # number of the last one that was sent to it
 
 
 class Server:
@@ -239,7 +237,7 @@ class Server:
             except RunError:  # of another version
                 continue
             if isinstance(message, Command) and message.request == "switch_light_off":
-                arrived = [(who, held_off(earlier)) for who, earlier in arrived]
+                arrived = [(who, _held_off(earlier)) for who, earlier in arrived]
             arrived.append((identity, message))
         return arrived
 
@@ -257,8 +255,6 @@ class Server:
             self._tell(identity, Sign.FORGOTTEN)
         elif isinstance(message, Command):
             self._execute(identity, message)
-        elif isinstance(message, Wanted):
-            self._tell(identity, Traveller(message.number, self._travellers[message.number]))
         elif message is Sign.BYE:
             self._forget(identity)
         if (client := self._clients.get(identity)) is not None:
@@ -375,6 +371,7 @@ class Server:
         for identity, client in self._clients.items():
             client.is_behind |= now_s > client.heard_s + _BEHIND_S
             if not client.is_behind:
+                self._tell_objects(identity)
                 self._socket.send_multipart([identity, packed])
 
     def _tell_news(self, identity: bytes) -> None:
@@ -384,4 +381,19 @@ class Server:
     def _tell(self, identity: bytes, message: object) -> None:
         """Send a message; only states refer to objects that travel by themselves."""
         packed = Packed(message, self._travellers.number) if isinstance(message, State) else Packed(message)
+        if isinstance(message, State):
+            self._tell_objects(identity)
         self._socket.send_multipart([identity, packed.message()])
+
+    def _tell_objects(self, identity: bytes) -> None:
+        """Send the objects that were numbered since the last time."""
+        client = self._clients.get(identity)
+        for traveller in self._travellers.after(0 if client is None else client.objects):
+            self._tell(identity, traveller)
+            if client is not None:
+                client.objects = traveller.number
+
+
+def _held_off(message: Any) -> Any:
+    """Return a message that precedes one to switch the light off: a command may not light."""
+    return replace(message, may_light=False) if isinstance(message, Command) else message

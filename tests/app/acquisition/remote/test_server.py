@@ -17,7 +17,7 @@ from support.served import connected, newest, served
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.remote.connection import reach
-from app.acquisition.remote.messages import MOST_BYTES, Accepted, Answer, Command, Hello, Notice, Sign, State
+from app.acquisition.remote.messages import MOST_BYTES, Accepted, Answer, Command, Hello, Notice, Sign, State, Traveller
 from app.acquisition.remote.ring import RingReader
 from app.acquisition.remote.server import Server
 from app.acquisition.remote.wire import Packed, unpacked
@@ -135,6 +135,16 @@ def test_a_client_that_does_not_read_gets_no_news_until_it_does(
     assert server._ring is not None
     assert told
     assert told[0] > 20
+
+
+def test_objects_are_sent_once_to_each_client(server: Server) -> None:
+    with connected() as connection:
+        newest(connection)  # a calibration and two benches have numbers
+        with silent_client(server) as socket:
+            send_notices(server, 3)
+            told = [each.number for each in read_all(socket) if isinstance(each, Traveller)]
+    assert len(told) >= 3
+    assert told == sorted(set(told))
 
 
 @pytest.mark.parametrize("is_every_frame_read", [False, True])

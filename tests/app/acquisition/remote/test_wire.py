@@ -17,8 +17,8 @@ from hypothesis import strategies as some
 from hypothesis.extra import numpy as some_numpy
 from support.optics import SmallBench
 
-from app.acquisition.remote.messages import Arrivals, Command, Failure, Notice, Traveller, Travellers
-from app.acquisition.remote.wire import Packed, unpacked
+from app.acquisition.remote.messages import Arrivals, Command, Failure, Notice, Travellers
+from app.acquisition.remote.wire import Absent, Packed, unpacked
 from app.bench.config import load_bench
 from app.bench.presets import PRESETS
 from app.errors import InputError, RunError
@@ -159,10 +159,11 @@ def test_large_objects_travel_once() -> None:
     first, again = (Packed((bench, 1), travellers.number) for _ in range(2))
     number = travellers.number(bench)
     assert number is not None
-    assert travellers[number] is bench
-    assert travellers[number + 1] is None
+    (traveller,) = travellers.after(0)
+    assert (traveller.number, traveller.value, traveller.kept) == (number, bench, (number,))
+    assert not travellers.after(number)
     assert first.nbytes == again.nbytes < 200
-    assert unpacked(first.message(), travellers.__getitem__) == (bench, 1)
+    assert unpacked(first.message(), {number: bench}.__getitem__) == (bench, 1)
     assert travellers.number(replace(bench)) != number
     assert travellers.number(Notice("", 1)) is None
 
@@ -195,33 +196,37 @@ def test_calibration_arrives_whole(checker_bench: SmallBench) -> None:
     assert math.isinf(found.full_scale)
 
 
-def arrivals() -> tuple[Arrivals, list[int]]:
-    asked = list[int]()
-    return Arrivals(asked.append), asked
+def numbers_of(arrivals: Arrivals) -> list[int]:
+    return [number for number in range(1, 40) if is_there(arrivals, number)]
 
 
-def test_messages_are_read_in_the_order_in_which_they_were_sent() -> None:
-    travellers, (bench, other) = Travellers(), [load_bench(name) for name in ("small_demo", "live_demo")]
-    sent = [("state", bench), ("state", other), "an answer"]
-    bodies = [Packed(each, travellers.number).message() for each in sent]
-    received, asked = arrivals()
-    read = [message for body in bodies for message in received.receive(body)]
-    assert read == []
-    for value in (other, bench):  # the first one's object comes last
-        number = travellers.number(value)
-        assert number in asked
-        read += received.receive(Packed(Traveller(number, value)).message())
-    assert [each for each in read if not isinstance(each, Traveller)] == sent
+def is_there(arrivals: Arrivals, number: int) -> bool:
+    try:
+        arrivals.find(number)
+    except Absent:
+        return False
+    return True
 
 
-def test_a_message_whose_object_is_gone_is_left_out() -> None:
-    travellers, (bench, other) = Travellers(), [load_bench(name) for name in ("small_demo", "live_demo")]
-    received, _ = arrivals()
-    read = list[Any]()
-    for message in (("state", bench), ("state", other), "an answer"):
-        read += received.receive(Packed(message, travellers.number).message())
-    for value, there in ((other, other), (bench, None)):
-        number = travellers.number(value)
-        assert number is not None
-        read += received.receive(Packed(Traveller(number, there)).message())
-    assert [each for each in read if not isinstance(each, Traveller)] == [("state", other), "an answer"]
+def test_objects_arrive_once_and_are_kept_as_long_as_messages_have_their_numbers() -> None:
+    travellers, arrivals, bench = Travellers(), Arrivals(), load_bench("small_demo")
+    others = [replace(bench) for _ in range(10)]
+    sent = 0
+    for count, other in enumerate(others, start=2):
+        message = Packed((bench, other), travellers.number).message()
+        for traveller in travellers.after(sent):
+            arrivals.keep(there_and_back(traveller))
+            sent = traveller.number
+        first, second = unpacked(message, arrivals.find)
+        assert (first, second) == (bench, other)
+        assert first is arrivals.find(1)  # the same one, and not another copy
+        assert sent == count
+    assert numbers_of(arrivals) == [1, *range(5, 12)]
+    assert [each.number for each in travellers.after(0)] == [1, *range(5, 12)]  # for a client that comes now
+    arrivals.keep(there_and_back(travellers.after(0)[0]))  # again
+    assert arrivals.find(1) is first
+
+
+def test_object_that_has_not_arrived_is_absent() -> None:
+    with pytest.raises(Absent):
+        unpacked(Packed(load_bench("small_demo"), Travellers().number).message(), Arrivals().find)
