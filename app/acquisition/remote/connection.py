@@ -17,7 +17,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
-from app.acquisition.carrier import WINDOW, Activity
+from app.acquisition.carrier import Activity, Carrier
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.place import DYING_S, NAME, Place, clear_abandoned
 from app.acquisition.process_state import Condition, ProcessState
@@ -29,8 +29,7 @@ from app.acquisition.wake import Wake
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import FrameTotals, Measurement
-from app.measurement.sensor_region import SensorArea
-from app.recording.recorder import RecordingLimit, RecordingState
+from app.recording.recorder import RecordingState
 from app.timing import StageTimes, TimedStage, Timings
 
 _COUNT = itertools.count(1)  # of connections of this process
@@ -66,6 +65,16 @@ def reach(
     connection = Connection(what, Place.of(name), sinks, controls=controls)
     connection.wait()
     return connection
+
+
+def _sent(request: Callable[Concatenate[Carrier, P], Future[T]]) -> Callable[Concatenate["Connection", P], Future[T]]:
+    """Return the same request of a connection; relative paths are those of this process."""
+
+    def send(connection: "Connection", /, *arguments: P.args, **named: P.kwargs) -> Future[T]:
+        absolute = (each.absolute() if isinstance(each, Path) else each for each in arguments)
+        return connection._send(request.__name__, *absolute, **named)  # noqa: SLF001 - one of its methods
+
+    return send
 
 
 class Connection:
@@ -189,48 +198,15 @@ class Connection:
         """Execute a request of the instrument between two frames, as `submit(Instrument.take_dark, 20)`."""
         return self._send(request.__name__, *arguments, **named)
 
-    def cancel(self) -> Future[None]:
-        """End the current routine."""
-        return self._send("cancel")
-
-    def switch_light_off(self) -> Future[None]:
-        """Switch the light off at once; watching clients may, too."""
-        return self._send("switch_light_off")
-
-    def set_area(self, area: SensorArea) -> Future[SensorArea]:
-        """Read out another area of the sensor."""
-        return self._send("set_area", area)
-
-    def show_file(self, path: Path) -> Future[None]:
-        """Stop the camera, and show an image file as if it came from there."""
-        return self._send("show_file", path.absolute())
-
-    def start_recording(
-        self,
-        folder: Path,
-        *,
-        command: str = WINDOW,
-        limit: RecordingLimit = RecordingLimit(),  # noqa: B008 - immutable
-        may_rename: bool = False,
-    ) -> Future[None]:
-        """Let the instrument record every frame; see `Acquisition.start_recording`."""
-        return self._send("start_recording", folder.absolute(), command=command, limit=limit, may_rename=may_rename)
-
-    def limit_recording(self, limit: RecordingLimit) -> Future[None]:
-        """Replace the limit of the current recording."""
-        return self._send("limit_recording", limit)
-
-    def stop_recording(self) -> Future[None]:
-        """End the current recording."""
-        return self._send("stop_recording")
-
-    def keep_recent(self, folder: Path, *, may_rename: bool = False) -> Future[None]:
-        """Let the instrument write its last ten seconds as a recording."""
-        return self._send("keep_recent", folder.absolute(), may_rename=may_rename)
-
-    def free_minutes(self, folder: Path) -> Future[float]:
-        """Find the recording time left in a folder at the current rate."""
-        return self._send("free_minutes", folder.absolute())
+    cancel = _sent(Carrier.cancel)
+    switch_light_off = _sent(Carrier.switch_light_off)  # watching clients may, too
+    set_area = _sent(Carrier.set_area)
+    show_file = _sent(Carrier.show_file)
+    start_recording = _sent(Carrier.start_recording)
+    limit_recording = _sent(Carrier.limit_recording)
+    stop_recording = _sent(Carrier.stop_recording)
+    keep_recent = _sent(Carrier.keep_recent)
+    free_minutes = _sent(Carrier.free_minutes)
 
     def take_control(self) -> Future[None]:
         """Take control from whoever has it."""
@@ -357,6 +333,5 @@ class Connection:
         self.timings.there = dict(state.timings)
         self._started, self._is_gone = state.processes, not state.is_alive
         if self._is_gone and self._ended is None:
-            ended_by = state.ended_by
-            self._ended = RunError("the instrument was shut down") if ended_by is None else ended_by.error()
+            self._ended = state.ended_by or RunError("the instrument was shut down")
         self._has_state.set()

@@ -25,14 +25,11 @@ from reconstruction.registration.gauss_newton import Propagated
 
 MOST_BYTES = 2**28  # of a message to the instrument: a calibration of 2048 x 2048 pixels has a third
 _KEPT = 8  # objects; in use are two or three
-_ERRORS: dict[str, type[Exception]] = {
-    each.__name__: each
-    for each in (
-        *(errors.BadValue, errors.Busy, errors.DeviceError, errors.DeviceTimeout, errors.Disconnected),
-        *(errors.FrameLost, errors.Unsupported, errors.WrongState),
-        *(InputError, RunError, Cancelled, RoutineError, ReconstructionError),
-    )
-}
+_ERRORS = (
+    *(errors.BadValue, errors.Busy, errors.DeviceError, errors.DeviceTimeout, errors.Disconnected),
+    *(errors.FrameLost, errors.Unsupported, errors.WrongState),
+    *(InputError, RunError, Cancelled, RoutineError, ReconstructionError),
+)
 
 
 def watching(controller: str) -> str:
@@ -69,22 +66,10 @@ class Sign(Enum):
     FORGOTTEN = "a client was silent for too long: it may say hello again"
 
 
-@dataclass(frozen=True, slots=True)
-class Failure:
-    """An exception in words."""
-
-    kind: str
-    text: str
-
-    @classmethod
-    def of(cls, error: BaseException) -> "Failure":
-        """Describe an exception; an unexpected one is a `RunError` with its name."""
-        known = next((kind.__name__ for kind in type(error).__mro__ if kind.__name__ in _ERRORS), None)
-        return cls("RunError", f"{type(error).__name__}: {error}") if known is None else cls(known, str(error))
-
-    def error(self) -> Exception:
-        """The exception."""
-        return _ERRORS.get(self.kind, RunError)(self.text)
+def told(error: BaseException) -> Exception:
+    """Return an error as a client gets it; an unexpected one is a `RunError` with its name."""
+    known = next((kind for kind in type(error).__mro__ if kind in _ERRORS), None)
+    return RunError(f"{type(error).__name__}: {error}") if known is None else known(str(error))
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +83,7 @@ class State:
     counts: FrameTotals
     recording: RecordingState | None
     kept: RecordingState | None
-    ended_by: Failure | None
+    ended_by: Exception | None = field(compare=False)
     is_alive: bool
     timings: Mapping[TimedStage, StageTimes]
     clients: tuple[str, ...]
@@ -131,11 +116,11 @@ class Accepted:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A command is done: its result or its failure, and the count of the newest frame then; follows the state then."""
+    """A command is done: its result or its error, and the count of the newest frame then; follows the state then."""
 
     number: int
     result: Any
-    failure: Failure | None
+    error: Exception | None
     count: int
 
 

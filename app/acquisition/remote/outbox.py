@@ -71,10 +71,10 @@ class Outbox:
         """Resolve the future of a command."""
         self._accepted.discard(answer.number)
         future, _ = self._unanswered.pop(answer.number, (None, 0.0))
-        if future is not None and answer.failure is None:
+        if future is not None and answer.error is None:
             future.set_result(answer.result)
-        elif future is not None and answer.failure is not None:
-            future.set_exception(answer.failure.error())
+        elif future is not None:
+            future.set_exception(answer.error)
 
     def give_up_lost(self) -> None:
         """Fail the commands that have not been accepted in time."""

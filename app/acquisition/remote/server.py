@@ -26,13 +26,13 @@ from app.acquisition.remote.messages import (
     Accepted,
     Answer,
     Command,
-    Failure,
     Hello,
     Notice,
     RingRecord,
     Sign,
     State,
     Travellers,
+    told,
     watching,
 )
 from app.acquisition.remote.ring import RingWriter
@@ -117,7 +117,7 @@ class Server:
         self._sent_s, self._timings_s = -math.inf, -math.inf
         self._turned_s = math.inf  # when messages were read last
         self._timings: dict[TimedStage, StageTimes] = {}
-        self._noticed = ("", 0)
+        self._noticed = self._notice()
         self._is_over = False
         self._fault: Exception | None = None  # of this end
         self._wake = Wake()
@@ -218,10 +218,9 @@ class Server:
         self._write_if_due()
         while self._done:
             self._answer(*self._done.popleft())
-        noticed = ("", 0) if (ring := self._ring) is None else (ring.place, ring.count)
-        if noticed != self._noticed:
-            self._noticed = noticed
-            self._tell_all(Notice(*noticed))
+        if (notice := self._notice()) != self._noticed:
+            self._noticed = notice
+            self._tell_all(notice)
         if now_s > self._sent_s + _STATE_S:
             self._tell_state()
 
@@ -327,15 +326,15 @@ class Server:
         self._write()  # what was measured before the command was done
         count = 0 if self._ring is None else self._ring.count
         result = None if error is not None else future.result()
-        failure = None if error is None else Failure.of(error)
+        error = None if error is None else told(error)
         self._tell_state(has_new_timings=False)  # they would delay it by milliseconds
         client = self._clients.get(identity)
         if client is None or client.is_behind:  # it gets no news
             self._tell(identity, self._present())
         try:
-            self._tell(identity, Answer(number, result, failure, count))
+            self._tell(identity, Answer(number, result, error, count))
         except TypeError as unsendable:
-            self._tell(identity, Answer(number, None, Failure.of(unsendable), count))
+            self._tell(identity, Answer(number, None, told(unsendable), count))
 
     def _present(self, *, is_over: bool = False) -> State:
         acquisition = self.acquisition
@@ -349,7 +348,7 @@ class Server:
             counts=acquisition.counts,
             recording=acquisition.recording,
             kept=acquisition.kept,
-            ended_by=None if fault is None else Failure.of(fault),
+            ended_by=None if fault is None else told(fault),
             is_alive=not is_over,
             timings=self._timings,
             clients=tuple(client.name for client in self._clients.values()),
@@ -375,13 +374,17 @@ class Server:
                 self._socket.send_multipart([identity, packed])
 
     def _tell_news(self, identity: bytes) -> None:
+        """Tell of the newest frame before the state, for which a new client waits: then it knows both."""
+        self._tell(identity, self._notice())
         self._tell(identity, self._present())
-        self._tell(identity, Notice(*self._noticed))
+
+    def _notice(self) -> Notice:
+        return Notice("", 0) if (ring := self._ring) is None else Notice(ring.place, ring.count)
 
     def _tell(self, identity: bytes, message: object) -> None:
-        """Send a message; only states refer to objects that travel by themselves."""
+        """Send a message; only states, and records of which is told, refer to objects that travel by themselves."""
         packed = Packed(message, self._travellers.number) if isinstance(message, State) else Packed(message)
-        if isinstance(message, State):
+        if isinstance(message, State | Notice):
             self._tell_objects(identity)
         self._socket.send_multipart([identity, packed.message()])
 

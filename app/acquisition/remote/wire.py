@@ -1,4 +1,4 @@
-"""Our own data between processes: dataclasses, named tuples, enums and arrays as JSON text with arrays behind it.
+"""Our own data between processes, dataclasses, named tuples, enums, errors, arrays: JSON text with arrays behind it.
 
 Never pickle: only types of this project's rooms can arrive, and to make one runs nothing but its constructor. Large
 objects that belong to many frames travel once; where they occur, a message has their number instead.
@@ -78,6 +78,8 @@ class Packed:
     def _content(self, value: Any) -> Any:
         if isinstance(value, Enum):
             return value.value
+        if isinstance(value, Exception):
+            return str(value)
         if isinstance(value, tuple):  # a named one
             return [self._plain(each) for each in value]
         if not is_dataclass(value):
@@ -143,7 +145,7 @@ class _Reader:
 
     def _record(self, content: Any) -> Any:
         kind = _kind(content[0])
-        if issubclass(kind, Enum):
+        if issubclass(kind, Enum | Exception):
             return kind(content[1])
         if issubclass(kind, tuple):
             return kind(*map(self, content[1]))
@@ -152,7 +154,7 @@ class _Reader:
 
 @cache
 def _kind(name: str) -> type:
-    """A dataclass, named tuple or enum of this project by its module and name; `ValueError` for anything else."""
+    """A dataclass, named tuple, enum or error of this project, by module and name; `ValueError` for anything else."""
     module, _, path = name.partition(":")
     if not module.startswith(_ROOMS):
         raise ValueError(f"{name} is no type of this program")
@@ -160,7 +162,9 @@ def _kind(name: str) -> type:
     for part in path.split("."):
         found = getattr(found, part)
     is_record = isinstance(found, type) and (
-        is_dataclass(found) or issubclass(found, Enum) or (issubclass(found, tuple) and hasattr(found, "_fields"))
+        is_dataclass(found)
+        or issubclass(found, Enum | Exception)
+        or (issubclass(found, tuple) and hasattr(found, "_fields"))
     )
     if not is_record:
         raise ValueError(f"{name} holds no plain data")

@@ -17,7 +17,7 @@ from hypothesis import strategies as some
 from hypothesis.extra import numpy as some_numpy
 from support.optics import SmallBench
 
-from app.acquisition.remote.messages import Arrivals, Command, Failure, Notice, Travellers
+from app.acquisition.remote.messages import Arrivals, Command, Notice, Travellers, told
 from app.acquisition.remote.wire import Absent, Packed, unpacked
 from app.bench.config import load_bench
 from app.bench.presets import PRESETS
@@ -144,13 +144,13 @@ def test_a_message_that_is_cut_short_is_refused(kept: int) -> None:
 
 @pytest.mark.parametrize("error", [InputError("no file"), Disconnected("unplugged"), RunError("x")])
 def test_errors_keep_kind_and_sentence(error: Exception) -> None:
-    made = there_and_back(Failure.of(error)).error()
+    made = there_and_back(told(error))
     assert type(made) is type(error)
     assert str(made) == str(error)
 
 
 def test_unexpected_errors_are_named() -> None:
-    assert str(Failure.of(ZeroDivisionError("division by zero")).error()) == "ZeroDivisionError: division by zero"
+    assert str(there_and_back(told(ZeroDivisionError("division by zero")))) == "ZeroDivisionError: division by zero"
 
 
 def test_large_objects_travel_once() -> None:
