@@ -265,10 +265,10 @@ class LiveSolver:
                     self._rest(max(min(time.monotonic() - begin_s, _CORRECTION_REST_S), found.idle_s))
         except ReconstructionError as error:
             self._give_up(str(error))
-        except (EOFError, OSError) as error:
+        except (EOFError, OSError):
             self._give_up(_ENDED)
             if not self._closing.is_set():  # else it was killed
-                raise RuntimeError(_ENDED) from error
+                sys.stderr.write(f"svwfs: {_ENDED}\n")
         except Exception as error:
             self._give_up(str(error))
             if not self._closing.is_set():  # else Python may end

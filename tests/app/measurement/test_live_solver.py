@@ -434,12 +434,10 @@ def test_process_that_dies_is_reported_and_frames_go_on(
     paper_bench: SmallBench,
     layered: Reconstructor,
     apart: list[FinderProcess],
-    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
     *,
     has_found: bool,
 ) -> None:
-    raised: list[threading.ExceptHookArgs] = []
-    monkeypatch.setattr(threading, "excepthook", raised.append)
     solver = solver_of(paper_bench, layered)
     if has_found:
         until(solver, layered, paper_bench.reference, "applied")
@@ -448,8 +446,9 @@ def test_process_that_dies_is_reported_and_frames_go_on(
     _, (sample, state) = solver.solve(layered.register(paper_bench.reference), 0.0)
     assert sample is not None  # nobody waits for one
     assert state.problem == "the process that finds layers and corrections has ended: take the reference again"
-    assert str(raised[0].exc_value) == state.problem
     solver.close()
+    wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
+    assert capsys.readouterr().err == f"svwfs: {state.problem}\n"
 
 
 def test_no_thread_without_layers_and_refinement(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
