@@ -40,8 +40,7 @@ class LightSource(Device):
         self.may_shine: Callable[[], bool] = lambda: True  # asked before the light is lit, and while its current rises
         self.off_reason = ""  # why it went off without a request, until it is lit again
         self._has_begun = False  # until then the device is unknown, and `close` sends nothing to it
-        self._lit_since_s: float | None = None
-        self._lit_before_s = 0.0
+        self._is_noted_lit = False  # as far as known without a query
 
     def _begin(self) -> None:
         """Identify the device, switch it off, and bring its current into the allowed range."""
@@ -76,7 +75,6 @@ class LightSource(Device):
             "current_a": self.current_a,
             "lowest_current_a": allowed.minimum,
             "highest_current_a": allowed.maximum,
-            "lit_s": self.lit_s,
         }
 
     @property
@@ -109,10 +107,8 @@ class LightSource(Device):
     def is_on(self) -> bool:
         """True while the light is lit."""
         with self._guarded():
-            is_lit = self._is_lit()
-            if is_lit != (self._lit_since_s is not None):  # it went out on its own
-                self._note(on=is_lit)
-            return is_lit
+            self._is_noted_lit = self._is_lit()  # it may have gone out on its own
+            return self._is_noted_lit
 
     def set_on(self, on: bool) -> None:
         """Switch the light; its current rises in steps.
@@ -126,7 +122,7 @@ class LightSource(Device):
                 self._light_up()
             else:
                 self._switch(on=on)
-                self._note(on=on)
+                self._is_noted_lit = on
 
     def keep_alive(self, within_s: float) -> None:
         """Promise another call within this time, from any thread; a light that is guarded goes off without it."""
@@ -134,12 +130,6 @@ class LightSource(Device):
     def note_light(self, on: bool) -> None:
         """Switch the light, or without control record that a person has switched it."""
         self.set_on(on)
-
-    @property
-    def lit_s(self) -> float:
-        """Total time on since opening, in seconds."""
-        now_s = 0.0 if self._lit_since_s is None else time.monotonic() - self._lit_since_s
-        return self._lit_before_s + now_s
 
     def close(self) -> None:
         """Switch off and release, after waiting briefly for another thread's call; closing twice is allowed."""
@@ -159,8 +149,8 @@ class LightSource(Device):
     def _switch_off_and_release(self) -> None:
         if self._is_closed:
             return
-        was_lit = self._lit_since_s is not None
-        self._note(on=False)
+        was_lit = self._is_noted_lit
+        self._is_noted_lit = False
         try:
             if self._has_begun and not self._loss:
                 self._switch(on=False)
@@ -185,13 +175,13 @@ class LightSource(Device):
         wanted_a, allowed = self._read_current(), self._range()
         try:
             self._set_current(allowed.minimum)
-            self._note(on=True)
+            self._is_noted_lit = True
             self._switch(on=True)
             self.off_reason = ""
             self._ramp(min(wanted_a, allowed.maximum), allowed)
         except REFUSALS:
             self._switch(on=False)
-            self._note(on=False)
+            self._is_noted_lit = False
             self._set_current(wanted_a)
             raise
 
@@ -209,11 +199,6 @@ class LightSource(Device):
             reason = self.off_reason or "the light was switched off meanwhile"
             raise LightHeldOff(f"{reason}: switch it on (L) and repeat")
 
-    def _note(self, *, on: bool) -> None:
-        """Start or stop the timer of `lit_s`."""
-        self._lit_before_s = self.lit_s
-        self._lit_since_s = time.monotonic() if on else None
-
     @contextmanager
     def _guarded(self) -> Iterator[None]:
         """Access the light; switch it off after any fault or Ctrl-C."""
@@ -223,8 +208,8 @@ class LightSource(Device):
             except REFUSALS:
                 raise
             except BaseException as error:
-                was_lit = self._lit_since_s is not None
-                self._note(on=False)
+                was_lit = self._is_noted_lit
+                self._is_noted_lit = False
                 try:
                     self._switch(on=False)
                 except Exception as second:
@@ -322,7 +307,7 @@ class ManualLight(LightSource):
         """Record that a person has switched the light."""
         with self._access():
             self._is_noted_on = on
-            self._note(on=on)
+            self._is_noted_lit = on
 
     def set_on(self, on: bool) -> None:
         """Raise `WrongState` unless a person has noted that it is so."""

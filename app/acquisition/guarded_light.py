@@ -50,7 +50,7 @@ class GuardedLight(LightSource):
         """Properties of the light in the guardian."""
         with self._guarded():
             found: dict[str, Property] = self._guardian.call("properties")
-            return found | {"lit_s": self.lit_s}
+            return found
 
     @property
     def guardian(self) -> subprocess.Popen[bytes]:
@@ -79,7 +79,7 @@ class GuardedLight(LightSource):
 
     def _is_lit(self) -> bool:
         is_lit = bool(self._guardian.call("is_on"))
-        if not is_lit and self._lit_since_s is not None:
+        if not is_lit and self._is_noted_lit:
             self.off_reason = self._guardian.call("off_reason")
         return is_lit
 

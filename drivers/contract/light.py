@@ -27,17 +27,6 @@ def check_switches(light: LightSource) -> None:
         )
 
 
-def check_lit_time(light: LightSource) -> None:
-    """It counts the time while it is lit, and no other."""
-    before_s = light.lit_s
-    require(light.lit_s == before_s, "the time runs while it is off")
-    light.set_on(True)
-    light.set_on(False)
-    lit_s = light.lit_s
-    require(lit_s > before_s, "the time does not run while it is on")
-    require(light.lit_s == lit_s, "the time goes on while it is off")
-
-
 def check_currents(light: LightSource) -> None:
     """It accepts all allowed currents, rounds them stably, and refuses others, also while lit."""
     allowed = light.current_range_a
@@ -81,12 +70,7 @@ def calls_of(light: LightSource) -> Calls:
     return calls(light, ("current_range_a", "current_a", "is_on"), commands)
 
 
-LIGHT_CHECKS: tuple[Callable[[LightSource], None], ...] = (
-    check_identity,
-    check_switches,
-    check_lit_time,
-    check_currents,
-)
+LIGHT_CHECKS: tuple[Callable[[LightSource], None], ...] = (check_identity, check_switches, check_currents)
 
 
 def _middle_a(light: LightSource) -> float:

@@ -101,16 +101,14 @@ def test_owner_limit_never_raises_head_limit() -> None:
     assert BulbLight(Bulb(), limit_a=5.0).current_range_a.maximum == 1.0
 
 
-def test_lit_time_stops_at_fault() -> None:
+def test_fault_is_noted_as_off() -> None:
     bulb = Bulb()
     light = BulbLight(bulb)
     light.set_on(True)
     bulb.faults["current"] = DeviceTimeout("no answer")
     with pytest.raises(DeviceTimeout):
         _ = light.current_a
-    lit_s = light.lit_s
-    time.sleep(0.01)
-    assert light.lit_s == lit_s > 0
+    assert not light._is_noted_lit
 
 
 @pytest.mark.parametrize("limit_a", [0.05, float("nan")])
@@ -150,9 +148,7 @@ def test_any_fault_switches_off(fault: BaseException) -> None:
     assert not bulb.is_lit
     bulb.faults.clear()
     assert not light.is_on
-    lit_s = light.lit_s
-    assert lit_s > 0
-    assert light.lit_s == lit_s
+    assert not light._is_noted_lit
 
 
 def test_fault_during_ramp_switches_off() -> None:
@@ -171,7 +167,7 @@ def test_refusal_during_switch_on_leaves_it_off() -> None:
     bulb.faults["0.343"] = BadValue("not that one")
     with pytest.raises(BadValue):
         light.set_on(True)
-    assert (bulb.is_lit, light.is_on, light.current_a, light._lit_since_s) == (False, False, 0.8, None)
+    assert (bulb.is_lit, light.is_on, light.current_a, light._is_noted_lit) == (False, False, 0.8, False)
 
 
 def test_refused_ramp_step_restores_current() -> None:
@@ -217,14 +213,14 @@ def test_failed_opening_releases_light() -> None:
     assert bulb.is_closed
 
 
-def test_lit_time_stops_when_light_goes_out() -> None:
+def test_light_that_goes_out_on_its_own_is_noted() -> None:
     bulb = Bulb()
     light = BulbLight(bulb)
     light.set_on(True)
+    assert light._is_noted_lit
     bulb.is_lit = False  # too hot
     assert not light.is_on
-    lit_s = light.lit_s
-    assert light.lit_s == lit_s
+    assert not light._is_noted_lit
 
 
 def test_unreferenced_light_goes_off() -> None:

@@ -44,7 +44,6 @@ def test_camera_keeps_the_contract(check: Callable[[Camera], None]) -> None:
         of_lights.check_identity,
         of_lights.check_switches,
         of_lights.check_currents,
-        of_lights.check_lit_time,
         of_lights.check_closes,
     ],
 )

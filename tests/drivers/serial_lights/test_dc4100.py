@@ -168,7 +168,6 @@ def test_properties_describe_channel_and_head(device: DC4100Wire, light: Thorlab
         "current_a": 0.1,
         "lowest_current_a": 0.0,
         "highest_current_a": 1.0,
-        "lit_s": 0.0,
         "firmware": "1.8.4",
         "channel": 0,
         "wavelength_nm": "455.0",
