@@ -39,13 +39,7 @@ def test_camera_keeps_the_contract(check: Callable[[Camera], None]) -> None:
 
 
 @pytest.mark.parametrize(
-    "check",
-    [
-        of_lights.check_identity,
-        of_lights.check_switches,
-        of_lights.check_currents,
-        of_lights.check_closes,
-    ],
+    "check", [of_lights.check_identity, of_lights.check_switches, of_lights.check_currents, of_lights.check_closes]
 )
 def test_lamp_keeps_the_contract(check: Callable[[LightSource], None]) -> None:
     check(exposure_bench(SCENE, exposure_s=0.1)[2])
