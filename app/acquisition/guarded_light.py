@@ -5,6 +5,7 @@ If the guardian ends or gives no sign of life, this process switches the light o
 
 import dataclasses
 import json
+import math
 import os
 import queue
 import subprocess
@@ -24,6 +25,7 @@ from drivers.errors import DeviceError
 from drivers.light_source import MAY_BE_ON, LightSource
 
 _SILENT_PULSES = 5  # after so many missing signs of life the guardian counts as frozen, or its light's call as hanging
+_ANSWER_S = 2.0  # after which a light counts as silent: most need a fraction of it
 _END_S = 3.0  # for the guardian to end
 _TAKE_OVER_S = 20.0  # for a light that may hang here, too
 _SIGN_S = 0.2  # least time between two signs of life that promise the same
@@ -56,6 +58,11 @@ class GuardedLight(LightSource):
     def guardian(self) -> subprocess.Popen[bytes]:
         """The process that holds the light."""
         return self._guardian.process
+
+    @property
+    def is_silent(self) -> bool:
+        """True if the guardian has not answered a call for two seconds."""
+        return time.monotonic() > self._guardian.called_s + _ANSWER_S
 
     def keep_alive(self, within_s: float) -> None:
         """Send the guardian a sign of life, several times a second at most."""
@@ -101,6 +108,7 @@ class _Guardian:
         self.was_taken_over = False  # the guardian is gone, and this process has switched its light off
         self._settings = settings
         self._number = 0  # of the last call
+        self.called_s = math.inf  # when the call was made that waits for its answer
         self._answers: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self._writing = threading.Lock()
         self._has_ended = threading.Event()
@@ -121,8 +129,12 @@ class _Guardian:
     def call(self, method: str, *arguments: Any) -> Any:
         """Return what the light answers, or raise its error; one thread at a time, as for every device."""
         self._number += 1
-        self._write([self._number, method, *arguments])
-        return self.answer()
+        self.called_s = time.monotonic()
+        try:
+            self._write([self._number, method, *arguments])
+            return self.answer()
+        finally:
+            self.called_s = math.inf
 
     def tell(self, method: str, *arguments: Any) -> None:
         """Send what has no answer."""

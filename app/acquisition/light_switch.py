@@ -27,6 +27,11 @@ class LightSwitch:
         self._light = light
         light.may_shine = self._may_shine
 
+    @property
+    def is_light_silent(self) -> bool:
+        """True if the light has not answered for some seconds."""
+        return self._light is not None and self._light.is_silent
+
     def known(self) -> tuple[int, str]:
         """Return the number of requests so far, and why the light went off on its own; to call as a command is sent."""
         return self.requests, "" if self._light is None else self._light.off_reason

@@ -77,7 +77,7 @@ class Acquisition:
         self._path = FramePath((self._recorder.take, *sinks), self.timings, self._must_stop_waiting, on_show)
         self.status: Status | None = None  # None until the devices are open
         self._status_due_s = -math.inf  # time of the next poll
-        self.activity = Activity("opening the devices")
+        self._activity = Activity("opening the devices")
         self._keep_alive: Callable[[float], None] = lambda _: None
         self._find_processes: Callable[[], tuple[ProcessState, ...]] = tuple
         self._first_frames = 0  # to come, after the last preparation
@@ -210,6 +210,13 @@ class Acquisition:
         return f"{type(self.error).__name__}: {self.error}"
 
     @property
+    def activity(self) -> Activity:
+        """Work besides taking frames; also that the light does not answer, for which all of it waits."""
+        if self._light_switch.is_light_silent:
+            return Activity("the light does not answer", may_cancel=False)
+        return self._activity
+
+    @property
     def counts(self) -> FrameTotals:
         """Numbers of frames acquired, reconstructed and lost so far."""
         return self._path.counts
@@ -268,7 +275,7 @@ class Acquisition:
                 self._light_switch.attach(devices.light)
                 self._keep_alive = devices.light.keep_alive
                 self._find_processes = instrument.processes
-                self.activity = Activity()
+                self._activity = Activity()
                 self._update_status(instrument)
                 while not self._stopping.is_set():
                     self._execute_commands(instrument, may_wait=not devices.camera.is_running)
@@ -291,12 +298,12 @@ class Acquisition:
         finally:
             self._commands.close(self.failure or "the acquisition has ended")
             self._recorder.close(self.failure)
-            self.activity = Activity()
+            self._activity = Activity()
 
     def _show_opening(self, fraction: float) -> None:
         if self._stopping.is_set():
             raise Cancelled
-        self.activity = Activity("preparing the devices", fraction)
+        self._activity = Activity("preparing the devices", fraction)
 
     def _show_preparation(self, what: str) -> None:
         """Show that the instrument prepares the reconstruction; this cannot be cancelled, and at the end not begun."""
@@ -304,12 +311,12 @@ class Acquisition:
             raise Cancelled
         self._keep_alive(_PREPARATION_S)
         self._first_frames = _FIRST_FRAMES
-        self.activity = Activity(what, may_cancel=False)
+        self._activity = Activity(what, may_cancel=False)
         self._path.gap_cause = what
 
     def _watch(self, instrument: Instrument, text: str) -> Watch:
         def show_progress(frame: Frame, fraction: float) -> None:
-            self.activity = Activity(text, fraction)
+            self._activity = Activity(text, fraction)
             self._path.show(frame, text, self._light())
 
         def should_stop() -> bool:
@@ -319,7 +326,7 @@ class Acquisition:
 
         self._cancelling.clear()
         self._status_due_s = -math.inf
-        self.activity = Activity(text)
+        self._activity = Activity(text)
         self._path.gap_cause = text
         return Watch(show_progress, should_stop)
 
@@ -337,7 +344,7 @@ class Acquisition:
 
     def _finish_command(self, instrument: Instrument) -> None:
         self._update_status(instrument)
-        self.activity = Activity()  # not before: the status is still that of the routine, for example the light off
+        self._activity = Activity()  # not before: the status is still that of the routine, for example the light off
 
     def _must_stop_waiting(self, instrument: Instrument) -> bool:
         """Return whether the worker should stop waiting for a frame; also polls the status in long exposures."""

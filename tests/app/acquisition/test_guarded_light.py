@@ -22,6 +22,7 @@ from support.wires.serial import LineFault
 
 from app.acquisition.guarded_light import GuardedLight
 from app.acquisition.guardian import switch_off
+from app.progress import run_in_thread
 from drivers.errors import BadValue, Busy, DeviceError, Disconnected
 from drivers.interface import LightSource
 from drivers.serial_lights import DC4100Settings
@@ -223,7 +224,13 @@ def test_call_that_takes_its_time_is_no_hang(
     replace_method("properties", "__import__('time').sleep(8.5) or {}", tmp_path, monkeypatch)
     with reopen() as light:
         light.set_on(True)
-        light.properties()
+        asked, asking = run_in_thread(light.properties, "properties")
+        began_s = time.monotonic()
+        wait_until(lambda: light.is_silent)
+        assert 1.5 < time.monotonic() - began_s < 4
+        assert not asked.done()
+        asking.join()
+        assert not light.is_silent
         assert lamp.is_lit
 
 

@@ -9,6 +9,7 @@ import pytest
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S, own_time, wait_until
 
+from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.measurement.routines import RoutineError
@@ -43,6 +44,14 @@ def test_light_goes_off_within_its_time_while_the_worker_is_busy(acquisition: Ac
     wait_until(lambda: acquisition.status is not None and not acquisition.status.is_light_on)
     assert not busy.done()
     release.set()
+
+
+def test_light_that_does_not_answer_is_shown_while_the_worker_waits(
+    acquisition: Acquisition, camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert acquisition.activity.text == ""
+    monkeypatch.setattr(type(camera.light), "is_silent", True)
+    assert acquisition.activity == Activity("the light does not answer", may_cancel=False)
 
 
 def test_commands_sent_before_cannot_switch_on_again(acquisition: Acquisition, camera: FakeCamera) -> None:
