@@ -16,7 +16,7 @@ from app.acquisition.course import Course
 from app.acquisition.instrument import DeviceSetting, Instrument, Status
 from app.acquisition.place import NAME
 from app.acquisition.remote.connection import reach
-from app.acquisition.start_up import calibrate, knows_sample, start_up, without_sample
+from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, knows_sample, start_up, without_sample
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
 from app.bench.device_kinds import RecordingSettings
@@ -199,18 +199,18 @@ class LiveBench:
         A person whom `ask` asks does what has no motor. With `auto_expose` the exposure is found first. If the
         reference is unusable, it is a `RunError`, but a person is asked to try again, before the sample is moved.
         """
-        bench = self._bench
+        bench, acquisition = self._bench, self._acquisition
         if request := without_sample(bench):
             ask(request)
+        steps = (EXPOSURE, DARK, REFERENCE) if auto_expose else (DARK, REFERENCE)
         if bench.has_manual_light:
-            dark, reference = partial(self.take_dark, frames), partial(self.take_reference, frames)
-            steps: list[tuple[bool, Callable[[], object]]] = [(False, dark), (True, reference)]
-            for is_on, step in [(True, self.auto_expose), *steps] if auto_expose else steps:
-                ask(f"switch the light {'on' if is_on else 'off'}")
-                self._set("is_light_on", is_on)
-                step()
-        else:
-            for future in calibrate(self._acquisition, frames, auto_expose=auto_expose):
+            for step in steps:
+                ask(f"switch the light {'on' if step.is_lit else 'off'}")
+                self._set("is_light_on", step.is_lit)
+                self._result(step.begin(acquisition, frames))
+        else:  # all are sent at once: a light that goes off meanwhile stays off
+            lit = acquisition.submit(Instrument.set, "is_light_on", True)
+            for future in (lit, *(step.begin(acquisition, frames) for step in steps)):
                 self._result(future)
         while not self._status().is_calibrated:
             sentence = f"the reference is unusable: {self.warning}"

@@ -25,29 +25,14 @@ def start_up(acquisition: Carrier, frames: int = FRAMES, *, is_lit: bool = True)
     off, and there is no reference.
     """
     has_motor, steps = not acquisition.bench.has_manual_stage, list[Future[Any]]()
+    if is_lit:
+        steps.append(acquisition.submit(Instrument.set, "is_light_on", True))
+    steps.append(acquisition.submit(Instrument.take_dark, frames))
     if is_lit and has_motor:
-        steps += calibrate(acquisition, frames)
-    else:
-        if is_lit:
-            steps.append(acquisition.submit(Instrument.set, "is_light_on", True))
-        steps.append(acquisition.submit(Instrument.take_dark, frames))
+        steps.append(acquisition.submit(Instrument.take_reference, frames))
     if has_motor:
         steps.append(acquisition.submit(Instrument.set, "is_sample_in", True))
     return (*steps, acquisition.submit(Instrument.set, "is_running", True))
-
-
-def calibrate(acquisition: Carrier, frames: int = FRAMES, *, auto_expose: bool = False) -> tuple[Future[Any], ...]:
-    """Turn the light on, take a dark and a reference.
-
-    With `auto_expose` the exposure is found first, without the sample, so that the reference is not saturated.
-    """
-    steps: list[Future[Any]] = [acquisition.submit(Instrument.set, "is_light_on", True)]
-    if auto_expose:
-        steps.append(acquisition.submit(Instrument.set, "is_sample_in", False))
-        steps.append(acquisition.submit(Instrument.auto_expose))
-    steps.append(acquisition.submit(Instrument.take_dark, frames))
-    steps.append(acquisition.submit(Instrument.take_reference, frames))
-    return tuple(steps)
 
 
 def knows_sample(acquisition: Carrier) -> bool:

@@ -16,7 +16,7 @@ from support.patience import HANG_S, wait_until
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.kept_averages import KeptAverages
-from app.acquisition.start_up import calibrate, start_up
+from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.measurement.auto_exposure import AutoExposure, auto_expose
@@ -154,12 +154,13 @@ def test_calibration_auto_exposes_before_dark_and_reference(live: Live, monkeypa
     monkeypatch.setattr("app.acquisition.instrument.auto_expose", watched)
     live.do(lambda instrument: instrument.devices.camera.set_exposure(1.0))
     live.do(lambda instrument: instrument.devices.stage.set_sample_in(True))
-    for step in calibrate(live.acquisition, 4, auto_expose=True):
-        step.result(HANG_S)
+    live.acquisition.submit(Instrument.set, "is_light_on", True).result(HANG_S)
+    for step in (EXPOSURE, DARK, REFERENCE):
+        step.begin(live.acquisition, 4).result(HANG_S)
     status = live.status
     assert with_sample == [False]
     assert (status.warning, status.dark.validity, status.reference.validity) == ("", "good", "good")
-    assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, False, False)
+    assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, False)  # as before
     reference = live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S)
     assert reference is not None
     assert np.percentile(reference.mean, 99.5) / 65535 == pytest.approx(0.68, abs=0.08)
