@@ -5,19 +5,7 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from ctypes import (
-    POINTER,
-    Structure,
-    byref,
-    c_char_p,
-    c_double,
-    c_int32,
-    c_uint32,
-    c_void_p,
-    cast,
-    create_string_buffer,
-    sizeof,
-)
+from ctypes import POINTER, Structure, byref, c_char_p, c_double, c_int32, c_uint32, c_void_p
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -30,7 +18,7 @@ from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnec
 def sized(kind: type[Structure], **values: Any) -> Structure:
     """Return a structure whose first member is its own size, as every call requires."""
     made = kind(**values)
-    setattr(made, made._fields_[0][0], sizeof(kind))
+    setattr(made, made._fields_[0][0], ctypes.sizeof(kind))
     return made
 
 
@@ -236,9 +224,9 @@ class DcamLibrary:
 
     def text(self, name: str, target: int, kind: type[Structure], **values: Any) -> str:
         """Call a function of a camera that writes a text."""
-        text = create_string_buffer(TEXT_BYTES)
+        text = ctypes.create_string_buffer(TEXT_BYTES)
         request = sized(kind, textbytes=TEXT_BYTES, **values)
-        request.text = cast(text, c_char_p)
+        request.text = ctypes.cast(text, c_char_p)
         self.call(name, target, byref(request))
         return text.value.decode(errors="replace").strip()
 
