@@ -7,17 +7,16 @@ and signs of life must go on.
 import struct
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 from app.acquisition.remote.messages import Notice, RingRecord
 from app.acquisition.remote.ring import RingReader
 from app.acquisition.remote.wire import Absent, unpacked
 from app.errors import RunError
-from app.measurement.calibration import Calibration
 from app.measurement.estimator import Estimator
 from app.measurement.measurement import Measurement
 from reconstruction.errors import ReconstructionError
@@ -39,8 +38,7 @@ class RemoteFrames:
         self._find, self._sinks, self._pause_s = find, sinks, pause_s
         self.newest: Measurement | None = None
         self.error: Exception | None = None  # that ended the thread
-        self._estimators: OrderedDict[int, tuple[Calibration, Estimator]] = OrderedDict()
-        self._preparing = threading.Lock()
+        self._estimator_of, self._preparing = lru_cache(_ESTIMATORS)(Estimator), threading.Lock()
         self._followers = [_Follower()]
         self._notice, self._has_news = Notice("", 0), threading.Condition()
         self._outdated = 0  # count of a record
@@ -147,20 +145,12 @@ class RemoteFrames:
         if not record.has_wavefront or made.calibration is None or made.registered is None:
             return made
         try:
-            reconstructor = self._estimator(made.calibration).reconstructor
+            with self._preparing:  # once, whoever needs it first
+                reconstructor = self._estimator_of(made.calibration).reconstructor
             bias, sample = made.assumed.refinement.bias, made.assumed.sample or FREE
             return replace(made, wavefront=reconstructor.solve(made.registered, bias=bias, sample=sample))
         except ReconstructionError as error:
             return replace(made, problem=str(error))
-
-    def _estimator(self, calibration: Calibration) -> Estimator:
-        with self._preparing:
-            kept = self._estimators.get(id(calibration))
-            if kept is None:
-                kept = self._estimators[id(calibration)] = calibration, Estimator(calibration)
-                while len(self._estimators) > _ESTIMATORS:
-                    self._estimators.popitem(last=False)
-            return kept[1]
 
 
 class _Follower:
