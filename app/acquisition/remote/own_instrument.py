@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -26,12 +27,14 @@ _ENDED_S = 0.5  # from the end of its connections to that of a process that cras
 class OwnConnection(Connection):
     """A connection that ends the instrument when it is closed, unless it `goes_on` or another client controls it."""
 
-    def __init__(self, bench: Bench, name: str, process: subprocess.Popen[bytes], said: Path) -> None:
+    def __init__(
+        self, bench: Bench, name: str, process: subprocess.Popen[bytes], said: Path, forget_bench: Callable[[], None]
+    ) -> None:
         """Begin to connect to a process that has just been started, and prints into the file `said`.
 
-        If it cannot be reached, that is the connection's `error`.
+        `forget_bench` removes the file of the bench. If it cannot be reached, that is the connection's `error`.
         """
-        self.bench, self.process, self._said = bench, process, said
+        self.bench, self.process, self._said, self._forget_bench = bench, process, said, forget_bench
         self._ends = self.goes_on = False
         super().__init__("window", Place(name, process.pid, endpoint="", key=""))
 
@@ -59,6 +62,7 @@ class OwnConnection(Connection):
                 self.process.kill()
                 raise RunError(f"the instrument's process could not be reached within {_STARTS_S:g} s, and was ended")
             time.sleep(_LOOK_S)
+        self._forget_bench()  # it was read; a window that is killed leaves none
         self.place = Place.of(self.place.name)
         super()._reach()
 
@@ -140,6 +144,7 @@ class OwnInstrument:
                 " --name"
             )
         file, self._bench = Path(self._folder.name, "bench.toml"), bench
+        file.parent.mkdir(mode=0o700, exist_ok=True)
         save_bench(file, bench)
         program, arguments = command_line("serve", "--bench", file, "--name", self._name, "--idle")
         try:
@@ -169,7 +174,7 @@ class OwnInstrument:
                 why = "goes on" if self._connection.goes_on else "does not end"
                 raise RunError(f"the instrument's process {self._connection.process.pid} {why}: its devices are in use")
             self._connection = None
-        self._connection = OwnConnection(bench, self._name, self.start(bench), self._said)
+        self._connection = OwnConnection(bench, self._name, self.start(bench), self._said, self._folder.cleanup)
         return self._connection
 
     def _tell_crash(self) -> None:

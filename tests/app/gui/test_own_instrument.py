@@ -337,6 +337,26 @@ def test_process_without_a_window_ends(started: list[subprocess.Popen[bytes]], s
     assert [each.poll() is None for each in started] == [False]
 
 
+def test_file_of_the_bench_is_gone_once_it_was_read(
+    started: list[subprocess.Popen[bytes]],
+    small_toml: Path,
+    other_toml: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    """A window that is killed would leave it."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    with OwnInstrument() as own:
+        for file in (small_toml, other_toml):
+            connection = own.connect(load_bench(file))
+            wait_until(lambda: connection.status is not None)  # noqa: B023 - at once
+            assert connection.status is not None
+            assert connection.status.bench == load_bench(file)
+            assert not list((tmp_path / "temporary").iterdir())
+    assert len(started) == 2
+
+
 def test_end_that_is_heard_of_before_leaving_is_no_loss(
     started: list[subprocess.Popen[bytes]], small_toml: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
