@@ -1,21 +1,20 @@
 """The reference cut into subimages, one per lenslet, and the classification of each lenslet (converged, dark, ...)."""
 
-from collections.abc import Callable, Iterable
-from functools import cached_property, partial
+from collections.abc import Iterable
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Booleans, Floats, Image, median
-from reconstruction.displacement import CovarianceSource, Displacement, Outcome, Transmission
+from reconstruction.displacement import CovarianceSource, Displacement, Outcome
 from reconstruction.errors import ReconstructionError, UnusableSettings
 from reconstruction.frame.noise import KnownNoise
 from reconstruction.frame.pixels import repaired
 from reconstruction.frame.spline import sample, spline_coefficients
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, require
 from reconstruction.modes.field_modes import FieldModes
-from reconstruction.runtime.deferred import Deferred
 
 _OFF_CAMERA_FRACTION = 0.5  # of the lenslets; with more, the lattice does not belong to this frame
 _SPOILT = 0.25  # of a subimage's squared gradients on bad pixels; with more, a lenslet is unlit
@@ -191,23 +190,21 @@ def _typical(contrast: Floats) -> float:
     return float(np.median(contrast[contrast >= DARK_CONTRAST * bright]))
 
 
-def classify_lenslets(  # noqa: PLR0913 - all that a method knows of its lenslets
+def classify_lenslets(
     reference: ReferenceSubimages,
     modes: FieldModes,
     coefficients: Floats,
     *,
     covariance: Floats | CovarianceSource,
     residual_rms: Floats,
-    chi_square: Floats | None = None,
     contrast: NDArray[np.floating[Any]],
     faults: dict[Outcome, Booleans],
-    transmission: Callable[[Booleans], Transmission] | None = None,
 ) -> Displacement:
     """Classify L lenslets and arrange the results on the lattice, NaN where lost.
 
     coefficients c_q, px, (L, xy, Q); covariance (L, Q, xy, Q, xy), px^2; residual_rms (L,) over the contrast of the
     reference's best subimage; contrast (L,) of the frame's subimages. `faults` are the losses (L,) found by the method;
-    of several the last counts, and darkness above all. `transmission`, given the valid lenslets, is called when needed.
+    of several the last counts, and darkness above all.
     """
     lost = np.zeros(len(coefficients), np.bool_)
     for fault in faults.values():
@@ -232,15 +229,12 @@ def classify_lenslets(  # noqa: PLR0913 - all that a method knows of its lenslet
             kept[keep] = values[keep]
         return kept.reshape(*reference.lenslets, *values.shape[1:])
 
-    unknown = np.full(len(coefficients), np.nan)
-    valid = found.reshape(reference.lenslets)
     return Displacement(
         modes=modes,
         coefficients=arrange(np.swapaxes(coefficients, 1, 2)),
         covariance_source=arrange(covariance) if isinstance(covariance, np.ndarray) else covariance.kept(found),
         outcome=outcome.reshape(reference.lenslets),
         residual_rms=arrange(residual_rms),
-        chi_square=arrange(unknown if chi_square is None else chi_square),
+        chi_square=np.full(reference.lenslets, np.nan),
         range_used=arrange(range_used, found | far),
-        transmission_source=None if transmission is None else Deferred(partial(transmission, valid)),
     )

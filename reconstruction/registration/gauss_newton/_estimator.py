@@ -53,6 +53,7 @@ from reconstruction.registration.gauss_newton._template import (
 from reconstruction.registration.own_wavefronts import OwnWavefront
 from reconstruction.registration.response import WarpRegistration
 from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
+from reconstruction.runtime.deferred import Deferred
 from reconstruction.runtime.threads import worker_pool
 from reconstruction.settings import FIELD_MODES, RegistrationSettings
 
@@ -233,13 +234,12 @@ class GaussNewton:
         found &= ~_stands_out(unexplained, fits.square, self._unexplained, found)
         spoilt = known < _INFORMATION_LEFT
         fitted = (fits.displacement @ self._basis).astype(np.float32).astype(np.float64)
-        return classify_lenslets(
+        displacement = classify_lenslets(
             reference,
             self.modes,
             fitted.reshape(len(fits.gain), 2, self.modes.count),
             covariance=covariance,
             residual_rms=np.sqrt(fits.square / warp.grid.light.shape[1]) / warp.contrast.max(),
-            chi_square=chi_square,
             contrast=fits.contrast,
             faults={
                 Outcome.DIVERGED: ~found,
@@ -247,7 +247,12 @@ class GaussNewton:
                 Outcome.DARK: spoilt & reference.touched(reference.bad),
                 Outcome.SATURATED: spoilt & reference.touched(saturated),
             },
-            transmission=lambda valid: self._transmission(fits, covariance.variance, valid),
+        )
+        valid = displacement.valid
+        return replace(
+            displacement,
+            chi_square=np.where(valid, chi_square.reshape(valid.shape), np.nan),
+            transmission_source=Deferred(lambda: self._transmission(fits, covariance.variance, valid)),
         )
 
     def _transmission(self, fits: Fits, variance: Floats, valid: Booleans) -> Transmission:
