@@ -6,12 +6,14 @@ that edges do not ring (Bertero and Boccacci, Astron. Astrophys. 437, 369, 2005)
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from itertools import count
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy import ndimage
+from scipy.sparse.linalg import LinearOperator, cg
 
 from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.deconvolution.blur import PsfOptics, SpaceVariantBlur, Values, reach_px
@@ -20,8 +22,9 @@ from reconstruction.frame.noise import CameraNoise, image_transfer
 from reconstruction.geometry import Field, Sensor
 from reconstruction.wavefront import rms
 
-OnIteration = Callable[[int, float], None]
-"""Receives the number of the iteration and the reduced chi-square before it; NaN if the noise is unknown."""
+PhaseAt = Callable[[float, float], Floats]
+"""Wavefront at a position x, y, m, inside the field: rad, (lenslet_row, lenslet_column); NaN where unknown."""
+RestorationMethod = Literal["richardson-lucy", "wiener"]
 
 _UNSEEN = 0.01  # share of a point's light that must reach the image
 _TINY = 1e-6  # of the mean light
@@ -38,20 +41,47 @@ class Restored:
     chi_square: float  # reduced, of the image's difference to the blurred result; NaN if the noise is unknown
 
 
-def richardson_lucy(
+class _Step(NamedTuple):
+    """Estimate of an object, and how well it explains the image."""
+
+    iterations: int  # that led to it
+    scene: Values  # light, counts, (row, column)
+    misfit: Values  # square of the image's difference to it, blurred, over its variance; NaN if the noise is unknown
+
+
+def restored(
     light: Values,
     blur: SpaceVariantBlur,
+    method: RestorationMethod,
     *,
     noise: CameraNoise | None,
     counted: Booleans,
     iterations: int,
-    progress: OnIteration = lambda *_: None,
+    progress: Callable[[int, float], None] = lambda *_: None,
 ) -> Restored:
+    """Restore an image (row, column), counts above the dark.
+
+    The chi-square of the `counted` pixels (row, column) ends the iteration; without `noise`, all iterations are done.
+    `progress` receives the number of the iteration and the reduced chi-square before it. `ValueError` if the method
+    needs the noise.
+    """
+    steps = (
+        _wiener(light, blur, noise, counted, iterations) if method == "wiener" else _richardson_lucy(light, blur, noise)
+    )
+    for step in steps:
+        chi_square = float(np.mean(step.misfit, where=counted, dtype=np.float64))
+        progress(step.iterations, chi_square)
+        if chi_square <= 1 or step.iterations >= iterations:
+            break
+    rows, columns = (slice(blur.reach_px, blur.reach_px + length) for length in blur.shape)
+    return Restored(step.scene[rows, columns], step.iterations, chi_square)
+
+
+def _richardson_lucy(light: Values, blur: SpaceVariantBlur, noise: CameraNoise | None) -> Iterator[_Step]:
     """Richardson-Lucy: most probable positive object for shot noise.
 
     Read noise adds its variance to both sides, which makes shot noise of both (Snyder et al., J. Opt. Soc. Am. A 10,
-    1014, 1993). `light` (row, column) is in counts above the dark. The chi-square of the `counted` pixels (row, column)
-    ends the iteration; without `noise`, all iterations are done.
+    1014, 1993).
     """
     light = np.maximum(light, 0)
     extra = 0.0 if noise is None else noise.read_noise_counts**2 / noise.counts_per_light
@@ -59,32 +89,21 @@ def richardson_lucy(
     seen = blur.adjoint(np.ones_like(light))
     gain = np.where(seen > _UNSEEN, 1 / np.maximum(seen, _UNSEEN), 0).astype(light.dtype)
     estimate = np.where(seen > _UNSEEN, light.mean(), 0).astype(light.dtype)
-    chi_square, done = np.nan, 0
-    for done in range(iterations + 1):
+    for done in count():
         blurred = np.maximum(blur(estimate), tiny)
-        if noise is not None:
-            chi_square = _chi_square(light - blurred, noise.variance(blurred), counted)
-        progress(done, chi_square)
-        if chi_square <= 1 or done == iterations:
-            break
+        variance = math.nan if noise is None else noise.variance(blurred)
+        yield _Step(done, estimate, (light - blurred) ** 2 / variance)
         ratio = (light + light.dtype.type(extra)) / (blurred + light.dtype.type(extra))
         estimate *= np.maximum(blur.adjoint(ratio), 0) * gain
-    return Restored(_within(estimate, blur), done, chi_square)
 
 
-def wiener(
-    light: Values,
-    blur: SpaceVariantBlur,
-    *,
-    noise: CameraNoise | None,
-    counted: Booleans,
-    iterations: int,
-    progress: OnIteration = lambda *_: None,
-) -> Restored:
+def _wiener(
+    light: Values, blur: SpaceVariantBlur, noise: CameraNoise | None, counted: Booleans, iterations: int
+) -> Iterator[_Step]:
     """Wiener filter for a space-variant blur: the most probable object for white noise and a spectrum of 1/frequency^2.
 
     The object minimises |light - blurred|^2 + strength |gradient|^2 by conjugate gradients, with a strength that is
-    lowered by factors of 4 until the chi-square is 1. Arguments as in `richardson_lucy`.
+    lowered by factors of 4.
     """
     if noise is None:
         raise ValueError(
@@ -93,12 +112,9 @@ def wiener(
         )
     variance = float(np.mean(noise.variance(light), where=counted))
     estimate = np.full(blur.object_shape, light.mean(), light.dtype)
-    strength, done, chi_square = 1.0, 0, np.inf
+    strength, done = 1.0, 0
     while True:
-        chi_square = _chi_square(light - blur(estimate), variance, counted)
-        progress(done, chi_square)
-        if chi_square <= 1 or done >= iterations:
-            return Restored(_within(estimate, blur), done, chi_square)
+        yield _Step(done, estimate, (light - blur(estimate)) ** 2 / variance)
         steps = min(_GRADIENTS, iterations - done)
         estimate, done, strength = regularised(light, blur, strength, estimate, steps), done + steps, strength * _WEAKER
 
@@ -106,47 +122,16 @@ def wiener(
 def regularised(light: Values, blur: SpaceVariantBlur, strength: float, start: Values, iterations: int) -> Values:
     """Minimise |light - blurred|^2 + strength |gradient|^2 by conjugate gradients: the object (row, column)."""
 
-    def normal(scene: Values) -> Values:
-        return blur.adjoint(blur(scene)) + light.dtype.type(strength) * _stiffness(scene)
+    def normal(flat: Values) -> Values:
+        scene = flat.reshape(start.shape)
+        curvature = ndimage.laplace(scene, mode="nearest")  # of the squared gradient, with free edges
+        return np.asarray(blur.adjoint(blur(scene)) - light.dtype.type(strength) * curvature).ravel()
 
-    estimate = start
-    residual = blur.adjoint(light) - normal(start)
-    direction, square = residual, float(np.vdot(residual, residual))
-    for _ in range(iterations):
-        if square == 0:
-            break
-        image = normal(direction)
-        step = light.dtype.type(square / float(np.vdot(direction, image)))
-        estimate, residual = estimate + step * direction, residual - step * image
-        square, before = float(np.vdot(residual, residual)), square
-        direction = residual + light.dtype.type(square / before) * direction
-    return estimate
+    equations = LinearOperator((start.size, start.size), normal, dtype=light.dtype)
+    aim, no_residual = blur.adjoint(light).ravel(), float(np.finfo(light.dtype).tiny)
+    found, _ = cg(equations, aim, start.ravel(), rtol=0.0, atol=no_residual, maxiter=iterations)
+    return np.reshape(found, start.shape)
 
-
-def _stiffness(scene: Values) -> Values:
-    """Gradient of half the squared differences between neighbours."""
-    result = np.zeros_like(scene)
-    for axis in (0, 1):
-        rise = np.diff(scene, axis=axis)
-        along = np.moveaxis(result, axis, 0)
-        along[1:] += np.moveaxis(rise, axis, 0)
-        along[:-1] -= np.moveaxis(rise, axis, 0)
-    return result
-
-
-def _chi_square(difference: Values, variance: Values | float, counted: Booleans) -> float:
-    return float(np.mean(difference**2 / variance, where=counted, dtype=np.float64))
-
-
-def _within(scene: Values, blur: SpaceVariantBlur) -> Values:
-    """The part of the object that the image shows."""
-    reach = blur.reach_px
-    return scene[reach : reach + blur.shape[0], reach : reach + blur.shape[1]]
-
-
-PhaseAt = Callable[[float, float], Floats]
-"""Wavefront at a position x, y, m, inside the field: rad, (lenslet_row, lenslet_column); NaN where unknown."""
-RestorationMethod = Literal["richardson-lucy", "wiener"]
 
 _PROBES = 5  # along a side of the field, at which reach and change of the wavefront are found
 _LEAST_INSIDE_PX = 16  # of the field, along both axes
@@ -225,21 +210,20 @@ def corrected_image(
         misfit = "" if math.isnan(chi_square) else f", chi-square {chi_square:.3g}"
         progress(f"iteration {done}{misfit}", _PREPARATION + (1 - _PREPARATION) * done / iterations)
 
-    restore = wiener if method == "wiener" else richardson_lucy
     if own.counts_per_electron is None:
         curve = image_transfer(cut, own.blur_px(sensor, field))
         noise = None if curve is None else curve.noise
     else:
         noise = CameraNoise(own.counts_per_electron, own.read_noise_counts)
-    restored = restore(cut, blur, noise=noise, counted=counted, iterations=iterations, progress=iterating)
-    fine = restored.image
+    found = restored(cut, blur, method, noise=noise, counted=counted, iterations=iterations, progress=iterating)
+    fine = found.image
     if bins > 1:
         fine = ndimage.zoom(fine, bins, order=1, mode="nearest", grid_mode=True)[
             : light[part].shape[0], : light[part].shape[1]
         ]
     light[part] = fine
     result = np.where(inside, light + np.float32(imaging.dark_counts), image.astype(np.float32))
-    return CorrectedImage(result, inside, restored.iterations, restored.chi_square)
+    return CorrectedImage(result, inside, found.iterations, found.chi_square)
 
 
 def _span(inside: Booleans) -> tuple[tuple[int, int], tuple[int, int]]:

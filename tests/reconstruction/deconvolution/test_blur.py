@@ -9,7 +9,7 @@ import pytest
 import scipy  # which loads its parts when they are used
 
 from reconstruction.deconvolution.blur import SpaceVariantBlur
-from reconstruction.deconvolution.corrected_image import regularised, richardson_lucy
+from reconstruction.deconvolution.corrected_image import regularised, restored
 from reconstruction.frame.noise import CameraNoise
 
 SHAPE, REACH = (70, 90), 6
@@ -46,7 +46,7 @@ def test_constant_pattern_makes_ordinary_richardson_lucy() -> None:
     constant, kernel = blur(lambda *_: lobe(0.7, 0.3)), lobe(0.7, 0.3)
     scene = RNG.random(constant.object_shape) ** 8
     image = scipy.signal.fftconvolve(scene, kernel, mode="valid") * RNG.uniform(0.9, 1.1, SHAPE)
-    restored = richardson_lucy(image, constant, noise=None, counted=np.ones(SHAPE, np.bool_), iterations=20)
+    found = restored(image, constant, "richardson-lucy", noise=None, counted=np.ones(SHAPE, np.bool_), iterations=20)
     seen = scipy.signal.correlate(np.ones(SHAPE), kernel, mode="full", method="direct")
     estimate = np.where(seen > 0.01, image.mean(), 0)
     for _ in range(20):
@@ -55,8 +55,8 @@ def test_constant_pattern_makes_ordinary_richardson_lucy() -> None:
             seen > 0.01, 1 / np.maximum(seen, 0.01), 0
         )
     expected = estimate[REACH:-REACH, REACH:-REACH]
-    assert restored.iterations == 20
-    np.testing.assert_allclose(restored.image, expected, rtol=1e-6, atol=1e-6 * expected.max())
+    assert found.iterations == 20
+    np.testing.assert_allclose(found.image, expected, rtol=1e-6, atol=1e-6 * expected.max())
 
 
 def test_constant_pattern_makes_the_ordinary_wiener_filter() -> None:
@@ -121,19 +121,19 @@ def test_richardson_lucy_ends_where_only_noise_is_left() -> None:
     scene = 200.0 * (1 + np.sin(x / 4) * np.sin(y / 5)) + 20
     image = np.asarray(RNG.poisson(varied(scene)), np.float64)
     noise, counted = CameraNoise(1.0, 0.0), np.ones(SHAPE, np.bool_)
-    restored = richardson_lucy(image, varied, noise=noise, counted=counted, iterations=300)
-    assert 2 < restored.iterations < 300
-    assert 0.9 < restored.chi_square <= 1
-    one_less = richardson_lucy(image, varied, noise=noise, counted=counted, iterations=restored.iterations - 1)
+    found = restored(image, varied, "richardson-lucy", noise=noise, counted=counted, iterations=300)
+    assert 2 < found.iterations < 300
+    assert 0.9 < found.chi_square <= 1
+    one_less = restored(image, varied, "richardson-lucy", noise=noise, counted=counted, iterations=found.iterations - 1)
     assert one_less.chi_square > 1
     inner = scene[REACH:-REACH, REACH:-REACH]
-    assert np.linalg.norm(restored.image - inner) < 0.5 * np.linalg.norm(image - inner)
+    assert np.linalg.norm(found.image - inner) < 0.5 * np.linalg.norm(image - inner)
 
 
 def test_edges_do_not_ring() -> None:
     """A uniform scene stays uniform up to the edge, although light from beyond it arrives."""
     varied = blur(varying)
     image = varied(np.full(varied.object_shape, 100.0))
-    restored = richardson_lucy(image, varied, noise=None, counted=np.ones(SHAPE, np.bool_), iterations=50)
-    np.testing.assert_allclose(restored.image, 100, rtol=0.05)
-    np.testing.assert_allclose(restored.image[REACH:-REACH, REACH:-REACH], 100, rtol=0.01)
+    found = restored(image, varied, "richardson-lucy", noise=None, counted=np.ones(SHAPE, np.bool_), iterations=50)
+    np.testing.assert_allclose(found.image, 100, rtol=0.05)
+    np.testing.assert_allclose(found.image[REACH:-REACH, REACH:-REACH], 100, rtol=0.01)
