@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import bisect
 import dataclasses
+import math
 import threading
 from collections import deque
 from dataclasses import dataclass
@@ -21,35 +21,10 @@ from simulated_devices.rendering import ImageCache, Renderer, Scene, rendering_a
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings
 
 
-class Playback:
-    """Shows state 0, 1, 2 ... to the last rendered one and back, `duration_s` each; `states` may grow meanwhile."""
-
-    _REMEMBERED = 2000
-
-    def __init__(self, *, states: int, duration_s: float, start_s: float) -> None:
-        self.states = states
-        self._duration_s = duration_s
-        self._step = 1
-        self._begins = [start_s]
-        self._shown = [0]
-
-    def state_at(self, time_s: float) -> int:
-        """State shown at `time_s`, which may lie a little in the past."""
-        behind = (time_s - self._begins[-1]) / self._duration_s
-        if behind > self._REMEMBERED:  # after a long time without requests the film goes on where it was
-            self._begins.append(time_s - self._duration_s / 2)
-            self._shown.append(self._shown[-1])
-        while self._begins[-1] + self._duration_s <= time_s:
-            self._begins.append(self._begins[-1] + self._duration_s)
-            self._shown.append(self._next())
-        del self._begins[: -self._REMEMBERED], self._shown[: -self._REMEMBERED]
-        return self._shown[max(0, bisect.bisect_right(self._begins, time_s) - 1)]
-
-    def _next(self) -> int:
-        state = self._shown[-1]
-        if not 0 <= state + self._step < self.states:
-            self._step = -self._step
-        return min(max(state + self._step, 0), self.states - 1)
+def played_state(time_s: float, *, states: int, rendered: int, duration_s: float) -> int:
+    """State shown since 0 s: 0, 1, 2 ... to the last and back; the last rendered one instead of those that are not."""
+    step = math.floor(time_s / duration_s) % max(2 * states - 2, 1)
+    return min(step, 2 * states - 2 - step, rendered - 1)
 
 
 PHOTONS_PER_S_M2_A = 1.2e15
@@ -123,9 +98,8 @@ class SimulatedBench:
         self._cache = ImageCache(cache_folder, scene)
         self._references: dict[str, NDArray[np.float32]] = {}
         self._films: dict[str, list[NDArray[np.float32]]] = {}
-        self._playbacks: dict[str, Playback] = {}
         self._ahead: BackgroundProcess | None = None
-        self._next_poll_s = self.clock.now()
+        self._start_s = self._next_poll_s = self.clock.now()
         self._changing = threading.Lock()
         condition = Condition(current_a=light_settings.current_a, mask=scene.simulation.source.mask)
         self._history: deque[tuple[float, Condition]] = deque([(self.clock.now(), condition)], maxlen=256)
@@ -193,8 +167,10 @@ class SimulatedBench:
     def _image(self, condition: Condition, time_s: float) -> tuple[NDArray[np.float32], int | None]:
         if not condition.is_sample_in:
             return self._references[condition.mask], None
-        state = self._playbacks[condition.mask].state_at(time_s)
-        return self._films[condition.mask][state], state
+        film, duration_s = self._films[condition.mask], self.simulation.state_duration_s
+        since_s = time_s - self._start_s
+        state = played_state(since_s, states=self._scene.states, rendered=len(film), duration_s=duration_s)
+        return film[state], state
 
     def _prepare(self, mask: str, progress: OnFraction | None) -> None:
         """Render the reference and the first state of `mask`, and start to render its other states."""
@@ -207,9 +183,6 @@ class SimulatedBench:
                 first = self.renderer.state(mask, 0, _part(progress, _REFERENCE_SHARE, 1.0))
                 self._cache.save(mask, 0, first)
             self._films[mask] = [first]
-            self._playbacks[mask] = Playback(
-                states=1, duration_s=self.simulation.state_duration_s, start_s=self.clock.now()
-            )
             self._load_states(mask, self._scene.states)
         if progress is not None:
             progress(1.0)
@@ -230,7 +203,6 @@ class SimulatedBench:
             if image is None:
                 break
             film.append(image)
-        self._playbacks[mask].states = len(film)
 
 
 def _part(progress: OnFraction | None, start: float, end: float) -> OnFraction | None:

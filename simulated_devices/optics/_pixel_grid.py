@@ -51,34 +51,20 @@ class PixelGrid:
             pupil_samples, pixel_fill_factor * angle_per_px / (2 * math.pi), lattice.rotation_rad
         )
 
-    def evaluate(self, images: Image) -> Image:
-        """Values at every pixel, (row, column), from images on the 2n x 2n grid, (lenslet_row, lenslet_column, y, x).
-
-        A single image is used for all lenslets.
-        """
-        n = self._samples
-        waves = np.broadcast_to(self.waves(images), (len(self._ends), 2 * n - 1, 2 * n - 1))
-        values = np.empty(len(self._pixel), np.float32)
-        for lenslet, (start, end) in enumerate(pairwise([0, *self._ends])):
-            along_y, along_x = self._waves_at_pixels(start, end)
-            values[start:end] = np.einsum("yp,yp->p", along_y, waves[lenslet] @ along_x)
-        image = np.zeros(self._shape, np.float32)
-        image.ravel()[self._pixel] = np.maximum(values, 0)  # rounding can leave -1e-7
-        return image
-
     def waves(self, images: Image) -> Image:
         """Amplitudes of the waves of images on the 2n x 2n grid, averaged over a pixel.
 
-        (lenslet, y wave, x wave), each the cosines 0 ... n-1 and then the sines 1 ... n-1.
+        From (lenslet_row, lenslet_column, y, x) to (lenslet, y wave, x wave), each the cosines 0 ... n-1 and then the
+        sines 1 ... n-1.
         """
         n = self._samples
         analysis = _analysis(n)
         return self._blurred(analysis @ images.reshape(-1, 2 * n, 2 * n) @ analysis.T * self._scale).astype(np.float32)
 
-    def evaluate_each(
-        self, waves: Image, run: Callable[[Callable[[int], None], Iterable[int]], Iterable[None]]
+    def evaluate(
+        self, waves: Image, run: Callable[[Callable[[int], None], Iterable[int]], Iterable[None]] = map
     ) -> Image:
-        """Images of many object points, (point, row, column), from their `waves`, (lenslet, point, wave).
+        """Images of object points, (point, row, column), from their `waves`, (lenslet, point, y wave, x wave).
 
         A single lenslet is used for all. `run` maps a function over lenslets, in parallel if wanted.
         """
@@ -88,9 +74,8 @@ class PixelGrid:
         def work(lenslet: int) -> None:
             start, end = bounds[lenslet]
             along_y, along_x = self._waves_at_pixels(start, end)
-            at_pixels = (along_y[:, None, :] * along_x[None, :, :]).reshape(waves.shape[2], end - start)
-            values = waves[lenslet if len(waves) > 1 else 0] @ at_pixels
-            images[:, self._pixel[start:end]] = np.maximum(values, 0)
+            values = np.einsum("yp,iyp->ip", along_y, waves[lenslet if len(waves) > 1 else 0] @ along_x)
+            images[:, self._pixel[start:end]] = np.maximum(values, 0)  # rounding can leave -1e-7
 
         list(run(work, range(len(bounds))))
         return images.reshape(-1, *self._shape)

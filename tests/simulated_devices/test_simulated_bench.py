@@ -16,7 +16,7 @@ import pytest
 from support.patience import HANG_S, wait_until
 from support.simulated_scene import DRIFTING, LATTICE, STILL, current_state, open_bench, states_rendered
 
-from simulated_devices.bench import Playback, SimulatedBench
+from simulated_devices.bench import SimulatedBench, played_state
 from simulated_devices.rendering import ImageCache, render_missing, rendering_ahead
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation, Source
 
@@ -39,11 +39,12 @@ def test_states_are_rendered_ahead_and_played(cache_folder: Path) -> None:
     try:
 
         def all_are_rendered() -> bool:
-            bench.clock.sleep(0.25)
+            bench.clock.sleep(0.2)
             current_state(bench)
             return states_rendered(bench) == 4
 
         wait_until(all_are_rendered)
+        bench.clock.sleep(0.05)  # to the middle of a state
         seen = []
         for _ in range(12):
             bench.clock.sleep(0.1)
@@ -186,16 +187,14 @@ def test_every_parameter_changes_the_fingerprint(bench: SimulatedBench) -> None:
     assert len({scene.fingerprint(), *(other.fingerprint() for other in others)}) == 6
 
 
-def test_playback_reverses_and_grows_without_jump() -> None:
-    film = Playback(states=3, duration_s=1.0, start_s=0.0)
-    assert [film.state_at(time_s + 0.5) for time_s in range(7)] == [0, 1, 2, 1, 0, 1, 2]
-    film.states = 5
-    assert [film.state_at(time_s + 0.5) for time_s in range(7, 12)] == [3, 4, 3, 2, 1]
-    assert film.state_at(8.5) == 4  # what was shown is remembered
-    later = film.state_at(1e6)
-    assert film.state_at(1e6 + 1) != later
-    still = Playback(states=1, duration_s=1.0, start_s=0.0)
-    assert [still.state_at(time_s + 0.5) for time_s in range(3)] == [0, 0, 0]
+def test_states_are_played_back_and_forth_as_far_as_they_are_rendered() -> None:
+    def shown(rendered: int, states: int = 5) -> list[int]:
+        return [played_state(t + 0.5, states=states, rendered=rendered, duration_s=1.0) for t in range(-1, 10)]
+
+    assert shown(5) == [1, 0, 1, 2, 3, 4, 3, 2, 1, 0, 1]
+    assert shown(3) == [1, 0, 1, 2, 2, 2, 2, 2, 1, 0, 1]
+    assert np.abs(np.subtract(shown(4), shown(3))).max() == 1  # no jump when one more is rendered
+    assert shown(1, states=1) == [0] * 11
 
 
 @pytest.mark.parametrize(

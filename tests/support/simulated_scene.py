@@ -96,7 +96,9 @@ class SimulatedLightFaults:
 def current_state(bench: SimulatedBench) -> int:
     """State of the sample now."""
     bench._load_rendered()
-    return bench._playbacks[bench.condition.mask].state_at(bench.clock.now())
+    _, state = bench._image(replace(bench.condition, is_sample_in=True), bench.clock.now())
+    assert state is not None
+    return state
 
 
 def states_rendered(bench: SimulatedBench) -> int:
