@@ -71,6 +71,27 @@ def test_lens_gathers_light_and_changes_its_curvature(curvature: float, sign: in
     np.testing.assert_allclose(phase - phase[20, 20], expected, atol=2e-3)
 
 
+def test_screen_wider_than_high_is_propagated_over_its_whole_width() -> None:
+    """A cylindrical lens in x: intensity 1 / (1 + c z / k), curvature c / (1 + c z / k)."""
+    curvature = 4e6
+    x_m = np.arange(-192, 193) * SPACING_M
+    screen = PhaseScreen(np.tile(curvature / 2 * x_m**2, (129, 1)), SPACING_M)
+    light = PropagatedLight(
+        screen,
+        None,
+        NEAR_PUPIL,
+        half_width_m=(4.5e-3, 1e-3),
+        collimator_focal_length_m=FOCAL_LENGTH_M,
+        wavenumber_rad_per_m=WAVENUMBER,
+    )
+    stretch = 1 + curvature * DISTANCE_M / WAVENUMBER
+    wide_m, high_m = np.linspace(-4.4e-3, 4.4e-3, 89), np.linspace(-0.9e-3, 0.9e-3, 7)[:, None]
+    np.testing.assert_allclose(np.abs(light.at(wide_m, high_m)) ** 2, 1 / stretch, rtol=2e-3)
+    phase = light.phase.at(wide_m, high_m)
+    expected = np.broadcast_to(curvature / stretch / 2 * wide_m**2, phase.shape)
+    np.testing.assert_allclose(phase - phase[3, 44], expected, atol=2e-3)
+
+
 @pytest.mark.slow
 @pytest.mark.long
 def test_lens_near_the_mask_gathers_light_on_its_way_to_the_collimator() -> None:
