@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from statistics import median
 
 import numpy as np
+from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QLabel, QWidget
 
 from app.acquisition.instrument import Status
@@ -21,6 +22,7 @@ from app.timing import MEANINGS, STAGES, StageTimes, TimedStage, Timings
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE
 
+_RATE = "Frames acquired per second"
 _VALID = "Lenslets whose subimage matches the reference"
 _RANGE = "; at 100 % light reaches the edge of its cell"  # of the dynamic range
 _CORRECTION = "Age of the correction of systematic errors by the model of the bench"
@@ -47,31 +49,24 @@ class StatusLine(QWidget):
         self.times = label("")
         self.times.setObjectName("window/times")
         self.times.hide()
-        self.devices = label("", "dim")
         self.simulated = label("SIMULATED", "badge")
         self.simulated.setToolTip("No real device: camera, light and sample are computed")
         self.simulated.hide()
-        self.rate, self.delay, self.lost = label(NOTHING), label(NOTHING), label("0")
-        self.valid, self.correction, self.limits = label(NOTHING), label("off"), label("")
+        self.rate, self.delay = _Value(_RATE, "00.0"), _Value(_DELAY, "0000.0 ms")
+        self.lost, self.valid = _Value(_LOST, "000"), _Value(_VALID, "000 of 000")
+        self.correction, self.limits = _Value(_CORRECTION, "computing"), _Value(_LIMITS, "pass")
+        self.devices = _Value("", "stopped")
+        names = "frames/s", "delay", "lost", "valid", "correction", "limits"
+        values = self.rate, self.delay, self.lost, self.valid, self.correction, self.limits
+        named = [row_of(label(name, "dim"), value) for name, value in zip(names, values, strict=True)]
+        for of_value, value in zip(named, values, strict=True):
+            of_value.setToolTip(value.about)
+        self._of_correction, self._of_limits = named[-2:]
         self.assumed = ElidedLabel("dim")
-        parts = (
-            ("frames/s", self.rate, "", "00.0"),
-            ("delay", self.delay, _DELAY, "0000.0 ms"),
-            ("lost", self.lost, _LOST, "000"),
-            ("valid", self.valid, _VALID, "000 of 000"),
-            ("correction", self.correction, _CORRECTION, "computing"),
-            ("limits", self.limits, _LIMITS, "pass"),
-        )
-        named = []
-        for name, value, tool_tip, widest in parts:
-            value.setMinimumWidth(value.fontMetrics().horizontalAdvance(widest))  # so that the next does not move
-            named.append(row_of(label(name, "dim"), value))
-            named[-1].setToolTip(tool_tip)
-        self.devices.setMinimumWidth(max(map(self.devices.fontMetrics().horizontalAdvance, ("running", "stopped"))))
-        self._counted, self._of_correction, self._of_limits = named[0], named[-2], named[-1]
-        self._of_limits.hide()
         line = row(*named, (self.assumed, 1), self.simulated, self.devices, spacing=_GAP_PX)
         column(self.times, line, spacing=2, parent=self).setContentsMargins(10, 0, 10, 2)
+        self.restart()
+        self.show_verdict(Verdict())
 
     def count(self, measurement: Measurement) -> None:
         self.shown += 1
@@ -89,8 +84,7 @@ class StatusLine(QWidget):
         self._recent.clear()
         self.shown = 0
         for value, text in ((self.rate, NOTHING), (self.delay, NOTHING), (self.lost, "0"), (self.devices, "")):
-            _write(value, text)
-        colour_text(self.lost, theme.TEXT)
+            value.show_text(text)
         self.simulated.hide()
         self._show_valid(None)
         self._show_correction(RefinementState("off"))
@@ -107,33 +101,31 @@ class StatusLine(QWidget):
             self._times_due_s = time.monotonic() + _TIMES_INTERVAL_S
             table = _timing_table(timings.summary(), self.fontMetrics().horizontalAdvance("to reconstruct"))
             self.times.setText(table)
-            for shown in (self.times, self.delay):
-                shown.setToolTip(f"<p>{_DELAY}.</p>{table}{_STAGES}")
+            self.delay.about = f"<p>{_DELAY}.</p>{table}{_STAGES}"
+            self.times.setToolTip(self.delay.about)
         names: tuple[str, ...] = ()
         if status is not None:
             self.simulated.setVisible(status.bench.is_simulated)
             names = status.camera_name, status.light_name
         if status is not None or trouble:
-            _write(self.devices, trouble or ("running" if status is not None and status.is_running else "stopped"))
-            colour_text(self.devices, theme.RED if trouble else theme.DIM)
-            self.devices.setToolTip("\n".join(filter(None, [*names, processes])))
+            state = trouble or ("running" if status is not None and status.is_running else "stopped")
+            about = "\n".join(filter(None, [*names, processes]))
+            self.devices.show_text(state, about, theme.RED if trouble else theme.DIM)
         last = self._newest
         if last is None:
             return
         (first_s, first_count, _, first_lost), (last_s, last_count, _, lost) = self._recent[0], self._recent[-1]
-        _write(self.lost, str(lost))
-        is_live = status is None or not status.is_replay
-        self.lost.setToolTip("" if is_live else "Frames that were lost when this was recorded")
-        colour_text(self.lost, theme.RED if lost > first_lost and is_live else theme.TEXT)
+        if status is not None and status.is_replay:
+            self.lost.show_text(str(lost), "In a replay, those that were lost when it was recorded")
+        else:
+            self.lost.show_text(str(lost), colour=theme.RED if lost > first_lost else theme.TEXT)
         is_running = status is not None and status.is_running
         has_rate = is_running and last_s > first_s
-        _write(self.rate, f"{(last_count - first_count) / (last_s - first_s):.1f}" if has_rate else NOTHING)
-        _write(self.delay, _duration(median(delay_s for _, _, delay_s, _ in self._recent)))
+        rate = f"{(last_count - first_count) / (last_s - first_s):.1f}" if has_rate else NOTHING
         age = _duration(time.perf_counter() - last.exposure_end_s)
-        self._counted.setToolTip(
-            f"Frames acquired per second\n\n{last.counts.acquired} acquired, {last.counts.reconstructed} reconstructed,"
-            f" {self.shown} shown in this window; the shown one is {age} old"
-        )
+        counts = f"{last.counts.acquired} acquired, {last.counts.reconstructed} reconstructed, {self.shown} shown"
+        self.rate.show_text(rate, f"{counts} in this window; the shown one is {age} old")
+        self.delay.show_text(_duration(median(delay_s for _, _, delay_s, _ in self._recent)))
         self._show_valid(None if last.wavefront is None else last.wavefront.displacement)
         self._show_assumed(last, "" if status is None else status.mask_note)
         self._show_correction(last.assumed.refinement)
@@ -141,21 +133,18 @@ class StatusLine(QWidget):
     def show_verdict(self, verdict: Verdict) -> None:
         """Show whether the newest frame is within the limits, if there are any."""
         self._of_limits.setVisible(bool(verdict.text))
-        _write(self.limits, verdict.text)
-        self._of_limits.setToolTip("\n".join([_LIMITS, *filter(None, [verdict.reason])]))
-        colour_text(self.limits, {"pass": theme.GREEN, "fail": theme.RED}.get(verdict.text, theme.TEXT))
+        colour = {"pass": theme.GREEN, "fail": theme.RED}.get(verdict.text, theme.TEXT)
+        self.limits.show_text(verdict.text, verdict.reason, colour)
 
     def _show_valid(self, displacement: Displacement | None) -> None:
-        text, tool_tip, colour = NOTHING, _VALID, theme.TEXT
+        text, about, colour = NOTHING, "", theme.TEXT
         if displacement is not None:
             valid, count = np.count_nonzero(displacement.valid), displacement.valid.size
             text = f"{valid} of {count}"
-            tool_tip = "\n".join([_VALID, *displacement.summary]) + _RANGE
+            about = "\n".join(displacement.summary) + _RANGE
             if valid < count:
                 colour = theme.AMBER if valid >= count / 2 else theme.RED
-        _write(self.valid, text)
-        self.valid.setToolTip(tool_tip)
-        colour_text(self.valid, colour)
+        self.valid.show_text(text, about, colour)
 
     def _show_assumed(self, measurement: Measurement, mask_note: str) -> None:
         sample, told = measurement.assumed.sample, ""
@@ -178,16 +167,24 @@ class StatusLine(QWidget):
             "failed": ("failed", refinement.problem, theme.RED),
         }[refinement.stage]
         self._of_correction.setVisible(refinement.stage != "off")
-        _write(self.correction, text)
-        self.correction.setToolTip("\n".join(filter(None, [_CORRECTION, why])))
-        colour_text(self.correction, colour)
+        self.correction.show_text(text, why, colour)
 
 
-def _write(value: QLabel, text: str) -> None:
-    """Show a text; a fixed size, which never shrinks, keeps Qt from laying out and painting the whole status bar."""
-    value.setText(text)
-    needed = value.sizeHint()
-    value.setFixedSize(max(value.minimumWidth(), needed.width()), needed.height())
+class _Value(QLabel):
+    """A short text with a tool tip: what it is about, and more of it."""
+
+    def __init__(self, about: str, widest: str) -> None:
+        super().__init__()
+        self.about = about
+        self.setMinimumWidth(self.fontMetrics().horizontalAdvance(widest))  # so that the next does not move
+
+    def show_text(self, text: str, more: str = "", colour: QColor = theme.TEXT) -> None:
+        """Show a text; a fixed size, which never shrinks, keeps Qt from laying out and painting all values."""
+        self.setText(text)
+        needed = self.sizeHint()
+        self.setFixedSize(max(self.minimumWidth(), needed.width()), needed.height())
+        self.setToolTip("\n".join(filter(None, [self.about, more])))
+        colour_text(self, colour)
 
 
 def _duration(seconds: float) -> str:

@@ -93,7 +93,7 @@ def test_each_end_and_several_series(window: MainWindow) -> None:
     panel.add(3.0, {FILL: 50.0})
     window.update_text()
     assert window.status_line.limits.text() == "fail"  # the temperature is unknown, and was too high
-    assert "Temperature is unknown" in window.status_line._of_limits.toolTip()
+    assert "Temperature is unknown" in window.status_line.limits.toolTip()
     panel.add(4.0, {FILL: 50.0, TEMPERATURE: -70.0})
     window.update_text()
     assert window.status_line.limits.text() == "pass"

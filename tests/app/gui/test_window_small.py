@@ -176,7 +176,7 @@ def test_numbers_keep_their_room_and_the_rest_is_told_in_a_tooltip(qtbot: QtBot)
     line.update_text(None, None)
     wide = line.lost.width()
     assert wide >= line.lost.fontMetrics().horizontalAdvance("30123")
-    assert "1234567 acquired, 1204567 reconstructed, 1 shown" in line._counted.toolTip()
+    assert "1234567 acquired, 1204567 reconstructed, 1 shown" in line.rate.toolTip()
     line.count(replace(many, counts=FrameTotals(1234568, 1204568, 30124), latency_s=0.9))
     line.update_text(None, None)
     assert line.lost.property("tone") == "red"  # it has grown
