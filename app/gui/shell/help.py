@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from PyQt6.QtCore import QT_VERSION_STR, QEvent, QObject, QPoint, QRect, QSize, Qt, QUrl
-from PyQt6.QtGui import QCloseEvent, QFontDatabase, QImage, QKeyEvent, QTextCursor, QTextDocument
-from PyQt6.QtWidgets import QDialog, QFrame, QScrollArea, QTextBrowser, QWidget
+from PyQt6.QtGui import QCloseEvent, QFontDatabase, QImage, QKeyEvent, QTextCursor, QTextDocument, QTextOption
+from PyQt6.QtWidgets import QDialog, QFrame, QTextBrowser, QWidget
 
 import app
 from app.gui.panels.panel import Entries
@@ -34,7 +34,7 @@ A click or the arrow keys select the view whose MTF is plotted.</p>
 <p>Arrows show the displacement of each lenslet, averaged over the field and magnified as stated.</p>
 """
 
-_WIDTH_PX, _MOST_WIDTH_PX = 960, 2000  # of the help
+_WIDTH_PX, _MOST_WIDTH_PX, _LINES = 960, 2000, 46  # of the help
 _AROUND_PX = 70  # beside it: margins and scroll bar
 _BUBBLE_PX = 340  # width of the tour's text
 PAPER = (
@@ -55,26 +55,16 @@ _FIRST_PAGE = "window.md"
 
 def show_keys(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     """Show the keys of all entries and the conventions, without stopping the measurement."""
-    dialog = QDialog(parent)
-    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-    dialog.setObjectName("help")
-    dialog.setWindowTitle("Shortcuts and conventions")
     tables = [_key_table(title, entries) for title, entries in menus.items()]
     tables[0] += tables.pop()  # the help below the first, which has few keys
-    most = within_screen(parent, QSize(_MOST_WIDTH_PX, 0)).width() - _AROUND_PX
-    if _width(_side_by_side(tables), parent) > most:
+    most_px = within_screen(parent, QSize(_MOST_WIDTH_PX, 0)).width() - _AROUND_PX
+    if _width(_side_by_side(tables), parent) > most_px:
         tables[0] += tables.pop()
-    shown = _side_by_side(tables)
-    text = label(f"{shown}{_CONVENTIONS}", wraps=True)
-    width = max(min(_WIDTH_PX, most), _width(shown, parent))
-    text.setMinimumSize(width, text.heightForWidth(width))
-    text.setContentsMargins(8, 0, 8, 0)
-    area = QScrollArea()
-    area.setWidget(text)
-    area.setFrameShape(QFrame.Shape.NoFrame)
-    close = row((QWidget(), 1), Button("Close", "Close the help (Esc)", dialog.close))
-    column(area, close, parent=dialog).setContentsMargins(11, 11, 11, 11)
-    dialog.resize(within_screen(parent, QSize(width + _AROUND_PX, text.minimumHeight() + 80)))
+    dialog, shown = TextDialog("help", "Shortcuts and conventions", parent), _side_by_side(tables)
+    dialog.view.setWordWrapMode(QTextOption.WrapMode.WordWrap)  # else it breaks within words
+    dialog.view.setHtml(f"{shown}{_CONVENTIONS}")
+    width_px = max(min(_WIDTH_PX, most_px), _width(shown, parent)) + _AROUND_PX
+    dialog.resize(within_screen(parent, QSize(width_px, _LINES * parent.fontMetrics().height())))
     dialog.show()
 
 

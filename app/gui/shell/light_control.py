@@ -4,10 +4,10 @@ import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Literal
 
 from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument
+from app.acquisition.start_up import CalibrationStep
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
 from app.progress import counted
@@ -94,21 +94,19 @@ class LightControl:
     def _is_busy(self, acquisition: Carrier) -> bool:
         return bool(acquisition.activity.text) or self.is_switching_off or not self._controller.is_idle
 
-    def take(self, name: Literal["dark", "reference"], frames: int) -> None:
-        """Average frames: for a dark without light, for a reference with light and without the sample."""
-        is_lit = name == "reference"
-        if self._must_ask(on=is_lit):
-            self._ask_by_hand(on=is_lit, then=lambda: self.take(name, frames))
+    def take(self, step: CalibrationStep, frames: int) -> None:
+        """Average frames for a dark or a reference."""
+        if self._must_ask(on=step.is_lit):
+            self._ask_by_hand(on=step.is_lit, then=lambda: self.take(step, frames))
         else:
-            request = Instrument.take_reference if is_lit else Instrument.take_dark
-            self._controller.send(lambda to: to.submit(request, frames), lambda _: self._confirm(name, frames))
+            self._controller.send(lambda to: step.begin(to, frames), lambda _: self._confirm(step, frames))
 
-    def _confirm(self, name: Literal["dark", "reference"], frames: int) -> None:
+    def _confirm(self, step: CalibrationStep, frames: int) -> None:
         """Tell that an average was taken; if it is unusable, the warning tells why. After a dark, light is needed."""
-        status = self._controller.status
+        status, name = self._controller.status, step.title.lower()
         if status is not None and getattr(status, name).validity == "good":
             self._messages.inform(f"{name} taken: mean of {counted(frames)}")
-        if name == "dark" and self._must_ask(on=True):
+        if self._must_ask(on=True):
             self._ask_by_hand(on=True)
 
     def _must_ask(self, *, on: bool) -> bool:

@@ -13,9 +13,9 @@ from PyQt6.QtWidgets import QApplication, QWidget
 
 from app.acquisition.carrier import Activity, Carrier
 from app.acquisition.instrument import Status
+from app.acquisition.start_up import DARK, REFERENCE
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
-from app.errors import InputError
 from app.gui.panels.panel import Entries, Shown
 from app.gui.panels.registry import make_panels
 from app.gui.shell.access import Access
@@ -114,8 +114,8 @@ class MainWindow(BaseWindow):
     def _connect(self) -> None:
         acts: dict[str, Callable[[Any], object]] = {
             "light": self.light.switch,
-            "dark": partial(self.light.take, "dark"),
-            "reference": partial(self.light.take, "reference"),
+            "dark": partial(self.light.take, DARK),
+            "reference": partial(self.light.take, REFERENCE),
             "calibration": self.guide.begin,
             "lattice": lambda _: self.routines.find_lattice(),
             "auto_exposure": lambda _: self.routines.expose(),
@@ -311,19 +311,15 @@ class MainWindow(BaseWindow):
         )
 
     def open_file(self, path: Path) -> None:
-        try:
-            if path.is_dir():
-                self.recording_bar.play(path)
-            elif path.suffix == ".toml":
-                self.benches.open(str(path))
-            elif path.suffix.lower() in SUFFIXES:
-                self.controller.show_file(path)
-            else:
-                self.messages.warn(
-                    f"{path.name}: drop a recording's folder, a bench (.toml) or a frame (.tif, .fits, .png, .npy)"
-                )
-        except InputError as error:
-            self.messages.warn(str(error))
+        if path.is_dir():
+            self.recording_bar.play(path)
+        elif path.suffix == ".toml":
+            self.benches.open(str(path))
+        elif path.suffix.lower() in SUFFIXES:
+            self.controller.show_file(path)
+        else:
+            kinds = "a recording's folder, a bench (.toml) or a frame (.tif, .fits, .png, .npy)"
+            self.messages.warn(f"{path.name}: drop {kinds}")
 
     def show_tour(self) -> None:
         """Explain one part of the window after the other, beginning with the panels."""

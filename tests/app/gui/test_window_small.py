@@ -16,7 +16,6 @@ from PyQt6.QtWidgets import (
     QLabel,
     QLineEdit,
     QPushButton,
-    QScrollArea,
     QStyle,
     QStyleOptionButton,
     QStyleOptionComboBox,
@@ -27,6 +26,7 @@ from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import MakeWindow, dim_frame, press, views, wait_for_wavefront
 
 from app.acquisition.carrier import Activity
+from app.gui.shell.help import TextDialog
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.status_line import StatusLine
 from app.gui.shell.wording import advice
@@ -204,11 +204,12 @@ def test_help_fits_on_the_screen_and_scrolls(make_window: MakeWindow) -> None:
     screen = window.screen()
     assert screen is not None
     assert dialog.height() <= screen.availableGeometry().height()
-    text = dialog.findChildren(QScrollArea)[0].widget()
-    assert isinstance(text, QLabel)
-    assert text.height() >= text.heightForWidth(text.width())  # nothing is cut off
+    assert isinstance(dialog, TextDialog)
+    bar = dialog.view.horizontalScrollBar()
+    assert bar is not None
+    assert not bar.maximum()
     for words in ("Take a dark", "Edit the exposure", "Uncertainty over the field"):
-        assert words in text.text().replace("&nbsp;", " ")
+        assert words in dialog.view.toPlainText().replace("\N{NO-BREAK SPACE}", " ")
     dialog.close()
 
 
