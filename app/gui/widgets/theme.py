@@ -110,24 +110,17 @@ def _colour(application: QApplication) -> None:
         colour.setNamedColor(names[is_light])
     palette = QPalette()
     roles = QPalette.ColorRole
-    for role, colour in (
-        (roles.Window, BACKGROUND),
-        (roles.WindowText, TEXT),
-        (roles.Base, SURFACE),
-        (roles.AlternateBase, RAISED),
-        (roles.ToolTipBase, RAISED),
-        (roles.ToolTipText, TEXT),
-        (roles.Text, TEXT),
-        (roles.Button, RAISED),
-        (roles.ButtonText, TEXT),
-        (roles.BrightText, RED),
-        (roles.Highlight, ACCENT),
-        (roles.HighlightedText, BACKGROUND),
-        (roles.PlaceholderText, DIM),
-        (roles.Link, ACCENT),
-        (roles.LinkVisited, ACCENT),
+    for colour, coloured in (
+        (BACKGROUND, (roles.Window, roles.HighlightedText)),
+        (SURFACE, (roles.Base,)),
+        (RAISED, (roles.AlternateBase, roles.ToolTipBase, roles.Button)),
+        (TEXT, (roles.WindowText, roles.Text, roles.ButtonText, roles.ToolTipText)),
+        (DIM, (roles.PlaceholderText,)),
+        (ACCENT, (roles.Highlight, roles.Link, roles.LinkVisited)),
+        (RED, (roles.BrightText,)),
     ):
-        palette.setColor(role, colour)
+        for role in coloured:
+            palette.setColor(role, colour)
     for role in (roles.WindowText, roles.Text, roles.ButtonText):
         palette.setColor(QPalette.ColorGroup.Disabled, role, DISABLED)
     application.setPalette(palette)
