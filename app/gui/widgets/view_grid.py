@@ -235,12 +235,12 @@ class ViewGrid(QWidget):
 
     @property
     def places(self) -> Places:
-        shape, line = (0, 0, 0, 0) if self.maps is None else self.maps.values.shape, self.fontMetrics().height()
-        (width, height), space, has_bar = (self.width(), self.height()), self.bar_space, self.has_bar
+        shape = (0, 0, 0, 0) if self.maps is None else self.maps.values.shape
+        line, has_bar = self.fontMetrics().height(), self.has_bar
         if has_bar is None:
-            has_bar = width >= 2 * space + line and height >= LEAST_LINES * line
-        space *= has_bar
-        return arrange_views((width, height), shape, bar_space=space, line_px=line, is_captioned=self._is_captioned)
+            has_bar = self.width() >= 2 * self.bar_space + line and self.height() >= LEAST_LINES * line
+        room, space = (self.width(), self.height()), self.bar_space * has_bar
+        return arrange_views(room, shape, bar_space=space, line_px=line, is_captioned=self._is_captioned)
 
     @property
     def bar_space(self) -> int:
