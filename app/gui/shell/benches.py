@@ -48,7 +48,7 @@ class Benches(QObject):
         self._controller, self._settings_control, self._remembered = controller, settings_control, settings
         self.recent = RecentFiles(settings, "recent/benches")
         self.dialog = BenchDialog(window)
-        self.settings: SettingsDialog | None = None  # made when it is needed
+        self.settings = SettingsDialog(self._use, self.open, window)
         self.error: InputError | None = None  # of the last attempt to open a bench
 
     def open(self, source: str, overrides: tuple[str, ...] = (), *, trust: bool = False) -> None:
@@ -96,15 +96,10 @@ class Benches(QObject):
     def edit(self) -> None:
         """Edit the settings of the open bench, with lattice, exposure and current in force."""
         status = self._controller.status
-        self._settings_dialog().edit(load_bench(DEFAULT) if status is None else status.bench_in_force)
+        self.settings.edit(load_bench(DEFAULT) if status is None else status.bench_in_force)
 
     def make(self) -> None:
-        self._settings_dialog().make(replace(load_bench(DEFAULT), lattice=None))
-
-    def _settings_dialog(self) -> SettingsDialog:
-        if self.settings is None:
-            self.settings = SettingsDialog(self._use, self.open, self._window)
-        return self.settings
+        self.settings.make(replace(load_bench(DEFAULT), lattice=None))
 
     def _use(self, bench: Bench, before: Bench | None) -> None:
         """Connect the devices of a bench, unless it differs from the open one, `before`, in the reconstruction only."""

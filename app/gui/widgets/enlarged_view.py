@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF, QShowEvent
+from PyQt6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF, QShowEvent
 from PyQt6.QtWidgets import QDialog, QWidget
 
 from app.gui.widgets import theme
@@ -14,7 +14,7 @@ from app.gui.widgets.layouts import column, row, within_screen
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import number
 from app.gui.widgets.texts import ElidedLabel
-from app.gui.widgets.view_grid import STEPS, Maps, ViewGrid
+from app.gui.widgets.view_grid import Maps, ViewGrid
 from app.results.pictures import contour_step, contours, project_points, project_surface
 from reconstruction.arrays import Floats
 
@@ -76,12 +76,8 @@ class EnlargedMap(ViewGrid):
             inside = event.pos() - tile.topLeft()
             self._set_cursor(inside.y() * rows // tile.height(), inside.x() * columns // tile.width())
 
-    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
-        step = None if event is None else STEPS.get(Qt.Key(event.key()))
-        if step is None or self.maps is None:
-            super().keyPressEvent(event)
-            return
-        self._set_cursor(self.at[0] + step[0], self.at[1] + step[1])
+    def _step(self, _: Maps, down: int, right: int) -> None:
+        self._set_cursor(self.at[0] + down, self.at[1] + right)
 
     def _set_cursor(self, row: int, column: int) -> None:
         rows, columns = self.values.shape

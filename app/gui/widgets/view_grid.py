@@ -24,7 +24,7 @@ _CAPTION_PX = 100  # small views stand apart, if there is room, so that their ca
 MARGIN_PX = 3  # around all views, for the selection frame
 _BETWEEN_PX = 4  # between the captions of neighbours
 _CAPTIONED = ((2, 50), (1, 40), (0, 0))  # lines and least px: of narrower views only the tool tips have the numbers
-STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
+_STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
 
 Caption = tuple[tuple[str, ...], tuple[str, ...]]  # two lines, each with its wordings, longest first
 
@@ -196,15 +196,18 @@ class ViewGrid(QWidget):
             self.opened.emit()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
-        if event is None:
-            return
-        step = STEPS.get(Qt.Key(event.key()))
-        if step is None or self.selection is None or self.maps is None:
+        step = None if event is None else _STEPS.get(Qt.Key(event.key()))
+        if step is None or self.maps is None:
             super().keyPressEvent(event)
-            return
-        row, column = self.selection[0] + step[0], self.selection[1] + step[1]
-        if 0 <= row < self.maps.values.shape[0] and 0 <= column < self.maps.values.shape[1]:
-            self.selected.emit(row, column)
+        else:
+            self._step(self.maps, *step)
+
+    def _step(self, maps: Maps, down: int, right: int) -> None:
+        """Select the next view in a direction."""
+        if self.selection is not None:
+            row, column = self.selection[0] + down, self.selection[1] + right
+            if 0 <= row < maps.values.shape[0] and 0 <= column < maps.values.shape[1]:
+                self.selected.emit(row, column)
 
     def _scale(self, maps: Maps) -> ColourScale:
         """From black to white while the maps are stale: a sign stays visible."""
