@@ -142,8 +142,8 @@ class Photographer:
                 window.panels.lenslet.inspect(7, 7)
             window.docks.show_panel(panel)
             if panel.has_own_thread:
-                thread = window.analyses.threads[panel]
-                self._wait(lambda panel=panel, thread=thread: panel in thread.requests and not thread.is_busy)  # type: ignore[misc] # mypy and defaults
+                analysis = window.analyses.of[panel]
+                self._wait(lambda analysis=analysis: analysis.request is not None and not analysis.is_busy)  # type: ignore[misc] # mypy and defaults
             self._save(name.lower(), window)
         window.panels.wavefronts.menu.change(views=9)
         window.status_line.toggle_times()

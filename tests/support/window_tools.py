@@ -85,12 +85,12 @@ def wait_for_wavefront(qtbot: QtBot, window: MainWindow) -> None:
 def count_pixels(qtbot: QtBot, window: MainWindow) -> None:
     """Wait until the pixels of the shown frame are counted and measured, and show the numbers."""
     panel = window.panels.camera
-    thread = window.analyses.threads[panel]
+    analysis = window.analyses.of[panel]
 
     def are_counted() -> bool:
-        last, now = thread.requests.get(panel), panel.request()
+        last, now = analysis.request, panel.request()
         is_newest = last is not None and now is not None and last.of is now.of and last.choice == now.choice
-        return is_newest and not thread.is_busy
+        return is_newest and not analysis.is_busy
 
     qtbot.waitUntil(are_counted)
     window.update_text()

@@ -119,7 +119,7 @@ def test_hidden_panel_requests_no_analysis(make_window: MakeWindow, qtbot: QtBot
     assert not window.panels.quality.isVisible()
     show(window, bowl())
     qtbot.wait(200)
-    assert window.panels.quality not in window.analyses.threads[window.panels.quality].requests
+    assert window.analyses.of[window.panels.quality].request is None
     assert window.panels.wavefronts.grid.selection is None
     press(qtbot, window, Qt.Key.Key_I)
     qtbot.waitUntil(lambda: bool(window.panels.quality.sentence.text()))
@@ -162,12 +162,12 @@ def test_views_without_values_are_shown_for_every_quantity(make_window: MakeWind
     unknown.displacement.outcome[:] = 3
     show(window, unknown)
     panel = window.panels.wavefronts
-    thread = window.analyses.threads[panel]
+    analysis = window.analyses.of[panel]
 
     def is_analysed(quantity: Quantity) -> bool:
-        if thread.is_busy or quantity is Quantity.WAVEFRONT:
-            return not thread.is_busy
-        return panel in thread.requests and thread.requests[panel].choice[0] is quantity  # type: ignore[index] # a tuple
+        if analysis.is_busy or quantity is Quantity.WAVEFRONT:
+            return not analysis.is_busy
+        return analysis.request is not None and analysis.request.choice[0] is quantity  # type: ignore[index] # a tuple
 
     for quantity in Quantity:
         window.panels.wavefronts.choice.setCurrentText(quantity)
@@ -208,8 +208,8 @@ def test_redraw_continues_while_analysis_hangs_and_thread_ends_with_window(
     qtbot.waitUntil(lambda: window.status_line.shown > before + 15)
     may_go_on.set()
     window.close()
-    threads = window.analyses.threads.values()
-    assert not any(one.is_alive() for thread in threads for one in thread._executor._threads)
+    analyses = window.analyses.of.values()
+    assert not any(one.is_alive() for analysis in analyses for one in analysis.thread._threads)
 
 
 def test_frozen_scale_keeps_colours_and_reach(make_window: MakeWindow, qtbot: QtBot) -> None:

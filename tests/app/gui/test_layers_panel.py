@@ -111,7 +111,9 @@ def test_known_distance_is_fitted_to_every_measurement(
     before = panel.map.maps
     window.show_measurement(replace(measurement))
     qtbot.waitUntil(lambda: panel.map.maps is not before)
-    assert window.analyses.threads[panel].requests[panel].of is window.shown.measurement
+    last = window.analyses.of[panel].request
+    assert last is not None
+    assert last.of is window.shown.measurement
 
 
 def test_distances_from_the_mask(window: MainWindow, qtbot: QtBot) -> None:
@@ -145,7 +147,7 @@ def test_closed_panels_compute_nothing(window: MainWindow, qtbot: QtBot, measure
     window.show_measurement(replace(measurement))
     window.analyses.poll()
     for panel in (window.panels.layers, window.panels.corrector):
-        assert not window.analyses.threads[panel].requests
+        assert window.analyses.of[panel].request is None
 
 
 @pytest.mark.slow
@@ -202,12 +204,12 @@ def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: py
 
     monkeypatch.setattr("app.gui.panels.layers.find_shown_layers", find_until_closed)
     panel = window.panels.layers
-    thread = window.analyses.threads[panel]
+    analysis = window.analyses.of[panel]
     panel.mode.setCurrentIndex(1)
     open_tab(qtbot, window, "Layers")
     qtbot.waitUntil(begun.is_set)
     window.close()
-    assert not any(one.is_alive() for one in thread._executor._threads)
+    assert not any(one.is_alive() for one in analysis.thread._threads)
     assert panel.sentence.text() == "Searching \N{HORIZONTAL ELLIPSIS}"
 
 
