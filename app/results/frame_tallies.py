@@ -16,8 +16,6 @@ from app.recording.reprocess import Reprocessing
 from app.results.dataset import results_in_pieces, rotation_of
 from app.results.result_file import write_pieces
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Field
-from reconstruction.layers.layered_wavefront import AssumedSample
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.circulation import Circulation
 from reconstruction.wavefront import Wavefront, mean_rms, rms
@@ -53,28 +51,6 @@ class QualityTally:
             self._reasons[fault] if count == self.frames else f"{count} of {self.frames} frames: {self._reasons[fault]}"
             for fault, count in self._counts.most_common()
         ]
-
-
-@dataclass(slots=True)
-class SampleTally:
-    """Samples assumed of several frames."""
-
-    _counts: Counter[int] = field(default_factory=Counter)  # frames, by number of layers
-    _newest: dict[int, AssumedSample] = field(default_factory=dict)
-
-    def take(self, sample: AssumedSample) -> None:
-        """Add one frame."""
-        layers = len(sample.ratios)
-        self._counts[layers] += 1
-        self._newest[layers] = sample
-
-    def sentence(self, of: Field) -> str:
-        """Say what was assumed, with the newest distances, and of how many frames if not alike of all."""
-        told, is_one = [], len(self._counts) == 1
-        for layers, count in self._counts.most_common():
-            text, last = sample_sentence(self._newest[layers], of), "last of " * bool(layers and count > 1)
-            told.append(text if is_one and not last else f"{text} ({last}{counted(count)})")
-        return "; ".join(told)
 
 
 def rotation_sentence(found: Circulation) -> str:
@@ -122,19 +98,29 @@ class FrameTally:
     frames: int = 0
     reconstructed: int = 0
     problem: str = ""  # of the first frame that could not be reconstructed
-    assumed: str = ""  # samples, in words
-    samples: SampleTally = field(default_factory=SampleTally)
     quality: QualityTally = field(default_factory=QualityTally)
+    _layers: Counter[int] = field(default_factory=Counter)  # frames, by number of assumed layers
+    _newest: dict[int, str] = field(default_factory=dict)  # the last sample with each number, in words
 
     def count(self, made: Measurement) -> None:
         """Add one frame."""
         self.frames += 1
         self.problem = self.problem or made.problem
-        if made.wavefront is not None:
+        if (wavefront := made.wavefront) is not None:
             self.reconstructed += 1
             self.quality.take(made.quality)
-            self.samples.take(made.wavefront.sample)
-            self.assumed = self.samples.sentence(made.wavefront.field)
+            layers = len(wavefront.sample.ratios)
+            self._layers[layers] += 1
+            self._newest[layers] = sample_sentence(wavefront.sample, wavefront.field)
+
+    @property
+    def assumed(self) -> str:
+        """Assumed samples in words, with the newest distances, and of how many frames if not alike of all."""
+        told = []
+        for layers, count in self._layers.most_common():
+            text, last = self._newest[layers], "last of " * bool(layers and count > 1)
+            told.append(text if len(self._layers) == 1 and not last else f"{text} ({last}{counted(count)})")
+        return "; ".join(told)
 
 
 @dataclass(slots=True, kw_only=True)

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.optics import FIELD, SmallBench
+from support.streams import measured
+from support.wavefronts import bowl
 
 from app.measurement.estimator import mask_sentence
 from app.measurement.measurement import sample_sentence
-from app.results.frame_tallies import SampleTally
+from app.results.frame_tallies import FrameTally
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 
@@ -37,12 +39,14 @@ def test_sample_is_told_in_millimetres(ratios: tuple[float, ...], sigmas: list[f
 
 
 def test_several_frames_name_the_one_whose_distance_is_told() -> None:
-    tally, layer = SampleTally(), "one layer {} mm in front of the lenslets"
-    for ratio, told in ((-0.975, layer.format(195)), (-0.97, f"{layer.format(194)} (last of 2 frames)")):
-        tally.take(AssumedSample((ratio,)))
-        assert tally.sentence(FIELD) == told
-    tally.take(FREE)
-    assert tally.sentence(FIELD) == f"{layer.format(194)} (last of 2 frames); any wavefront (1 frame)"
+    tally, layer = FrameTally(), "one layer {} mm in front of the lenslets"
+    for sample, told in (
+        (AssumedSample((-0.975,)), layer.format(195)),
+        (AssumedSample((-0.97,)), f"{layer.format(194)} (last of 2 frames)"),
+        (FREE, f"{layer.format(194)} (last of 2 frames); any wavefront (1 frame)"),
+    ):
+        tally.count(measured(replace(bowl(), sample=sample, field=FIELD), 0))
+        assert tally.assumed == told
 
 
 @pytest.mark.parametrize(
