@@ -179,8 +179,8 @@ class ResultStore:
         """Number of frames of a recording that have a wavefront."""
         return int(np.count_nonzero(np.asarray(self._arrays[STATE][number, : source.frames]) == WAVEFRONT))
 
-    def write(self, number: int, frames: range, pieces: Iterable[xr.Dataset], damaged: Iterable[int]) -> int:
-        """Write the results of one block, as `results_in_pieces` yields them; return the number of wavefronts.
+    def write(self, number: int, frames: range, pieces: Iterable[xr.Dataset], damaged: Iterable[int]) -> None:
+        """Write the results of one block, as `results_in_pieces` yields them.
 
         `damaged` has the indices of the frames that turn out to be damaged; it is filled by `pieces`.
         """
@@ -199,7 +199,6 @@ class ResultStore:
         for name, block in values.items():
             self._of_frames[name][number, frames.start : frames.stop] = block
         self._arrays[STATE][number, frames.start : frames.stop] = state
-        return int(np.count_nonzero(state == WAVEFRONT))
 
     def _check_alike(self, piece: xr.Dataset) -> None:
         """Raise `InputError` unless results have the sizes and coordinates of the store."""

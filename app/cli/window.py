@@ -7,6 +7,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from typing import TextIO
 
 from app.cli import main as run_command
+from app.commands.display import use_display
 from app.errors import SHOWN, Interrupted
 
 
@@ -26,32 +27,21 @@ class _Copied(io.StringIO):
 def main() -> None:
     """Run `svwfs live` without a terminal: a dialog shows the error message."""
     sys.argv[1:1] = ["live"]
+    status: str | int | None = 0
+    cause: BaseException | None = None
     # Windows starts the program without any stream
     with redirect_stderr(_Copied(sys.stderr)) as errors, redirect_stdout(sys.stdout or _Copied(None)):
-        status, cause = _outcome()
+        try:
+            run_command()
+        except SystemExit as leaving:
+            status, cause = leaving.code, leaving.__cause__
+        except Exception as error:  # noqa: BLE001 - the traceback of a fault would be lost
+            traceback.print_exc()
+            status, cause = 1, error
     lines = errors.getvalue().strip().splitlines()
-    is_told = cause is not None and (isinstance(cause, Interrupted) or SHOWN in getattr(cause, "__notes__", ()))
-    if status and lines and not is_told:
-        _show(lines)
-    raise SystemExit(status)
-
-
-def _outcome() -> tuple[int, BaseException | None]:
-    """Run the command; return its exit status and the reason, if it gave one."""
-    try:
-        run_command()
-    except SystemExit as leaving:
-        return (leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)), leaving.__cause__
-    except Exception as error:  # noqa: BLE001 - the traceback of a fault would be lost
-        traceback.print_exc()
-        return 1, error
-    return 0, None
-
-
-def _show(lines: list[str]) -> None:
-    from app.commands.display import use_display
-
-    if use_display():
+    is_told = isinstance(cause, Interrupted) or SHOWN in getattr(cause, "__notes__", ())
+    if status and lines and not is_told and use_display():
         from app.gui.splash import show_ending
 
         show_ending(lines[-1].removeprefix("svwfs: "), "\n".join(lines[:-1]))
+    raise SystemExit(status)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -67,14 +68,11 @@ def _require_recording(folders: list[Path]) -> None:
     """Raise `InputError` if none of these folders holds a recording, before anything is loaded that takes seconds."""
     from app.recording.folder import read_run
 
-    problems: list[str] = []
     for folder in folders:
-        try:
+        with suppress(InputError):
             read_run(folder)
-        except InputError as error:
-            problems.append(str(error))
-    if len(problems) == len(folders):
-        raise InputError("; ".join(dict.fromkeys(problems)))
+            return
+    read_run(folders[0])
 
 
 def print_batch(batch: Batch, out: Path) -> None:

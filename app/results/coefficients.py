@@ -22,7 +22,7 @@ from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_coefficients import FieldCoefficients, ModalFit
 from reconstruction.field_coefficients import field_coefficients as fitted_coefficients
-from reconstruction.geometry import Field, Sensor, centered_steps
+from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.pupil_modes import BASES, pupil_modes
 from reconstruction.quality.verdict import Quality
 from reconstruction.settings import PupilBasis
@@ -81,7 +81,7 @@ def mode_coefficients(wavefront: Wavefront, choice: ModeChoice) -> ModeCoefficie
     field_map = None
     if choice.mapped is not None:
         by_mode = _apply(fit, solution.wavefront(np.eye(displacement.modes.count)))[:, choice.mapped]
-        steps = centered_steps(MAP_ACROSS) * 2 / (MAP_ACROSS - 1)
+        steps = evenly_spread(MAP_ACROSS)
         field_map = np.tensordot(by_mode, displacement.modes.values(steps, steps[:, None]), axes=1)
         field_map[~wavefront.field.contains(steps, steps[:, None])] = np.nan
     return ModeCoefficients(choice, names, _apply(fit, phase[None])[0], sigma_rad, field_map)

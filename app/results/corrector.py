@@ -58,7 +58,7 @@ class BestCorrector(Analysis):
     distance: Annotated[
         float | None, typer.Option(metavar="M", help="Distance of the corrector (m); the best one if omitted.")
     ] = None
-    origin: From = "lenslets"
+    origin: From = layers.Layers.origin
     command: Annotated[
         Path | None,
         typer.Option(help="Phase map of the best command: .npy or .fits in rad, or .png wrapped at 2 pi, 8 bit."),

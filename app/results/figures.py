@@ -15,6 +15,7 @@ from matplotlib.colors import Normalize, PowerNorm, to_rgba
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
+from app.results.pictures import step_above
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, lenslet_centers
 from reconstruction.lattice.cells import cell_index
@@ -217,7 +218,7 @@ def _draw_displacement(axes: Axes, found: Survey) -> None:
         x[1::2] += 0.5
     shift = found.displacement_px
     largest_px = float(np.nanmax(np.hypot(*np.moveaxis(shift, -1, 0)), initial=0)) or 1.0
-    arrow_px = _round_number(largest_px)
+    arrow_px = step_above(largest_px / 2, (1.0, 2.0, 5.0))
     arrows = axes.quiver(
         *(x, y, shift[..., 0], shift[..., 1]),
         angles="xy",
@@ -242,9 +243,3 @@ def _others(lattice: Lattice, own: tuple[int, ...], shape: tuple[int, ...]) -> t
     whole, cut = (cell_index(on_the_first, (shape[0], shape[1]), partial=partial) for partial in (False, True))
     is_own = np.all((whole >= 0) & (whole < own[::-1]), axis=1)
     return first + lattice.cell_positions(whole[~is_own]), first + lattice.cell_positions(cut)
-
-
-def _round_number(value: float) -> float:
-    """Round down to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(step for step in (1, 2, 5) if step * power <= value * 1.000001) * power)

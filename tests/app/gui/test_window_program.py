@@ -21,8 +21,8 @@ pytestmark = pytest.mark.usefixtures("qapp", "display", "restored_theme", "runti
 @pytest.fixture
 def display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Windows as on a display, with settings of their own."""
-    for room in ("live", "display"):
-        monkeypatch.setattr(f"app.commands.{room}.use_display", lambda: True)
+    for room in ("commands.live", "cli.window"):
+        monkeypatch.setattr(f"app.{room}.use_display", lambda: True)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.setattr("app.gui.application.settings_file", lambda: None)
 
