@@ -2,7 +2,7 @@
 
 import signal
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from itertools import repeat
@@ -79,22 +79,18 @@ def check_batch(folders: Sequence[Path], out: Path, job: BatchJob) -> tuple[list
     sources, batch.recordings = list(found.values()), len(found) + len(batch.failed)
     if not sources:
         raise InputError("; ".join(dict.fromkeys(batch.failed.values())))
-    _check_settings(sources, job.settings)
+    if job.settings:
+        _check_settings(sources, job.settings)
     return sources, batch
 
 
 def _check_settings(sources: Sequence[BatchInput], settings: tuple[str, ...]) -> None:
     """Raise `InputError` if the settings are possible in the bench of no recording."""
-    problem: InputError | None = None
-    for source in sources if settings else ():
-        try:
+    for source in sources:
+        with suppress(InputError):
             changed_bench(Recording(source.folder).bench, settings)
-        except InputError as error:
-            problem = problem or error
-        else:
             return
-    if problem is not None:
-        raise problem
+    changed_bench(Recording(sources[0].folder).bench, settings)
 
 
 def run_batch(folders: Sequence[Path], out: Path, job: BatchJob, evaluate: Evaluate, progress: Progress) -> Batch:

@@ -78,29 +78,24 @@ class ResultStore:
         words = "not_done wavefront no_wavefront damaged"
         meanings = {"flag_values": [0, WAVEFRONT, NO_WAVEFRONT, DAMAGED], "flag_meanings": words}
         state = about("1", "whether the frame has a wavefront") | meanings
-        of_frames: list[tuple[Any, xr.Variable]] = []
-        for name, variable in template.variables.items():
-            if variable.dims[:1] == (FRAME,):
-                of_frames.append((name, variable))
-            else:
-                is_text = variable.dtype.kind == "U"
-                values = variable.values.astype(np.dtypes.StringDType()) if is_text else variable.values
-                _make(group, name, variable.dims, variable.attrs, data=values)
-        of_frames.append((STATE, xr.Variable((FRAME,), np.zeros(1, np.uint8), state)))
-        for name, variable in of_frames:
-            if name != "recording_index":  # it is the position along `frame`
-                kind, shape = variable.dtype.kind, variable.shape[1:]
-                _make(
-                    group,
-                    name,
-                    (_RECORDING, *variable.dims),
-                    variable.attrs,
-                    shape=(0, 0, *shape),
-                    chunks=(1, BLOCK_FRAMES, *shape),  # a block of frames
-                    dtype=variable.dtype,
-                    fill_value=np.nan if kind == "f" else -1 if kind == "i" else 0,
-                )
         text: Any = np.dtypes.StringDType()
+        template = template.drop_vars("recording_index")  # it is the position along `frame`
+        for name, variable in {**template.variables, STATE: xr.Variable(FRAME, np.zeros(1, np.uint8), state)}.items():
+            kind, dims, shape = variable.dtype.kind, variable.dims, variable.shape[1:]
+            if dims[:1] != (FRAME,):
+                values = variable.values.astype(text) if kind == "U" else variable.values
+                _make(group, name, dims, variable.attrs, data=values)
+                continue
+            _make(
+                group,
+                name,
+                (_RECORDING, *dims),
+                variable.attrs,
+                shape=(0, 0, *shape),
+                chunks=(1, BLOCK_FRAMES, *shape),  # a block of frames
+                dtype=variable.dtype,
+                fill_value=np.nan if kind == "f" else -1 if kind == "i" else 0,
+            )
         for name, dtype, along, chunk, long_name in (
             (_RECORDING, text, _RECORDING, _NAMES_CHUNK, "name of the recording"),
             (_PROVENANCE, text, _RECORDING, 1, "JSON: folder, bench, software, computer, failure"),
@@ -108,7 +103,7 @@ class ResultStore:
             (FRAME, np.int64, FRAME, _FRAME_CHUNK, "the frame's index in the recording"),
         ):
             _make(group, name, (along,), {"long_name": long_name}, shape=(0,), chunks=(chunk,), dtype=dtype)
-        more = [str(name) for name in template.coords if name not in template.dims and name != "recording_index"]
+        more = [str(name) for name in template.coords if name not in template.dims]
         coordinates = " ".join(dict.fromkeys((*more, *_COORDINATES)))
         # the job is written last: a store without it is not whole
         group.attrs.update({"title": "Space-variant wavefronts", "coordinates": coordinates, "job": asdict(job)})
