@@ -96,7 +96,11 @@ def live(
         player = Player(replay, bench=bench, settings=overrides, frames=frames)
         loaded, access = player.bench, Access(player.acquisition, player.begin, player)
     if splash is not None:
-        raise typer.Exit(_window_of(access, splash, name))
+        from app.acquisition.remote.own_instrument import OwnInstrument
+
+        with OwnInstrument(name) as own:  # for a bench that is opened in the window
+            status = _run(lambda window: window.open(access), splash, own)
+        raise typer.Exit(status)
     raise typer.Exit(unattended_window(loaded, access, seconds=seconds, out=out, overwrite=overwrite))
 
 
@@ -121,12 +125,11 @@ def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: b
         splash = Splash()  # before the rest is loaded
 
         def open_first(window: MainWindow) -> None:
-            splash.finish(window)
             window.benches.open(source, overrides, trust=trust)
             if offers_last:
                 window.benches.offer_last()
 
-        return _run(open_first, own)
+        return _run(open_first, splash, own)
 
 
 def _is_sound(source: str) -> bool:
@@ -138,32 +141,21 @@ def _is_sound(source: str) -> bool:
     return True
 
 
-def _window_of(access: Access, splash: Splash, name: str) -> int:
-    """Run the window on an instrument or a recording until it is closed, and return the exit status.
-
-    A bench that is opened in it has an instrument of this name.
-    """
-    from app.acquisition.remote.own_instrument import OwnInstrument
-
-    def open_first(window: MainWindow) -> None:
-        splash.finish(window)
-        window.open(access)
-
-    with OwnInstrument(name) as own:
-        return _run(open_first, own)
-
-
-def _run(open_first: Callable[[MainWindow], object], own: OwnInstrument) -> int:
+def _run(open_first: Callable[[MainWindow], object], splash: Splash, own: OwnInstrument) -> int:
     """Run a window that opens benches in a process of its own; remind of a light that is switched by hand."""
     from app.gui.application import run_window  # while the splash is seen
 
     opened: list[OwnConnection] = []
 
+    def begin(window: MainWindow) -> None:
+        splash.finish(window)
+        open_first(window)
+
     def make_for(bench: Bench) -> Carrier:
         opened.append(own.connect(bench))
         return opened[-1]
 
-    status = run_window(open_first, make_for=make_for)
+    status = run_window(begin, make_for=make_for)
     if opened and opened[-1].goes_on:
         place = opened[-1].place
         terminal.print_sentence(

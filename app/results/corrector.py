@@ -121,8 +121,13 @@ class BestCorrector(Analysis):
         return figure
 
     def sentences(self, found: xr.Dataset) -> list[str]:
-        """Say what correctors leave."""
-        return [correction_sentence(found)]
+        """Say what correctors leave at the pupil and at the chosen distance, and what is there without one."""
+        origin, residual = found.attrs["distances_from"], found["residual"].values
+        at_pupil = residual[np.argmin(np.abs(found["distance"].values)) if origin == "lenslets" else -1]
+        place = layers.distance_in_words(float(found["corrector_distance_m"]), np.nan, origin)
+        pupil = f"one corrector at the pupil leaves {at_pupil:.2g} of {float(found['uncorrected']):.2g} rad RMS"
+        strehl = f"Strehl {float(found['field_strehl'].mean()):.2f}"
+        return [f"{pupil}; {place}, {float(found['corrector_residual']):.2g} rad ({strehl})"]
 
     def write(self, found: xr.Dataset, bench: Bench, source: Path, out: Path) -> None:
         """Write the results, and the phase map of the command."""
@@ -244,17 +249,6 @@ def compare_correctors(
         },
     )
     return found, made
-
-
-def correction_sentence(found: xr.Dataset) -> str:
-    """Residuals of correctors at the pupil and at the chosen distance, and without one."""
-    origin, residual = found.attrs["distances_from"], found["residual"].values
-    at_pupil = residual[np.argmin(np.abs(found["distance"].values)) if origin == "lenslets" else -1]
-    place = layers.distance_in_words(float(found["corrector_distance_m"]), np.nan, origin)
-    return (
-        f"one corrector at the pupil leaves {at_pupil:.2g} of {float(found['uncorrected']):.2g} rad RMS;"
-        f" {place}, {float(found['corrector_residual']):.2g} rad (Strehl {float(found['field_strehl'].mean()):.2f})"
-    )
 
 
 def write_phase(path: Path, phase_rad: Floats) -> None:

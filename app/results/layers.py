@@ -102,8 +102,21 @@ class Layers(Analysis):
 
     def sentences(self, found: xr.Dataset) -> list[str]:
         """Say the distances, and what explains the displacements."""
-        first, *others = layers_sentences(found)
-        return [f"frame {self.frame}: {first}", *others]
+        origin = found.attrs["distances_from"]
+        at = zip(found["distance_m"].values, found["distance_sigma_m"].values, strict=True)
+        lines = ["layer " + distance_in_words(*each, origin).replace("\N{PLUS-MINUS SIGN}", "+-") for each in at]
+        if found.attrs["verdict"].startswith("nothing"):
+            lines = []
+        shares = [float(f"{100 * misfit:.2g}") for misfit in found["model_misfit"].values]
+        chi_squares = found["model_chi_square"].values
+        for name, share, chi_square in zip(found["model"].values, shares, chi_squares, strict=True):
+            reduced = "below 0.01" if chi_square < 0.005 else f"{chi_square:.2f}"
+            is_smoothed = name == "any wavefront" and share > min(shares)
+            smoothed = "; layers leave less, because this fit is smoothed" * is_smoothed
+            unexplained = f"{share:g} % of the displacements unexplained"
+            lines.append(f"{name}: {unexplained}, reduced chi-square {reduced}{smoothed}")
+        lines.append("; but ".join(filter(None, (f"verdict: {found.attrs['verdict']}", found.attrs["doubt"]))))
+        return [f"frame {self.frame}: {lines[0]}", *lines[1:]]
 
 
 def find_layers(
@@ -338,23 +351,6 @@ def _draw_curve(axes: Axes, found: xr.Dataset) -> None:
     axes.set(ylabel="unexplained share", title=f"Verdict: {found.attrs['verdict']}{doubt}")
     set_distance_axes(axes, found, found["distance_m"].values)
     axes.legend(fontsize=8)
-
-
-def layers_sentences(found: xr.Dataset) -> list[str]:
-    """Distances, and what explains the displacements, in sentences."""
-    origin = found.attrs["distances_from"]
-    at = zip(found["distance_m"].values, found["distance_sigma_m"].values, strict=True)
-    lines = ["layer " + distance_in_words(*each, origin).replace("\N{PLUS-MINUS SIGN}", "+-") for each in at]
-    if found.attrs["verdict"].startswith("nothing"):
-        lines = []
-    shares = [float(f"{100 * misfit:.2g}") for misfit in found["model_misfit"].values]
-    for name, share, chi_square in zip(found["model"].values, shares, found["model_chi_square"].values, strict=True):
-        reduced = "below 0.01" if chi_square < 0.005 else f"{chi_square:.2f}"
-        is_smoothed = name == "any wavefront" and share > min(shares)
-        smoothed = "; layers leave less, because this fit is smoothed" * is_smoothed
-        lines.append(f"{name}: {share:g} % of the displacements unexplained, reduced chi-square {reduced}{smoothed}")
-    lines.append("; but ".join(filter(None, (f"verdict: {found.attrs['verdict']}", found.attrs["doubt"]))))
-    return lines
 
 
 _SHOWN_POINTS = 65  # along each side of a map in the window

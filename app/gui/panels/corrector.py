@@ -10,7 +10,7 @@ from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice
 from app.gui.widgets.layouts import column, row
 from app.gui.widgets.texts import ElidedLabel
-from app.results.corrector import BestCorrector, correction_sentence, find_shown_correctors
+from app.results.corrector import BestCorrector, find_shown_correctors
 from reconstruction.layers.corrector import Corrector
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class CorrectorPanel(Panel):
         distance_m, residual_rad = found["distance"].values, found["residual"].values
         self.plot.show_curve(distance_m, residual_rad, without_rad, at_m, found.attrs["distances_from"])
         self.plot.mark(at_m)
-        text = correction_sentence(found)
+        (text,) = BestCorrector().sentences(found)
         self.sentence.setText(text[0].upper() + text[1:])
 
 

@@ -20,14 +20,13 @@ from app.errors import InputError
 from app.evaluation.frames import simulate
 from app.measurement.bench_reconstructor import BenchReconstructor
 from app.results.analysis import ANALYSES, Origin, load
-from app.results.corrector import BestCorrector, compare_correctors, correction_sentence, wrapped, write_phase
+from app.results.corrector import BestCorrector, compare_correctors, wrapped, write_phase
 from app.results.layers import (
     Layers,
     centred,
     distance_m,
     distances_and_sigma_m,
     layers_dataset,
-    layers_sentences,
     ratio_at,
     shown_range_m,
 )
@@ -75,14 +74,15 @@ def test_layer_is_found(recording: Path, tmp_path: Path, monkeypatch: pytest.Mon
         assert found["distance_m"].values == pytest.approx([DISTANCE_M], rel=0.02)
         assert 1e-4 < found["distance_sigma_m"].item() < 0.01
         assert (found.attrs["verdict"], found.attrs["doubt"]) == ("one layer", "")
-        assert layers_sentences(found)[-1] == "verdict: one layer"
-        tiny = layers_sentences(found.assign(model_chi_square=0 * found["model_chi_square"] + 0.001))
+        assert Layers().sentences(found)[-1] == "verdict: one layer"
+        tiny = Layers().sentences(found.assign(model_chi_square=0 * found["model_chi_square"] + 0.001))
         assert "reduced chi-square below 0.01" in tiny[-2]
         for factor in (0.5, 2.0):
             misfits = found["model_misfit"].where(found["model"] == "any wavefront", factor * found["model_misfit"][-1])
-            line = layers_sentences(found.assign(model_misfit=misfits))[-2]
+            line = Layers().sentences(found.assign(model_misfit=misfits))[-2]
             assert line.endswith("; layers leave less, because this fit is smoothed") == (factor < 1)
-        assert layers_sentences(found.assign_attrs(doubt="nothing fits"))[-1] == "verdict: one layer; but nothing fits"
+        doubtful = Layers().sentences(found.assign_attrs(doubt="nothing fits"))
+        assert doubtful[-1] == "verdict: one layer; but nothing fits"
         best_m = found["distance"][int(found["misfit"].argmin("distance"))]
         assert abs(best_m - DISTANCE_M) < 0.02
         assert found["chi_square"].dims == ("distance",)
@@ -145,12 +145,12 @@ def test_layer_behind_the_lenslets_has_no_distance_from_the_mask() -> None:
     found = layers_dataset(find_layers(reconstruct.layers(wavefront)), bench, "mask")
     assert found.attrs["distances_from"] == "lenslets"
     assert found["distance_m"].item() == pytest.approx(-0.1, rel=0.1)
-    assert layers_sentences(found)[0].endswith(" mm behind the lenslets")
+    assert Layers().sentences(found)[0].endswith(" mm behind the lenslets")
     low_mm, high_mm = Layers().draw(found).axes[0].get_xlim()
     assert (low_mm, high_mm) == pytest.approx((-300, 150))
     corrector, _ = compare_correctors(wavefront.at, bench, Corrector("zernike", 45), None, "mask")
     assert corrector["corrector_distance_m"].item() == pytest.approx(-0.1, rel=0.2)
-    assert " mm behind the lenslets, " in correction_sentence(corrector)
+    assert " mm behind the lenslets, " in BestCorrector().sentences(corrector)[0]
 
 
 def test_distance_axis_shows_what_was_found() -> None:
