@@ -11,7 +11,7 @@ import hashlib
 import json
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
@@ -36,6 +36,7 @@ from app.results.replay import change_of
 from app.results.result_file import FRAME, about
 
 FORMAT = "svwfs batch 1"
+_SOFTWARE = f"svwfs {version('svwfs')}"
 STATE = "state"
 WAVEFRONT, NO_WAVEFRONT, DAMAGED = 1, 2, 3  # values of `state`; 0: not done
 
@@ -263,10 +264,6 @@ def open_store(folder: Path) -> xr.Dataset:
     return results
 
 
-def _software() -> str:
-    return f"svwfs {version('svwfs')}"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchJob:
     """How each recording is reconstructed. Another version of the software may compute other bits."""
@@ -275,11 +272,11 @@ class BatchJob:
     settings: tuple[str, ...] = ()  # changes of the recorded benches
     rounds: int = 0  # of refinement, at most
     frames: str = ""  # of each recording, FIRST:END; empty: all
-    software: str = field(default_factory=_software)
+    software: str = _SOFTWARE
 
     def check_software(self) -> None:
         """Raise `RunError` unless this process runs the same version of svwfs."""
-        if self.software != _software():
+        if self.software != _SOFTWARE:
             raise RunError(f"a worker runs another version than {self.software}: install the same everywhere")
 
     @property
