@@ -78,11 +78,11 @@ def benchmark(
             "--bench, --set, --record-in, --no-record and --panels are only for the live benchmark: add --live SECONDS"
         )
     else:
-        from app.evaluation.benchmark import BenchmarkPlan, load_baseline, run_benchmark, worsened
+        from app.evaluation.benchmark import load_baseline, run_benchmark, worsened
 
-        plan = BenchmarkPlan(bench=options.load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
+        loaded = options.load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"])
         with terminal.progress_bar() as progress:
-            numbers = run_benchmark(plan, progress)
+            numbers = run_benchmark(loaded, progress)
         print_benchmark(numbers)
         failed, problem = worsened(numbers["ratios"], load_baseline()), "slower relative to the peers than the baseline"
     if json is not None:

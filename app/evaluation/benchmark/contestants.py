@@ -173,7 +173,6 @@ def _name_of(warp: Warp, *, is_warm: bool, threads: int) -> str:
 
 
 OURS = _name_of("quadratic", is_warm=True, threads=2)
-OURS_ONE_THREAD = _name_of("quadratic", is_warm=True, threads=1)
 
 
 def ours(frames: TimedFrames) -> Iterator[tuple[str, Callable[[], Wavefront]]]:

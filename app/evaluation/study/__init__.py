@@ -9,8 +9,18 @@ from app.evaluation.study.bench import BENCH
 from app.evaluation.study.deconvolution import DECONVOLUTION
 from app.evaluation.study.layers import CORRECTOR, DISTANCES
 from app.evaluation.study.masks import many_masks_study, mask_study
-from app.evaluation.study.noise import EM_GAIN, PHOTONS
-from app.evaluation.study.sweeps import DEAD, ENSEMBLES, EXPERIMENT, FOCAL_LENGTH, LATTICE, ROUGHNESS, SIZE, SOURCE
+from app.evaluation.study.sweeps import (
+    DEAD,
+    EM_GAIN,
+    ENSEMBLES,
+    EXPERIMENT,
+    FOCAL_LENGTH,
+    LATTICE,
+    PHOTONS,
+    ROUGHNESS,
+    SIZE,
+    SOURCE,
+)
 from app.evaluation.study.trials import EXPOSURE, calibration_trials
 
 SWEEPS = (ENSEMBLES, ROUGHNESS, SIZE, EXPERIMENT, PHOTONS, EM_GAIN, SOURCE, LATTICE, FOCAL_LENGTH, DEAD)

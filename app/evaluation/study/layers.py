@@ -10,8 +10,7 @@ from app.acquisition.devices import scene_of
 from app.bench.config import Bench
 from app.evaluation.frames import NoiseFreeFrames, seeded, with_screen, with_source
 from app.evaluation.studies import CaseResult, Sweep, TrialStudy, trial
-from app.evaluation.study.estimators import with_rms
-from app.evaluation.study.noise import camera
+from app.evaluation.study.estimators import camera, with_rms
 from app.progress import Progress, part
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError

@@ -1,4 +1,4 @@
-"""Sweeps over the phase screen, the source, and a bench that differs from its settings."""
+"""Sweeps over the phase screen, the source, light and gain, and a bench that differs from its settings."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -18,15 +18,24 @@ from app.evaluation.frames import NoiseFreeFrame, NoiseFreeFrames, seeded, simul
 from app.evaluation.studies import CaseResult, Sweep
 from app.evaluation.study.estimators import (
     AUTOMATIC,
+    FAST,
     REFINED,
+    SLOW,
     WARPS,
+    EmCamera,
+    bound_rad,
+    camera,
     compare,
     compared,
+    scatter_of,
     warp_estimator,
     warp_estimators,
+    with_rms,
+    without_prior,
 )
 from app.measurement.estimator import ROUNDS, Estimator
 from app.progress import Progress
+from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
@@ -37,11 +46,10 @@ from simulated_devices.sample import make_sample
 from simulated_devices.settings import Mask
 
 _Measure = Callable[[Bench, range, Progress], Iterator[CaseResult]]
+_Change = Callable[[Bench, float], Bench]
 
 
-def _over_screens(
-    values: tuple[float, ...], change: Callable[[Bench, float], Bench], first_seed: int | None = None
-) -> _Measure:
+def _over_screens(values: tuple[float, ...], change: _Change, first_seed: int | None = None) -> _Measure:
     """Measure noise-free frames of the bench changed by each value, against the reference of the unchanged bench."""
 
     def measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
@@ -219,10 +227,9 @@ def lit_views(bench: Bench) -> NDArray[np.bool_]:
 SOURCE = Sweep(name="source", title="Source (views inside it)", axis="shape", measure=_sources)
 
 _DEAD = (0.0, 0.05, 0.1, 0.2, 0.3)  # shares of the lenslets
-_Error = Callable[[Bench, float], Bench]  # returns the bench with a wrong setting
 
 
-def _over_errors(values: tuple[float, ...], errors: dict[str, _Error]) -> _Measure:
+def _over_errors(values: tuple[float, ...], errors: dict[str, _Change]) -> _Measure:
     """Reconstruct frames of the right bench with the settings of a wrong one, for each kind and size of error."""
 
     def measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
@@ -257,7 +264,7 @@ def _with_length(section: str, name: str, bench: Bench, error: float) -> Bench:
     return replace(bench, **{section: changed})
 
 
-_LATTICE_ERRORS: dict[str, _Error] = {  # by the shift of the outermost lenslets
+_LATTICE_ERRORS: dict[str, _Change] = {  # by the shift of the outermost lenslets
     "centre": lambda bench, px: _with_lattice(bench, "center_x_px", lambda center_px, _: center_px + px),
     "pitch": lambda bench, px: _with_lattice(bench, "pitch_px", lambda pitch_px, far_px: pitch_px * (1 + px / far_px)),
     "rotation": lambda bench, px: _with_lattice(bench, "rotation_rad", lambda angle, far_px: angle + px / far_px),
@@ -304,3 +311,87 @@ def _dead(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult
 
 
 DEAD = Sweep(name="dead", title="Dead lenslets", axis="part of all lenslets", measure=_dead)
+
+_PEAKS_E = (100.0, 300.0, 1e3, 3e3, 1e4, 1e5)  # electrons in the frame's brightest pixel
+_GAINS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)  # of the EM register
+_DIM_PEAKS_E = (100.0, 300.0, 1000.0)
+_DRAWS = 3  # of noise per screen
+_LIMITED_E = (300.0, 1e3, 3e3, 1e4, 1e5)  # light levels at which scatter and bound are compared
+_NOISE_DRAWS = 67  # of each screen for scatter and coverage: with three screens, 200
+_UNBIASED: tuple[Warp, ...] = ("quadratic", "cubic", "quartic")
+_OVER_BOUND = 1.1  # limit of scatter over bound
+
+
+def _photons(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+    em_camera, reference = camera(bench), NoiseFreeFrames(bench).reference()
+    for done, screen in enumerate(seeded(bench, seeds)):
+        seed, frame = screen.simulation.seed, NoiseFreeFrames(screen).frame()
+        for index, peak_e in enumerate(_PEAKS_E):
+            progress(f"{peak_e:g} electrons", (done + index / len(_PEAKS_E)) / len(seeds))
+            scale = np.float32(peak_e / frame.photons.max())
+            estimators = warp_estimators(bench, em_camera.counts(reference * scale), noise=em_camera.noise)
+            automatic = em_camera.reconstructor(bench, reference * scale)
+            for draw in range(_DRAWS):
+                noisy = em_camera.exposed(frame.photons * scale, seed, draw)
+                yield from compare(estimators, noisy, frame.truth, peak_e)
+                yield compared("automatic warp", peak_e, automatic(noisy), frame.truth)
+            if peak_e in _LIMITED_E:
+                light = reference * scale, frame.photons * scale
+                yield from _beside_bound(screen, em_camera, *light, frame.truth, peak_e)
+
+
+def _beside_bound(
+    bench: Bench, em_camera: EmCamera, reference: Image, frame: Image, truth: Floats, peak_e: float
+) -> Iterator[CaseResult]:
+    """Scatter, Cramer-Rao bound and error bar of each warp, and the error bar of the automatic estimator.
+
+    `reference` and `frame` are in electrons. The draws of noise are others than those of the residual.
+    """
+
+    def wavefronts() -> Iterator[Wavefront]:
+        for draw in range(_NOISE_DRAWS):
+            yield reconstructor(em_camera.exposed(frame, bench.simulation.seed, _DRAWS + draw))
+
+    for warp in _UNBIASED:
+        reconstructor = em_camera.reconstructor(bench, reference, warp, reconstruction=without_prior(bench))
+        curve = f"{warp}, 45 modes"
+        without = reconstructor(em_camera.counts(frame))
+        fields, terms = without.displacement.modes.count, reconstructor.brightness_terms
+        bound = bound_rad(bench, reconstructor, fields, brightness_terms=terms)
+        scatter = scatter_of(wavefronts(), without.views)
+        yield with_rms(f"{curve}: scatter", peak_e, without, scatter.rms_rad, asked_rad=_OVER_BOUND * bound)
+        yield with_rms(f"{curve}: bound", peak_e, without, bound)
+        yield with_rms(f"{curve}: error bar", peak_e, without, scatter.error_bar_rad, coverage=scatter.coverage)
+    reconstructor = em_camera.reconstructor(bench, reference)
+    scatter = scatter_of(wavefronts(), truth)
+    without = reconstructor(em_camera.counts(frame))
+    yield with_rms("automatic warp: error bar", peak_e, without, scatter.error_bar_rad, coverage=scatter.coverage)
+
+
+def _em_gain(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+    settings = [(f"37 e- read noise, {peak_e:g} e-", FAST, gain, peak_e) for peak_e in _DIM_PEAKS_E for gain in _GAINS]
+    settings += [(f"8 e- read noise, {peak_e:g} e-", SLOW, 1.0, peak_e) for peak_e in _DIM_PEAKS_E]
+    reference = NoiseFreeFrames(bench).reference()
+    for done, screen in enumerate(seeded(bench, seeds)):
+        seed, frame = screen.simulation.seed, NoiseFreeFrames(screen).frame()
+        for index, (curve, speed, gain, peak_e) in enumerate(settings):
+            progress(f"{curve}, gain {gain:g}", (done + index / len(settings)) / len(seeds))
+            em_camera = camera(bench, speed, gain)
+            scale = np.float32(peak_e / frame.photons.max())
+            reconstructor = em_camera.reconstructor(bench, reference * scale, "quadratic")
+            for draw in range(_DRAWS):
+                wavefront = reconstructor(em_camera.exposed(frame.photons * scale, seed, draw))
+                yield compared(curve, gain, wavefront, frame.truth)
+
+
+PHOTONS = Sweep(
+    name="photons",
+    title="Light, with 8 e- of read noise",
+    axis="electrons in the brightest pixel",
+    measure=_photons,
+    is_logarithmic=True,
+    limits_rad={"cubic refined": {1e3: 0.035}},
+)
+EM_GAIN = Sweep(
+    name="em_gain", title="Gain of the register (quadratic)", axis="gain", measure=_em_gain, is_logarithmic=True
+)

@@ -22,7 +22,7 @@ from app.bench.imaging_model import by_pixel
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, simulating
 from app.evaluation.studies import CaseResult, TrialStudy, trial
-from app.evaluation.study.noise import camera
+from app.evaluation.study.estimators import camera
 from app.images import read_image
 from app.measurement.auto_exposure import FILL, MOST_FRAMES, TOLERANCE, auto_expose
 from app.measurement.routines import UNWATCHED, RoutineError

@@ -12,7 +12,7 @@ import pytest
 from app import cli
 from app.bench.config import Bench, load_bench
 from app.commands.benchmark import print_benchmark
-from app.evaluation.benchmark import BenchmarkPlan, Json, load_baseline, run_benchmark, worsened
+from app.evaluation.benchmark import Json, load_baseline, run_benchmark, worsened
 from app.evaluation.benchmark.contestants import OURS, PEERS, Register
 from app.evaluation.benchmark.timed_frames import noise_free, side_by_side, tiled
 from app.run_facts import write_record
@@ -33,9 +33,7 @@ def bench() -> Bench:
 
 @pytest.fixture(scope="module")
 def result(bench: Bench) -> Json:
-    return run_benchmark(
-        BenchmarkPlan(bench=bench, budget_s=0.02, sizes=(3,), with_four_k=False), lambda _text, _fraction: None
-    )
+    return run_benchmark(bench, lambda *_: None, budget_s=0.02, sizes=(3,), with_four_k=False)
 
 
 @pytest.mark.slow
@@ -77,10 +75,7 @@ def test_missing_peer_is_reported(bench: Bench, monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setitem(PEERS, "skimage_phase_correlation", missing)
     peers = ("skimage_phase_correlation", "opencv_ecc_affine")
-    found = run_benchmark(
-        BenchmarkPlan(bench=bench, budget_s=0.01, sizes=(), with_four_k=False, peers=peers),
-        lambda _text, _fraction: None,
-    )
+    found = run_benchmark(bench, lambda *_: None, budget_s=0.01, sizes=(), with_four_k=False, peers=peers)
     assert set(found["ratios"]) == {"opencv_ecc_affine"}
     assert "skimage" in found["missing"]["skimage_phase_correlation"]
 

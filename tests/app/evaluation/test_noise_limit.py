@@ -12,9 +12,9 @@ import pytest
 from app.bench.config import load_bench
 from app.evaluation.frames import NoiseFreeFrames
 from app.evaluation.studies import collect
-from app.evaluation.study import noise
-from app.evaluation.study.estimators import warp_estimator
-from app.evaluation.study.noise import PHOTONS, bound_rad, camera, scatter_of, without_prior
+from app.evaluation.study import sweeps
+from app.evaluation.study.estimators import bound_rad, camera, scatter_of, warp_estimator, without_prior
+from app.evaluation.study.sweeps import PHOTONS
 from reconstruction.wavefront import Wavefront
 
 
@@ -59,8 +59,8 @@ def test_scatter_of_estimator_is_near_the_bound(small_toml: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.long
 def test_photons_study_compares_scatter_with_bound(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(noise, "_PEAKS_E", (1e3,))
-    monkeypatch.setattr(noise, "_NOISE_DRAWS", 20)
+    monkeypatch.setattr(sweeps, "_PEAKS_E", (1e3,))
+    monkeypatch.setattr(sweeps, "_NOISE_DRAWS", 20)
     bench = load_bench(small_toml, ("simulation.source.mask='checkerboard'",))  # there is no bound on what a mask hides
     data = collect(PHOTONS.dims, PHOTONS.measure(bench, range(1), lambda *_: None))
     summary = PHOTONS.summary(data).set_index("curve")  # of one light level

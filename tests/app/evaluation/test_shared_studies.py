@@ -14,8 +14,8 @@ from app.bench.config import Bench, load_bench
 from app.errors import InputError
 from app.evaluation.frames import seeded
 from app.evaluation.studies import CaseResult, Study, Sweep, run_studies
-from app.evaluation.study import noise
-from app.evaluation.study.noise import PHOTONS
+from app.evaluation.study import sweeps
+from app.evaluation.study.sweeps import PHOTONS
 from app.evaluation.study.trials import calibration_trials
 from app.progress import Progress
 
@@ -43,8 +43,8 @@ def without_times(data: pd.DataFrame) -> pd.DataFrame:
 def test_shared_seeds_give_the_same_results(
     study: Study, small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(noise, "_PEAKS_E", (1e3,))
-    monkeypatch.setattr(noise, "_NOISE_DRAWS", 2)
+    monkeypatch.setattr(sweeps, "_PEAKS_E", (1e3,))
+    monkeypatch.setattr(sweeps, "_NOISE_DRAWS", 2)
     bench = load_bench(small_toml)
     (whole,) = run_studies(bench, [study], 2, tmp_path / "whole", lambda *_: None)
     (shared,) = run_studies(bench, [study], 2, tmp_path / "shared", lambda *_: None, one_by_one)

@@ -22,8 +22,7 @@ from app.cache import cache_folder, cached
 from app.evaluation import study
 from app.evaluation.frames import NoiseFreeFrames
 from app.evaluation.studies import CaseResult, Sweep, collect, known_rows
-from app.evaluation.study.estimators import mean_rms_within
-from app.evaluation.study.noise import camera
+from app.evaluation.study.estimators import camera, mean_rms_within
 from app.progress import Progress, named, part
 
 
