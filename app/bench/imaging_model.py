@@ -36,17 +36,14 @@ def lenslet_model(bench: Bench, reference: ReferenceSubimages) -> LensletImage:
 
     Raises `ReconstructionError` if the reference does not allow a model.
     """
-    return _lenslet(bench, reference, measured_source(reference, bench))
+    return lenslet_image(bench, measured_source(reference, bench), reference.width, _pupil_samples(reference))
 
 
-def _lenslet(bench: Bench, reference: ReferenceSubimages, source: SourcePoints) -> LensletImage:
+def lenslet_image(bench: Bench, source: SourcePoints, width: int, pupil_samples: int) -> LensletImage:
+    """Model of one lenslet of a bench with a source, on `width` x `width` pixels."""
+    fill = bench.camera_model.pixel_fill_factor
     return LensletImage(
-        bench.sensor,
-        bench.field,
-        source,
-        width=reference.width,
-        pupil_samples=_pupil_samples(reference),
-        pixel_fill_factor=bench.camera_model.pixel_fill_factor,
+        bench.sensor, bench.field, source, width=width, pupil_samples=pupil_samples, pixel_fill_factor=fill
     )
 
 
@@ -94,7 +91,7 @@ class BenchModel:
         _, light = mean_subimage(reference)
         self._light = by_pixel(light, lattice, *reconstructor.frame_shape)  # counts, (row, column)
         self.sample_x_m, self.sample_y_m = self._model.sample_x_m, self._model.sample_y_m
-        own = own_wavefronts(reference, _lenslet(bench, reference, self.source))
+        own = own_wavefronts(reference, lenslet_model(bench, reference))
         of_lenslets = np.zeros((*reference.lenslets, 4, 4))
         for (n, m), rad in zip(OWN_WAVEFRONTS, own.rad, strict=True):
             of_lenslets[..., n, m] = rad.reshape(reference.lenslets)

@@ -17,12 +17,12 @@ import numpy as np
 import scipy  # which loads its parts when they are used
 from scipy import ndimage
 
+from app.bench.imaging_model import lenslet_image
 from app.cache import kept_while_alive
 from reconstruction.errors import ReconstructionError
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.response import mean_subimage
 from reconstruction.registration.subimages import ReferenceSubimages
-from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import SourcePoints, source_points
 from simulated_devices.settings import Simulation, Source
 
@@ -147,10 +147,7 @@ def _turned(points: SourcePoints, matrix: tuple[tuple[int, int], tuple[int, int]
 def _modelled(bench: Bench, points: SourcePoints, width: int, scale: float) -> Floats:
     """Subimage of points enlarged by a scale, (width, width)."""
     enlarged = replace(points, position_m=points.position_m * scale)
-    fill, samples = bench.camera_model.pixel_fill_factor, 2 * math.ceil(width / bench.sensor.blur_px / 2 + 1)
-    return LensletImage(
-        bench.sensor, bench.field, enlarged, width=width, pupil_samples=samples, pixel_fill_factor=fill
-    ).image()
+    return lenslet_image(bench, enlarged, width, 2 * math.ceil(width / bench.sensor.blur_px / 2 + 1)).image()
 
 
 def _fitted(model: Callable[[float], Floats], subimage: Floats) -> tuple[float, float, float]:

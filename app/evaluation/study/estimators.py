@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
+from app.bench.imaging_model import lenslet_image
 from app.evaluation.frames import exposure_of
 from app.evaluation.studies import CaseResult, Position
 from app.measurement.calibration import Calibration
@@ -270,15 +271,9 @@ def bound_rad(
 
 def true_lenslet(bench: Bench, width: int) -> LensletImage:
     """Exact model of one lenslet of the simulated bench, on `width` x `width` pixels."""
-    simulation = bench.simulation
-    return LensletImage(
-        bench.sensor,
-        bench.field,
-        source_points(simulation.source.mask, simulation.source, object_samples=simulation.object_samples),
-        width=width,
-        pupil_samples=simulation.pupil_samples,
-        pixel_fill_factor=bench.camera_model.pixel_fill_factor,
-    )
+    simulation, source = bench.simulation, bench.simulation.source
+    points = source_points(source.mask, source, object_samples=simulation.object_samples)
+    return lenslet_image(bench, points, width, simulation.pupil_samples)
 
 
 def _mean_rms(deviation: Floats) -> float:
