@@ -31,7 +31,7 @@ def _add(name: str, preset: str, about: str, more: str = "", *, has_peers: bool 
         from app.evaluation import paper as tables
         from app.evaluation.studies import files_of
 
-        loaded, chosen = options.load(bench, setting), {"peers": peers} if has_peers else {}
+        loaded, chosen = options.load(bench, setting), {"with_peers": peers} if has_peers else {}
         table = getattr(tables, name)(**chosen)
         options.check_files(*files_of([table], out), reads=loaded.files, overwrite=overwrite)
         run_and_print([table], loaded, seeds, out)

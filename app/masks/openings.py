@@ -172,7 +172,7 @@ def _of_pixels(name: str, is_open: NDArray[np.bool_], size_m: float) -> Openings
     is_open = is_open[::step, ::step]  # the same openings in the least number of pixels
     pixel_m = size_m / max(is_open.shape)
     middle = np.array(is_open.shape)[::-1] / 2
-    width_px, gap_px = narrowest_px(is_open), narrowest_px(~is_open, beyond=True)
+    width_px, gap_px = narrowest_px(is_open), narrowest_px(~is_open, is_cut_off=True)
     four = is_open[:-1, :-1], is_open[:-1, 1:], is_open[1:, 1:], is_open[1:, :-1]  # around each corner
     touches = (four[0] == four[2]) & (four[1] == four[3]) & (four[0] != four[1])
     return Openings(
@@ -197,34 +197,34 @@ def _rectangles(is_open: NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int
         growing = {run: growing.get(run, row) for run in runs}
 
 
-def narrowest_px(is_part: NDArray[np.bool_], *, beyond: bool = False) -> int | None:
+def narrowest_px(is_part: NDArray[np.bool_], *, is_cut_off: bool = False) -> int | None:
     """Return the width in pixels of the narrowest part of a picture; None if none is narrower than about half of it.
 
     The part is True in the picture (row, column). A square that is moved about inside a wide part reaches all of it,
     but for rounded ends and the steps of slanting edges: so places closer than a quarter of its side count as reached.
     The width is the side of the least square that leaves more. A disc has 0.5 to 0.8 of its diameter, a slanting line
-    0.7 to 1 of its width, a pointed end a pixel or a few: drawn as pixels it is that narrow. `beyond` tells whether the
-    part continues outside the picture.
+    0.7 to 1 of its width, a pointed end a pixel or a few: drawn as pixels it is that narrow. `is_cut_off` is true if
+    the part continues outside the picture.
     """
-    most = max(1, max(is_part.shape) // (2 if beyond else 1))
+    most = max(1, max(is_part.shape) // (2 if is_cut_off else 1))
     fits, fails = 0, 1
-    while not _is_narrow(is_part, fails, beyond=beyond):
+    while not _is_narrow(is_part, fails, is_cut_off=is_cut_off):
         if fails == most:
             return None
         fits, fails = fails, min(most, fails + max(1, fails // 2))
     while fails - fits > 1:
         middle = (fits + fails) // 2
-        fits, fails = (fits, middle) if _is_narrow(is_part, middle, beyond=beyond) else (middle, fails)
+        fits, fails = (fits, middle) if _is_narrow(is_part, middle, is_cut_off=is_cut_off) else (middle, fails)
     return fails
 
 
-def _is_narrow(is_part: NDArray[np.bool_], side: int, *, beyond: bool) -> bool:
+def _is_narrow(is_part: NDArray[np.bool_], side: int, *, is_cut_off: bool) -> bool:
     """Whether the part has a place into which no square fits that is a little wider than `side` pixels.
 
     In half pixels every such square has an odd side, 2 side + 1, and a middle.
     """
     halves = is_part.astype(np.uint8).repeat(2, axis=0).repeat(2, axis=1)
-    part = np.pad(halves, side + 1, constant_values=int(beyond))
+    part = np.pad(halves, side + 1, constant_values=int(is_cut_off))
     unfit = (cv2.distanceTransform(part, cv2.DIST_C, 3) <= side).astype(np.uint8)  # as the middle of the square
     if unfit.all():
         return bool(part.any())

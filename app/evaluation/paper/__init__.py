@@ -294,9 +294,9 @@ EXPOSURES_S: dict[TableMask, float] = {"stars": 3.8, "square": 0.15}  # the pape
 SOURCES = ("square", "circle", "ellipse", "octagon", "peaks")
 
 
-def table1(*, peers: bool) -> ComparisonTable:
+def table1(*, with_peers: bool) -> ComparisonTable:
     """Declare table 1, the paper's simulation: every method on noise-free frames, compared to the truth."""
-    methods = {name: each for name, each in METHODS.items() if peers or not each.is_peer}
+    methods = {name: each for name, each in METHODS.items() if with_peers or not each.is_peer}
     return ComparisonTable(
         name="table1",
         title="Simulation: residual RMS (rad) against the truth",
@@ -305,13 +305,15 @@ def table1(*, peers: bool) -> ComparisonTable:
     )
 
 
-def table2(*, peers: bool) -> ComparisonTable:
+def table2(*, with_peers: bool) -> ComparisonTable:
     """Declare table 2, the paper's experiment: noisy frames with both exposures, compared to the stars.
 
     Every method runs on windows at the true sub-pixel centres and (`_resized`) on frames that are cropped and resized
     as in the paper. `against_truth` compares the stars with the true wavefronts.
     """
-    methods = {name: each for name, each in METHODS.items() if each.mask == "square" and (peers or not each.is_peer)}
+    methods = {
+        name: each for name, each in METHODS.items() if each.mask == "square" and (with_peers or not each.is_peer)
+    }
     return ComparisonTable(
         name="table2",
         title="Experiment: residual RMS (rad) against the stars",

@@ -22,8 +22,8 @@ def test_bars_are_measured_exactly() -> None:
     bars = np.zeros((60, 60), np.bool_)
     for left, right in ((3, 16), (23, 37), (46, 58)):
         bars[5:50, left:right] = True
-    assert (narrowest_px(bars), narrowest_px(~bars, beyond=True)) == (12, 7)
-    assert (narrowest_px(bars.T), narrowest_px(~bars.T, beyond=True)) == (12, 7)
+    assert (narrowest_px(bars), narrowest_px(~bars, is_cut_off=True)) == (12, 7)
+    assert (narrowest_px(bars.T), narrowest_px(~bars.T, is_cut_off=True)) == (12, 7)
 
 
 @pytest.mark.parametrize("pixels", [1, 2, 3, 10])
@@ -35,7 +35,7 @@ def test_finest_detail_counts_beside_a_large_one(pixels: int) -> None:
     part[:] = False
     part[5:45, 5:45] = True
     part[20 : 20 + pixels, 10 : 10 + pixels] = False
-    assert narrowest_px(~part, beyond=True) == pixels
+    assert narrowest_px(~part, is_cut_off=True) == pixels
 
 
 @pytest.mark.parametrize(("length", "narrowest"), [(5, 12), (2, 40)])
@@ -64,7 +64,7 @@ def test_slanting_line_is_never_taken_for_wider(width: int, angle: float) -> Non
 
 @pytest.mark.parametrize("part", [np.ones((1, 1), np.bool_), np.ones((7, 9), np.bool_), np.hypot(X, Y) < 40])
 def test_one_opening_has_no_gap(part: np.ndarray[tuple[int, int], np.dtype[np.bool_]]) -> None:
-    assert narrowest_px(~part, beyond=True) is None
+    assert narrowest_px(~part, is_cut_off=True) is None
 
 
 @given(arrays(np.bool_, st.tuples(st.integers(1, 9), st.integers(1, 9))).filter(lambda picture: bool(picture.any())))
