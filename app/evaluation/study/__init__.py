@@ -9,21 +9,8 @@ from app.evaluation.study.bench import BENCH
 from app.evaluation.study.deconvolution import DECONVOLUTION
 from app.evaluation.study.layers import CORRECTOR, DISTANCES
 from app.evaluation.study.masks import many_masks_study, mask_study
-from app.evaluation.study.sweeps import (
-    DEAD,
-    EM_GAIN,
-    ENSEMBLES,
-    EXPERIMENT,
-    FOCAL_LENGTH,
-    LATTICE,
-    PHOTONS,
-    ROUGHNESS,
-    SIZE,
-    SOURCE,
-)
+from app.evaluation.study.sweeps import SWEEPS
 from app.evaluation.study.trials import EXPOSURE, calibration_trials
-
-SWEEPS = (ENSEMBLES, ROUGHNESS, SIZE, EXPERIMENT, PHOTONS, EM_GAIN, SOURCE, LATTICE, FOCAL_LENGTH, DEAD)
 
 
 def chosen_studies(names: Sequence[str], frames: Path | None = None) -> list[Study]:

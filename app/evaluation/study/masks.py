@@ -41,13 +41,13 @@ from app.evaluation.study.estimators import (
     without_prior,
 )
 from app.evaluation.study.sweeps import NEAR_SOURCE, lit_views
-from app.measurement.estimator import Estimator
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.field_modes import LegendreModes
+from reconstruction.pipeline import Reconstructor
 from reconstruction.registration.response import WarpRegistration
 from reconstruction.settings import Warp
 from simulated_devices.optics.source import read_grey_image
@@ -132,14 +132,14 @@ class _MaskStudy:
             raise InputError("no view lies inside it: check [field] view_spacing_m")
         self._reference = NoiseFreeFrames(bench).reference()
         self._square_peak = float(square.max())
-        self._estimator = warp_estimator(bench, self._reference, None)
-        self.hidden = self._estimator.reconstructor.hidden
+        self._reconstructor = warp_estimator(bench, self._reference, None).reconstructor
+        self.hidden = self._reconstructor.hidden
         self.light = float(self._reference.sum() / square.sum())  # relative to the square
 
     def residuals(self, seeds: range, at: str) -> Iterator[CaseResult]:
         """Noise-free residual of one pass, predicted and simulated, for each screen: any wavefront, and layers."""
-        reconstructor = self._estimator.reconstructor
-        predict = LinearPass(self._bench, self._estimator, self._reference)
+        reconstructor = self._reconstructor
+        predict = LinearPass(self._bench, reconstructor, self._reference)
         for screen in seeded(self._bench, seeds):
             frames = NoiseFreeFrames(screen)
             frame = frames.frame()
@@ -176,15 +176,15 @@ class _MaskStudy:
 
 
 class LinearPass:
-    """One pass of an estimator for screens without noise, to first order in their wavefronts."""
+    """One pass of a reconstruction for screens without noise, to first order in their wavefronts."""
 
-    def __init__(self, bench: Bench, estimator: Estimator, reference: Image) -> None:
-        self._bench, self._reconstructor = bench, estimator.reconstructor
-        self._at_rest = self._reconstructor.register(reference)
-        registration = self._reconstructor.registration_for(reference)
+    def __init__(self, bench: Bench, reconstructor: Reconstructor, reference: Image) -> None:
+        self._bench = bench
+        self._at_rest = reconstructor.register(reference)
+        registration = reconstructor.registration_for(reference)
         if not isinstance(registration, WarpRegistration):
             raise TypeError("only a registration that fits warps has a response")
-        model = true_lenslet(bench, self._reconstructor.subimages.width)
+        model = true_lenslet(bench, reconstructor.subimages.width)
         self._modes = LegendreModes((_DEGREE + 1) * (_DEGREE + 2) // 2)
         x, y = model.position.T
         derivatives = model.derivatives(_DEGREE, self._modes.values(x, y), self._modes.gradients(x, y))
@@ -270,15 +270,15 @@ def _predicted(bench: Bench, square: Image, views: NDArray[np.bool_], seeds: ran
     reference, seen = NoiseFreeFrames(bench).reference(), camera(bench)
     if not lit_views(bench).any():
         raise InputError("no view lies inside it")
-    counts = seen.counts(reference * np.float32(PEAKS_E[1] / square.max()))
-    estimator = warp_estimator(bench, counts, WARP, noise=seen.noise, reconstruction=without_prior(bench))
-    reconstructor = estimator.reconstructor
+    electrons = reference * np.float32(PEAKS_E[1] / square.max())
+    reconstructor = seen.reconstructor(bench, electrons, WARP, reconstruction=without_prior(bench))
+    counts = seen.counts(electrons)
     light, peak = float(reference.sum() / square.sum()), float(reference.max() / square.max())
     values = {"light": light, "peak": peak, "hidden": float(reconstructor.hidden)}
     modes = reconstructor.register(counts).modes.count
     for peak_e, bound in _BOUNDS.items():
         values[bound] = bound_rad(bench, reconstructor, modes, views, exposure=peak_e / PEAKS_E[1])
-    predict = LinearPass(bench, estimator, counts)
+    predict = LinearPass(bench, reconstructor, counts)
     for sample, changes in _SAMPLES.items():
         errors = []
         for screen in seeded(with_screen(bench, **changes), seeds):

@@ -395,3 +395,5 @@ PHOTONS = Sweep(
 EM_GAIN = Sweep(
     name="em_gain", title="Gain of the register (quadratic)", axis="gain", measure=_em_gain, is_logarithmic=True
 )
+
+SWEEPS = ENSEMBLES, ROUGHNESS, SIZE, EXPERIMENT, PHOTONS, EM_GAIN, SOURCE, LATTICE, FOCAL_LENGTH, DEAD

@@ -186,40 +186,30 @@ _CAMERAS = (
 def _expose(_bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     cases = list(itertools.product(_CAMERAS, _CURRENTS_A))
     for done, (tried, current_a) in enumerate(cases):
-        progress(f"{tried.name}, {current_a:g} A", done / len(cases))
-        allowed = tried.exposures_s
+        case, allowed = f"{tried.name}, {current_a:g} A", tried.exposures_s
+        progress(case, done / len(cases))
         rights_s, starts_s = (np.geomspace(allowed.minimum, allowed.maximum, count) for count in (_RIGHT, _STARTS))
         for image, right_s, start_s, seed in itertools.product(_IMAGES, rights_s, starts_s, seeds):
             first_s = allowed.nearest(float(start_s))  # geomspace rounds
-            yield _exposure_trial(tried, current_a, image, float(right_s), first_s, seed)
-
-
-def _exposure_trial(
-    tried: _Camera, current_a: float, image: str, right_s: float, first_s: float, seed: int
-) -> CaseResult:
-    full_scale = 2 ** tried.detector["bits"] - 1
-    scene = LampScene(
-        counts_per_a_s=(FILL * full_scale - tried.detector["offset_counts"]) / (_USUAL_A * right_s),
-        exposure_range_s=tried.exposures_s,
-        image=_IMAGES[image],
-        seed=seed,
-        **tried.detector,
-    )
-    devices, instrument, lamp = exposure_bench(scene, exposure_s=first_s, current_a=current_a)
-    problem, fill, frames = "", math.nan, math.nan
-    try:
-        fill = auto_expose(devices, PITCH_PX, UNWATCHED).fill
-        frames = len(instrument.exposed_s)
-    except RoutineError as error:
-        problem = str(error)
-    values = (frames, 100 * abs(fill - FILL), float(lamp.is_on))
-    return trial(
-        case=f"{tried.name}, {current_a:g} A",
-        name=f"{image}, {right_s:.3g} s wanted, from {first_s:.3g} s, seed {seed}",
-        measured=dict(zip(_EXPOSURE_LIMITS, values, strict=True)),
-        limits=_EXPOSURE_LIMITS,
-        problem=problem,
-    )
+            full_scale = 2 ** tried.detector["bits"] - 1
+            scene = LampScene(
+                counts_per_a_s=(FILL * full_scale - tried.detector["offset_counts"]) / (_USUAL_A * float(right_s)),
+                exposure_range_s=allowed,
+                image=_IMAGES[image],
+                seed=seed,
+                **tried.detector,
+            )
+            devices, instrument, lamp = exposure_bench(scene, exposure_s=first_s, current_a=current_a)
+            problem, fill, frames = "", math.nan, math.nan
+            try:
+                fill = auto_expose(devices, PITCH_PX, UNWATCHED).fill
+                frames = len(instrument.exposed_s)
+            except RoutineError as error:
+                problem = str(error)
+            values = (frames, 100 * abs(fill - FILL), float(lamp.is_on))
+            name = f"{image}, {right_s:.3g} s wanted, from {first_s:.3g} s, seed {seed}"
+            measured = dict(zip(_EXPOSURE_LIMITS, values, strict=True))
+            yield trial(case=case, name=name, measured=measured, limits=_EXPOSURE_LIMITS, problem=problem)
 
 
 EXPOSURE = TrialStudy(name="exposure", title="Auto-exposure from any start", measure=_expose)

@@ -50,9 +50,9 @@ def test_linear_pass_predicts_the_error_of_the_simulated_one(small_toml: Path, l
     bench = load_bench(small_toml, (*screen, neglect, f"simulation.source.mask='{mask}'"))
     frames = NoiseFreeFrames(bench)
     frame, reference = frames.frame(mask), frames.reference(mask)
-    estimator = warp_estimator(bench, reference, "affine")
-    simulated = estimator.reconstructor.solve(estimator.reconstructor.register(frame.photons))
-    predicted = estimator.reconstructor.solve(LinearPass(bench, estimator, reference)(frames.sample))
+    reconstructor = warp_estimator(bench, reference, "affine").reconstructor
+    simulated = reconstructor.solve(reconstructor.register(frame.photons))
+    predicted = reconstructor.solve(LinearPass(bench, reconstructor, reference)(frames.sample))
     everywhere = np.ones((5, 7), np.bool_)
     error = mean_rms_within(simulated.views - frame.truth, everywhere)
     assert error > 0.01  # what an affine warp cannot describe
