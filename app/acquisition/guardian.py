@@ -18,10 +18,10 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, TextIO
 
 from app.acquisition.place import DYING_S, clear_abandoned
+from app.acquisition.process_state import stat_of
 from app.bench.device_kinds import DRIVERS
 from drivers.errors import DeviceError
 from drivers.light_source import MAY_BE_ON, LightSource
@@ -79,7 +79,7 @@ class _Pipe:
         self._lines.put("")
 
     def _pulse(self) -> None:
-        worked = ""
+        worked = list[str]()
         while True:
             if self.pulses_in_call < _HANGING_PULSES:
                 self.send({"alive": True})
@@ -88,18 +88,11 @@ class _Pipe:
                 os._exit(1)
             self.pulses_in_call += 1
             time.sleep(PULSE_S)
-            before, worked = worked, _work_of(self._parent)
+            before, worked = worked, stat_of(self._parent)[11:13]  # processor time
             if worked != before:  # a thread that computes may let no other one answer: this is no freeze
                 self._unanswered = min(self._unanswered, 0)
             if self._unanswered == _SILENT_PULSES:
                 self._lines.put('[0, "frozen"]')
-
-
-def _work_of(process: int) -> str:
-    """Processor time that a process has used, as Linux writes it; empty elsewhere, and if the process is gone."""
-    with suppress(OSError):
-        return " ".join(Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[11:13])
-    return ""
 
 
 def _serve(light: LightSource, pipe: _Pipe) -> None:

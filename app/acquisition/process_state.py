@@ -20,11 +20,12 @@ class ProcessState:
     @classmethod
     def of(cls, name: Literal["guardian", "finder"], process: subprocess.Popen[bytes]) -> Self:
         """Look at a process that this one has started; only Linux tells that it was stopped."""
-        is_gone = process.poll() is not None
-        return cls(name, process.pid, "gone" if is_gone else "frozen" if _is_stopped(process.pid) else "alive")
+        is_gone, is_stopped = process.poll() is not None, stat_of(process.pid)[:1] in (["T"], ["t"])
+        return cls(name, process.pid, "gone" if is_gone else "frozen" if is_stopped else "alive")
 
 
-def _is_stopped(process: int) -> bool:
+def stat_of(process: int) -> list[str]:
+    """Return what Linux tells of a process, from its state on; nothing elsewhere, and if the process is gone."""
     with suppress(OSError):
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] in {"T", "t"}
-    return False
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return []
