@@ -20,6 +20,7 @@ DYING_S = 0.5  # for a killed process to give its files back
 _VARIABLE = "SVWFS_INSTRUMENT"  # names the instrument to processes that it starts
 _FOLDER = "SVWFS_RUNTIME_DIR"
 _LASTING = "lock", "log"  # endings of what stays when an instrument has ended
+_LOG_BYTES = 1_000_000  # a vendor's library may print at every frame
 _PATIENCE_S = 1.0  # with a client that looks at this moment whether the last instrument was killed
 
 
@@ -124,6 +125,13 @@ def _left(name: str) -> list[Path]:
     """Return the files that an instrument has while it runs: its address, and under some systems socket and ring."""
     pattern = file_of(name, "*")
     return [file for file in pattern.parent.glob(pattern.name) if file.suffix.removeprefix(".") not in _LASTING]
+
+
+def bound_log(name: str) -> None:
+    """Empty the log of the instrument of a name if it has grown too large; what is printed next is appended."""
+    with suppress(OSError):  # there is none
+        if (log := file_of(name, "log")).stat().st_size > _LOG_BYTES:
+            os.truncate(log, 0)
 
 
 def _clear(name: str) -> None:

@@ -20,7 +20,7 @@ import zmq
 
 from app.acquisition.command_queue import done
 from app.acquisition.instrument import Instrument
-from app.acquisition.place import Place, file_of
+from app.acquisition.place import Place, bound_log, file_of
 from app.acquisition.remote.messages import (
     MOST_BYTES,
     Accepted,
@@ -360,6 +360,7 @@ class Server:
         now_s = time.monotonic()
         if has_new_timings and now_s > self._timings_s + _PULSE_S:
             self._timings, self._timings_s = self.acquisition.timings.summary(), now_s
+            bound_log(self.place.name)
         state = self._present(is_over=is_over)
         if state != self._state or now_s > self._sent_s + _PULSE_S:
             self._state, self._sent_s = state, now_s

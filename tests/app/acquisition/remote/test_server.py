@@ -16,6 +16,7 @@ from support.patience import HANG_S, wait_until
 from support.served import connected, newest, served
 
 from app.acquisition.instrument import Instrument
+from app.acquisition.place import file_of
 from app.acquisition.remote.connection import reach
 from app.acquisition.remote.messages import MOST_BYTES, Accepted, Answer, Command, Hello, Notice, Sign, State, Traveller
 from app.acquisition.remote.ring import RingReader
@@ -228,6 +229,15 @@ def test_everything_is_closed_though_one_step_fails(fake_camera: FakeCamera, mon
         assert server._ring is not None
         with pytest.raises(FileNotFoundError):
             RingReader(server._ring.place)
+
+
+def test_log_of_a_library_that_prints_at_every_frame_stays_small(server: Server) -> None:
+    with file_of(server.place.name, "log").open("ab") as log:
+        for line in (b"a frame\n" * 200_000, b"a crash\n"):
+            log.write(line)
+            log.flush()
+            wait_until(lambda: Path(log.name).stat().st_size < 1000)
+    assert Path(log.name).read_bytes() == b"a crash\n"
 
 
 def test_larger_frames_get_a_larger_ring(server: Server) -> None:
