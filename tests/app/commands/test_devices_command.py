@@ -215,7 +215,7 @@ def test_good_light_passes_within_announced_current(
     monkeypatch.setattr(bench, "change", watch)
     check_and_print("coolled:COM7")
     output = capsys.readouterr()
-    assert "passes all 6 checks" in output.out
+    assert "passes all 5 checks" in output.out
     assert output.err == "the light will shine with up to 50 mA, 5% of its range\n"
     assert max(brightest_a) == pytest.approx(0.05)
     assert not bench.condition.is_light_on
@@ -233,7 +233,7 @@ def test_device_is_checked_with_bench_settings(capsys: pytest.CaptureFixture[str
             check_and_print("thorlabs_dc4100", bench)
     output = capsys.readouterr()
     assert "DC4100 (serial number) LED2" in output.out
-    assert "light passes all 6 checks" in output.out
+    assert "light passes all 5 checks" in output.out
     assert "up to 10 mA" in output.err
     assert lamp.heads[1].current_ma <= 10
     assert not lamp.is_lit
