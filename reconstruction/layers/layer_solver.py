@@ -234,7 +234,7 @@ class LayerSolver:
         if field_modes.count < 2:
             raise ReconstructionError("the distance of a layer needs displacements that change over the field")
         self.free, self.errors = free, free.errors
-        self._systematic_share = _SYSTEMATIC_SHARE + _SHARE_PER_HIDDEN * hidden
+        self.systematic_share = _SYSTEMATIC_SHARE + _SHARE_PER_HIDDEN * hidden
         self.degree = min(min(sensor.lenslet_rows, sensor.lenslet_columns) + _MORE_THAN_LENSLETS, _HIGHEST_DEGREE)
         self._design = LayerDesign(sensor, field, field_modes, free.errors)
         self.footprint_m = self._design.footprint_m
@@ -254,16 +254,6 @@ class LayerSolver:
         """Whitened displacements per rad of a layer's polynomials, (L, K, k)."""
         remembered = self._sketched if degree == SKETCH_DEGREE else self._exact
         return remembered(ratio, degree)
-
-    def systematic_covariance(self, explained: Floats, influence: Floats) -> Floats:
-        """Covariance of n numbers caused by systematic errors of the displacements.
-
-        `explained` (L, K): whitened displacements; `influence` (n, L, K): derivatives of the numbers by them.
-        """
-        colour = self.errors.colour
-        per_px = np.linalg.solve(colour.transpose(0, 2, 1), influence[..., None])[..., 0]
-        per_error = np.einsum("nlk,lj->nkj", per_px, np.matvec(colour, explained))
-        return np.asarray(self._systematic_share**2 * np.einsum("nkj,mkj->nm", per_error, per_error))
 
 
 class FrameEquations:
@@ -306,13 +296,15 @@ class FrameEquations:
 
         `before` and `after` are the fits with each distance a step shorter and longer; the unit is that of the step.
         """
-        explained = self.explained(fit)
+        explained, colour = self.explained(fit), self.solver.errors.colour
         slopes = np.array([self.explained(far) - self.explained(near) for near, far in zip(before, after, strict=True)])
         slopes /= 2 * step
         weighted = slopes * self._frame.share[:, None]
         normal = np.einsum("ilk,jlk->ij", weighted, slopes)
         influence = np.tensordot(np.linalg.pinv(normal, hermitian=True), weighted, axes=1)  # of displacements
-        return self.solver.systematic_covariance(explained, influence)
+        per_px = np.linalg.solve(colour.transpose(0, 2, 1), influence[..., None])[..., 0]
+        per_error = np.einsum("nlk,lj->nkj", per_px, np.matvec(colour, explained))
+        return np.asarray(self.solver.systematic_share**2 * np.einsum("nkj,mkj->nm", per_error, per_error))
 
     def explained(self, fit: LayerFit) -> Floats:
         """Whitened displacements that a fit explains, (L, K)."""

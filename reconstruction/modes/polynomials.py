@@ -128,20 +128,19 @@ def zernike_names(count: int) -> tuple[str, ...]:
 def zernike(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
     """First `count` modes at (x, y), in units of the circle's radius: (count, *broadcast shape)."""
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
-    return np.stack([radial(x**2 + y**2) * _harmonic(m, x, y) for radial, m in _factors(count)])
+    return np.stack([radial(x**2 + y**2) * part((x + 1j * y) ** m) for radial, m, part in _factors(count)])
 
 
 def zernike_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
     """Gradients of the first `count` modes at (x, y), per radius: (count, *broadcast shape, xy)."""
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
-    square = x**2 + y**2
+    square, position = x**2 + y**2, x + 1j * y
     gradients = []
-    for radial, m in _factors(count):
-        value, slope, harmonic = radial(square), radial.deriv()(square), _harmonic(m, x, y)
-        along_x, along_y = _harmonic_gradient(m, x, y)
-        gradients.append(
-            np.stack([2 * x * slope * harmonic + value * along_x, 2 * y * slope * harmonic + value * along_y], axis=-1)
-        )
+    for radial, m, part in _factors(count):
+        outwards = 2 * radial.deriv()(square) * part(position**m)
+        value, slope = radial(square), m * position ** max(m - 1, 0)  # the latter that of position**m
+        along = [x * outwards + value * part(slope), y * outwards + value * part(1j * slope)]
+        gradients.append(np.stack(along, axis=-1))
     return np.stack(gradients)
 
 
@@ -167,8 +166,8 @@ def zernike_projection(polynomials: Callable[[Floats, Floats], Floats], degree: 
     return np.asarray(np.tensordot(zernike(count, x, y) * weights, polynomials(x, y), axes=((1, 2), (1, 2))))
 
 
-def _factors(count: int) -> list[tuple[Polynomial, int]]:
-    """N Q of each mode as a polynomial in the squared radius, and m."""
+def _factors(count: int) -> list[tuple[Polynomial, int, Any]]:
+    """N Q of each mode as a polynomial in the squared radius; m, and the part of (x + iy)^m that is H."""
     factors = []
     for n, signed_m in noll_orders(count):
         m = abs(signed_m)
@@ -178,18 +177,5 @@ def _factors(count: int) -> list[tuple[Polynomial, int]]:
             denominator = math.factorial(k) * math.factorial((n + m) // 2 - k) * math.factorial((n - m) // 2 - k)
             coefficients[(n - m) // 2 - k] = sign * math.factorial(n - k) / denominator
         norm = math.sqrt(n + 1) if m == 0 else math.sqrt(2 * (n + 1))
-        factors.append((Polynomial(norm * coefficients), signed_m))
+        factors.append((Polynomial(norm * coefficients), m, np.real if signed_m >= 0 else np.imag))
     return factors
-
-
-def _harmonic(m: int, x: Floats, y: Floats) -> Floats:
-    """r^|m| cos(m theta) for m >= 0, r^|m| sin(|m| theta) for m < 0."""
-    power = (x + 1j * y) ** abs(m)
-    return np.asarray(power.real if m >= 0 else power.imag)
-
-
-def _harmonic_gradient(m: int, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    if m == 0:
-        return np.zeros_like(x), np.zeros_like(x)
-    lower = abs(m) * (x + 1j * y) ** (abs(m) - 1)
-    return (lower.real, -lower.imag) if m > 0 else (lower.imag, lower.real)
