@@ -14,9 +14,6 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 from annotated_types import BaseMetadata, GroupedMetadata, Interval
 from typing_extensions import Doc
 
-THREADS = 2  # that share a piece of work, unless a setting or the caller says otherwise
-STARS, STAR_SPACING_M = 3, 0.5e-3  # the paper's grid of stars, on a side; the views of the field lie at them
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limit:

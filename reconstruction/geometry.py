@@ -15,7 +15,7 @@ from annotated_types import Ge, Le
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import Doc
 
-from reconstruction.annotated_settings import STAR_SPACING_M, STARS, Checked
+from reconstruction.annotated_settings import Checked
 from reconstruction.arrays import Booleans, Floats
 
 Arrangement: TypeAlias = Literal["square", "hexagonal"]
@@ -23,6 +23,9 @@ Arrangement: TypeAlias = Literal["square", "hexagonal"]
 
 _ROW_SPACING = {"square": 1.0, "hexagonal": math.sqrt(3) / 2}  # in pitches
 _ROW_OFFSET = {"square": 0.0, "hexagonal": 0.25}  # of a row from the lattice's middle, odd rows to +x, in pitches
+
+
+STARS, STAR_SPACING_M = 3, 0.5e-3  # the paper's grid of stars, on a side; the views of the field lie at them
 
 
 def require(conditions: Mapping[str, bool]) -> None:

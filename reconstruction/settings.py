@@ -6,7 +6,9 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
-from reconstruction.annotated_settings import STAR_SPACING_M, STARS, THREADS, Checked, OwnNames
+from reconstruction.annotated_settings import Checked, OwnNames
+from reconstruction.geometry import STAR_SPACING_M, STARS
+from reconstruction.runtime.threads import THREADS
 
 PupilBasis = Literal["legendre", "zernike"]
 SampleModel = Literal["automatic", "free", "layers"]

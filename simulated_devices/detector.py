@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Image
+from reconstruction.runtime.threads import THREADS
 from simulated_devices.optics.compiled import compiled
 from simulated_devices.settings import Amplifier, SimulatedCameraSettings
 
@@ -219,12 +219,6 @@ class Detector:
         """End the threads."""
         self._pool.shutdown()
 
-    def read_noise_e(self, amplifier: Amplifier, readout_speed: int) -> float:
-        """Standard deviation of the read-out noise in electrons after the multiplication."""
-        if amplifier == "normal":
-            return self._settings.normal_read_noise_e
-        return self._settings.em_read_noise_e[readout_speed - 1]
-
     def counts(self, photons: NDArray[np.float32], exposure: Exposure) -> NDArray[np.uint16]:
         """Counts of one frame, (row, column), from the mean photons on each pixel during the exposure."""
         edges = [len(photons) * part // THREADS for part in range(THREADS + 1)]
@@ -251,17 +245,17 @@ class Detector:
         self, photons: NDArray[np.float32], exposure: Exposure, start: int, end: int, counts: NDArray[np.uint16]
     ) -> None:
         """Fill rows start ... end of the counts."""
-        settings = self._settings
+        settings, is_em = self._settings, exposure.amplifier == "em"
         background_e = settings.dark_current_e_per_s * exposure.exposure_s + settings.clock_induced_charge_e
         parameters = np.array(
             [
                 settings.quantum_efficiency,
                 background_e,
                 settings.full_well_e,
-                exposure.em_gain if exposure.amplifier == "em" else 1.0,
+                exposure.em_gain if is_em else 1.0,
                 settings.register_full_well_e,
                 settings.loss_per_e,
-                self.read_noise_e(exposure.amplifier, exposure.readout_speed),
+                settings.em_read_noise_e[exposure.readout_speed - 1] if is_em else settings.normal_read_noise_e,
                 1 / settings.electrons_per_count,
                 settings.offset_counts,
                 2**settings.bits - 1,

@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Floats, PointField, reading_npy
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.runtime.background import BackgroundProcess
+from reconstruction.runtime.threads import THREADS
 from simulated_devices.optics.forward_model import ForwardModel, OnFraction
 from simulated_devices.optics.source import SourcePoints, source_points
 from simulated_devices.sample import Sample, make_sample, shift_m
@@ -229,19 +229,15 @@ def _age(folder: Path) -> float:
 
 def rendering_ahead(scene: Scene, mask: str, cache_folder: Path) -> BackgroundProcess:
     """Start a child process that renders the states of one mask that the cache lacks; if closed, one is lost."""
-    process = BackgroundProcess(_render_missing)
+    process = BackgroundProcess(render_missing)
     process.send((scene, mask, cache_folder))
     return process
 
 
-def render_missing(scene: Scene, mask: str, cache_folder: Path) -> None:
-    """Render, in order, every state that the cache lacks; stop if the cache cannot be written."""
+def render_missing(messages: Iterator[Any], _answer: Callable[[object], None] = lambda _: None) -> None:
+    """Be the process of `rendering_ahead`; stop if the cache cannot be written."""
+    scene, mask, cache_folder = next(messages)
     cache, renderer = ImageCache(cache_folder, scene), Renderer(scene, threads=1)
     for state in range(scene.states):
         if cache.load(mask, state) is None and not cache.save(mask, state, renderer.state(mask, state)):
             return
-
-
-def _render_missing(messages: Iterator[Any], _answer: Callable[[object], None]) -> None:
-    """Be the process of `rendering_ahead`."""
-    render_missing(*next(messages))

@@ -1,12 +1,14 @@
 """The sample: its screen from a seed or a file, where rays meet it, its light at the lenslets and its drift."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, PointField
 from reconstruction.geometry import Field, Sensor, require
@@ -20,15 +22,11 @@ from simulated_devices.optics.phase_screen import (
     smooth_screen,
 )
 from simulated_devices.optics.propagated_light import PropagatedLight, margin_m
-from simulated_devices.optics.screen_light import (
-    RayMap,
-    SampleLight,
-    ScreenLight,
-    point_field,
-    truth_wavefront,
-    view_positions_m,
-)
+from simulated_devices.optics.screen_light import RayMap, ScreenLight, truth_wavefront, view_positions_m
 from simulated_devices.settings import Screen, Simulation
+
+SampleLight: TypeAlias = ScreenLight | PropagatedLight
+"""Light behind a thin sample, without the tilt of its object point."""
 
 _LARGEST_SIDE = 8_000  # samples; takes 2 GB and half a minute on two cores
 _EXTREME = 4.0  # largest slope of a screen over the RMS of its slopes
@@ -144,6 +142,26 @@ def _absorbing(simulation: Simulation, side: int, size: ScreenSize) -> Floats:
     logarithm *= math.sqrt(math.log1p(screen.transmission_rms**2)) / middle_of(logarithm, ring).std()
     transmission = np.exp(logarithm)
     return np.asarray(transmission / middle_of(transmission, ring).mean(), np.float64)
+
+
+def point_field(
+    light: SampleLight, sample_x_m: Floats, sample_y_m: Floats, shift_m: tuple[float, float] = (0.0, 0.0)
+) -> PointField:
+    """Field of each object point at the pupil samples (m), behind a sample that is moved by `shift_m` (x, y)."""
+    rays = light.ray_map
+    pupil_x_m, pupil_y_m = (
+        rays.pupil_scale * along_m - light.per_shift * moved_m
+        for along_m, moved_m in zip((sample_x_m, sample_y_m), shift_m, strict=True)
+    )
+    columns: dict[float, Callable[[Floats], NDArray[np.complex64]]] = {}  # by object x, shared by all object y
+
+    def field(object_x_m: float, object_y_m: float) -> NDArray[np.complex64]:
+        column = columns.get(object_x_m)
+        if column is None:
+            column = columns[object_x_m] = light.column(pupil_x_m + rays.field_scale * object_x_m)
+        return column(pupil_y_m + rays.field_scale * object_y_m)
+
+    return field
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,7 +9,8 @@ from annotated_types import Ge, Gt, Interval, Le
 from typing_extensions import Doc
 
 from drivers.interface import Range
-from reconstruction.annotated_settings import STAR_SPACING_M, STARS, Checked, Depending
+from reconstruction.annotated_settings import Checked, Depending
+from reconstruction.geometry import STAR_SPACING_M, STARS
 
 Amplifier = Literal["normal", "em"]
 

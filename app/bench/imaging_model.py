@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.cache import kept_while_alive
-from reconstruction.annotated_settings import THREADS
 from reconstruction.geometry import Lattice, lenslet_centers
 from reconstruction.registration.own_wavefronts import OWN_WAVEFRONTS, own_wavefronts
 from reconstruction.registration.response import mean_subimage, point_brightness
+from reconstruction.runtime.threads import THREADS
 from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import SourcePoints

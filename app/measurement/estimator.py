@@ -14,7 +14,6 @@ from app.measurement.mask_scale import scale_quality
 from app.measurement.measurement import Assumptions, Measurement, RefinementState
 from app.timing import Timings
 from drivers.interface import Frame
-from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Counts
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
@@ -30,6 +29,7 @@ from reconstruction.quality.reference_quality import (
 )
 from reconstruction.quality.verdict import Fault, Quality, repeated_reference, sequence_quality
 from reconstruction.refinement import Refinement, Round
+from reconstruction.runtime.threads import THREADS
 from reconstruction.settings import FIELD_MODES
 from reconstruction.wavefront import Wavefront
 

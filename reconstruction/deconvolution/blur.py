@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.interpolate import RectBivariateSpline
 
-from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Floats
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.geometry import Field, Sensor, centered_steps
 from reconstruction.modes.field_modes import SampledModes
 from reconstruction.quality.image_quality import DIFFRACTION, SAMPLES, aligned, extrapolate, psf_reach_rad
-from reconstruction.runtime.threads import worker_pool
+from reconstruction.runtime.threads import THREADS, worker_pool
 
 PsfAt = Callable[[float, float], Floats]
 """Point-spread function (2 reach + 1, 2 reach + 1) of the image position x, y, px; sum 1."""

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement, Outcome, RegistrationMethod
 from reconstruction.errors import ReconstructionError
@@ -24,6 +23,7 @@ from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.registration.gauss_newton import SteepestDescent, coefficient_covariance, prepare_template
 from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
+from reconstruction.runtime.threads import THREADS
 from reconstruction.settings import RegistrationSettings
 
 _THREADS = min(THREADS, os.cpu_count() or 1)

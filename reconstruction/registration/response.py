@@ -31,22 +31,10 @@ class WarpRegistration(RegistrationMethod, Protocol):
 
     reference: ReferenceSubimages
     modes: PolynomialModes
+    parameters: Floats  # displacement (x modes, y modes) of each parameter of the warp, (K, 2Q)
     alike: Floats  # from any displacement (x modes, y modes) to the parameters of one that looks alike, (K, 2Q)
-
-    @property
-    def parameters(self) -> Floats:
-        """Displacement (x modes, y modes) of each parameter of the warp, (K, 2Q)."""
-        ...
-
-    @property
-    def hidden(self) -> int:
-        """Number of displacements of the warp that the reference hardly shows, and which are left out."""
-        ...
-
-    @property
-    def brightness_terms(self) -> int:
-        """Number of polynomials over the field that are taken out as a brightness."""
-        ...
+    hidden: int  # number of displacements of the warp that the reference hardly shows, and which are left out
+    brightness_terms: int  # number of polynomials over the field that are taken out as a brightness
 
     def response(self, image: Floats, changes: Floats, own: Sequence[OwnWavefront] = ()) -> Floats:
         """Parameters found for small changes of a subimage, to first order.

@@ -10,6 +10,7 @@ from threading import RLock
 
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] # ships no types
 
+THREADS = 2  # that share a piece of work, unless a setting or the caller says otherwise
 _TURN_S = 0.0005
 
 

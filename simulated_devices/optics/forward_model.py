@@ -19,10 +19,9 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Floats, Image, PointField
 from reconstruction.geometry import Arrangement, Field, Lattice, Sensor, centered_steps, require
-from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.runtime.threads import THREADS, one_blas_thread
 from simulated_devices.optics._pixel_grid import PixelGrid
 from simulated_devices.optics.compiled import compiled
 from simulated_devices.optics.source import SourcePoints

@@ -1,21 +1,21 @@
-"""Ray geometry of a thin screen, the light of a sample at the lenslets in either world, and the true wavefronts.
+"""Ray geometry of a thin screen, its light without propagation, and the true wavefronts.
 
 The map of rays is linear: s = pupil_scale * u + field_scale * x_o, with positions u in the pupil (on the lenslets), x_o
 of the object point and s on the screen; all (x, y) in m. Field positions are those of the image. A collimator inverts,
 so a layer in front of the lenslets is met at u - (z / f1) x_o.
 
-Both kinds of light say where rays meet their plane (`ray_map`), how far a shift of the screen moves the light in that
-plane (`per_shift`), and what phase and field the light has there.
+Both kinds of light, this and `PropagatedLight`, say where rays meet their plane (`ray_map`), how far a shift of the
+screen moves the light in that plane (`per_shift`), and what phase (without jumps) and field the light has there.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from reconstruction.arrays import Floats, PointField
+from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
 from simulated_devices.optics.phase_screen import PhaseScreen
 
@@ -80,23 +80,6 @@ def truth_wavefront(
     return np.asarray(wavefront - wavefront.mean(axis=(2, 3), keepdims=True), np.float64)
 
 
-class SampleLight(Protocol):
-    """Light behind a thin sample, without the tilt of its object point."""
-
-    ray_map: RayMap
-    per_shift: float
-
-    @property
-    def phase(self) -> PhaseScreen:
-        """Phase in the light's plane, without jumps."""
-
-    def at(self, x_m: ArrayLike, y_m: ArrayLike) -> NDArray[np.complex128]:
-        """Field at positions in the light's plane, m, element by element."""
-
-    def column(self, x_m: Floats) -> Callable[[Floats], NDArray[np.complex64]]:
-        """Field at the positions x (m), (y, x), as a function of the positions y (m)."""
-
-
 class ScreenLight:
     """Field of the screen itself: light that reaches the lenslets along straight rays, as the paper simulates it."""
 
@@ -132,23 +115,3 @@ def _column(screen: PhaseScreen, x_m: Floats) -> Callable[[Floats], NDArray[np.f
     product = screen.basis(x_m, 1) @ screen.coefficients.T.astype(np.float32)
     contracted = np.ascontiguousarray(product.T)
     return lambda y_m: np.asarray(screen.basis(y_m, 0) @ contracted, np.float32)
-
-
-def point_field(
-    light: SampleLight, sample_x_m: Floats, sample_y_m: Floats, shift_m: tuple[float, float] = (0.0, 0.0)
-) -> PointField:
-    """Field of each object point at the pupil samples (m), behind a sample that is moved by `shift_m` (x, y)."""
-    rays = light.ray_map
-    pupil_x_m, pupil_y_m = (
-        rays.pupil_scale * along_m - light.per_shift * moved_m
-        for along_m, moved_m in zip((sample_x_m, sample_y_m), shift_m, strict=True)
-    )
-    columns: dict[float, Callable[[Floats], NDArray[np.complex64]]] = {}  # by object x, shared by all object y
-
-    def field(object_x_m: float, object_y_m: float) -> NDArray[np.complex64]:
-        column = columns.get(object_x_m)
-        if column is None:
-            column = columns[object_x_m] = light.column(pupil_x_m + rays.field_scale * object_x_m)
-        return column(pupil_y_m + rays.field_scale * object_y_m)
-
-    return field

@@ -166,12 +166,12 @@ def test_damaged_file_is_rendered_again_ahead(tmp_path: Path) -> None:
     bench = open_bench(tmp_path, DRIFTING)
     bench.close()
     scene = bench._scene
-    render_missing(scene, "stars", tmp_path)
+    render_missing(iter([(scene, "stars", tmp_path)]))
     cache = ImageCache(tmp_path, scene)
     good = cache.load("stars", 2)
     cache.path("stars", 2).write_bytes(b"\x93NUMPY damaged")
     assert cache.load("stars", 2) is None
-    render_missing(scene, "stars", tmp_path)
+    render_missing(iter([(scene, "stars", tmp_path)]))
     np.testing.assert_array_equal(cache.load("stars", 2), good)
 
 

@@ -17,12 +17,10 @@ interpolation.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Self
 
 import numpy as np
 
-from reconstruction.annotated_settings import THREADS
 from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import Displacement, Outcome, Transmission
 from reconstruction.frame.spline import noise_power, noise_power_polynomial
@@ -30,6 +28,7 @@ from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis, polynomial_modes
 from reconstruction.registration.gauss_newton._alignment import FrameData
 from reconstruction.registration.gauss_newton._lenslet_fits import (
+    CONVERGED_PX,
     FitLimits,
     Fits,
     Propagated,
@@ -54,7 +53,7 @@ from reconstruction.registration.own_wavefronts import OwnWavefront
 from reconstruction.registration.response import WarpRegistration
 from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.runtime.deferred import Deferred
-from reconstruction.runtime.threads import worker_pool
+from reconstruction.runtime.threads import THREADS, worker_pool
 from reconstruction.settings import FIELD_MODES, RegistrationSettings
 
 
@@ -146,7 +145,6 @@ _MARGIN_BLURS = 1.3
 # Largest remaining error of a fit's parameters: a share of its standard error, within limits. Most errors are far
 # smaller: on warm frames with 2000 electrons their RMS is 0.05 standard errors, which adds a thousandth to the noise.
 _TOLERANCE, _TOLERANCE_PX = 0.4, (3e-4, 3e-3)
-_CONVERGED_PX = 0.05  # largest last step of a converged fit
 # Residual over contrast, and over that of most lenslets: above both, a lenslet is an outlier. Screens stay below 0.041
 # and 2.6; a half-covered lenslet has 0.15.
 _ODD, _OUTLYING = 0.08, 2.5
@@ -180,7 +178,7 @@ class GaussNewton:
         modes: PolynomialModes,
         *,
         conserve_flux: bool,
-        rotation: bool = True,
+        rotation: bool,
         model: LensletModel | None = None,
         threads: int = THREADS,
     ) -> None:
@@ -188,7 +186,7 @@ class GaussNewton:
 
         With a `model` of the lenslets, more of the brightness over the field is no displacement: `source_brightness`.
         """
-        self.reference, self.modes, self._threads, self._rotates = reference, modes, threads, rotation
+        self.reference, self.modes, self._threads = reference, modes, threads
         near = np.abs(reference.steps_px) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
         coarse = near & (np.arange(reference.width) % 2 == 0)
         translation = SteepestDescent(
@@ -203,7 +201,9 @@ class GaussNewton:
             brightness = source_brightness(model, reference.noise, reference, modes, pixels, basis)
         images = SteepestDescent(reference, modes, pixels, basis, conserve_flux=conserve_flux, brightness=brightness)
         self._warp = prepare_template(images, reference.noise)
-        self._basis = self.parameters  # in double precision, so that results repeat
+        self.parameters = self._warp.grid.basis.astype(np.float64)  # orthonormal rows, as the compiled fit has them
+        self.hidden = (2 * modes.count if rotation else len(gradient_basis(modes))) - len(self.parameters)
+        self.brightness_terms = LINEAR if brightness is None else len(brightness)
         self._search = prepare_search(reference)
         self._errors = ErrorPropagation(self._warp)
         self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (MISFIT * self._warp.contrast) ** 2
@@ -211,14 +211,8 @@ class GaussNewton:
         self._workplaces: list[Workplace] = []  # that no thread uses now
         poor_square = _NOISE_AT_MOST * self._errors.expected_square
         poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(pixels)
-        self._limits = FitLimits(
-            start_iterations=8,
-            start_tolerance_px=np.float32(0.1),  # only the start of the warp
-            iterations=16,
-            tolerance_px=np.clip(_TOLERANCE * self._errors.expected_sigma_px, *_TOLERANCE_PX).astype(np.float32),
-            converged_px=np.float32(_CONVERGED_PX),
-            poor_square=poor_square.astype(np.float32),
-        )
+        tolerance_px = np.clip(_TOLERANCE * self._errors.expected_sigma_px, *_TOLERANCE_PX)
+        self._limits = FitLimits(tolerance_px.astype(np.float32), poor_square.astype(np.float32))
         # Compile now instead of at the first frame.
         self._fit(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.bool_), None)
 
@@ -230,10 +224,10 @@ class GaussNewton:
         fits = self._fit(coefficients, bad, start)
 
         covariance, chi_square, unexplained, known = self._errors(fits)
-        found = (fits.step_px < _CONVERGED_PX) & (unexplained < self._unexplained)
+        found = (fits.step_px < CONVERGED_PX) & (unexplained < self._unexplained)
         found &= ~_stands_out(unexplained, fits.square, self._unexplained, found)
         spoilt = known < _INFORMATION_LEFT
-        fitted = (fits.displacement @ self._basis).astype(np.float32).astype(np.float64)
+        fitted = (fits.displacement @ self.parameters).astype(np.float32).astype(np.float64)
         displacement = classify_lenslets(
             reference,
             self.modes,
@@ -269,23 +263,6 @@ class GaussNewton:
         beyond[..., 0] += 1
         of_noise = np.einsum("rck,krcij->rcij", variance, warp.brightness_covariance.reshape(2, *shape, 6, 6))
         return Transmission(beyond * per_gain, of_noise * per_gain[..., None] ** 2)
-
-    @property
-    def brightness_terms(self) -> int:
-        """See `response.WarpRegistration`; linear without a model."""
-        brightness = self._warp.images.source_brightness
-        return LINEAR if brightness is None else len(brightness)
-
-    @cached_property
-    def hidden(self) -> int:
-        """See `response.WarpRegistration`."""
-        possible = 2 * self.modes.count if self._rotates else len(gradient_basis(self.modes))
-        return possible - len(self._basis)
-
-    @property
-    def parameters(self) -> Floats:
-        """See `response.WarpRegistration`; orthonormal rows."""
-        return self._warp.grid.basis.astype(np.float64)
 
     def response(self, image: Floats, changes: Floats, own: Sequence[OwnWavefront] = ()) -> Floats:
         """See `response.WarpRegistration`. A warp of that subimage is found as it is."""
@@ -339,9 +316,9 @@ class GaussNewton:
         """Start of the fits, parameters (L, P - 2), px; NaN for lenslets without a start."""
         lenslets, modes = len(self.reference.light), self.modes.count
         if start is None or start.coefficients.size != lenslets * modes * 2:
-            return np.full((lenslets, len(self._basis)), np.nan, np.float32)
+            return np.full((lenslets, len(self.parameters)), np.nan, np.float32)
         coefficients = np.swapaxes(start.coefficients.reshape(lenslets, modes, 2), 1, 2).reshape(lenslets, -1)
-        return np.asarray(coefficients @ self._basis.T, np.float32)
+        return np.asarray(coefficients @ self.parameters.T, np.float32)
 
 
 def _stands_out(unexplained: Floats, square: Floats, at_most: Floats, found: Booleans) -> Booleans:

@@ -62,6 +62,9 @@ def is_finished(ledger: Ledger, items: int) -> bool:
 
 
 _NOISE_STRIDE = 7  # pixels between samples of the interpolation noise; no divisor of a window's width
+_START_LIMITS = 8, np.float32(0.1)  # iterations and tolerance, px, of translations, which are only the start of warps
+_ITERATIONS = 16  # of a warp
+CONVERGED_PX = np.float32(0.05)  # largest last step of a converged fit
 _GIVEN, _TRANSLATING, _TRANSLATED, _SEARCHED, _REPEATED, _DONE = range(6)  # from what a lenslet's fit starts
 
 
@@ -75,13 +78,9 @@ class WholePixelSearch(NamedTuple):
 
 
 class FitLimits(NamedTuple):
-    """Limits of convergence and match, for translations (`start_`) and warps."""
+    """Limits of convergence and match."""
 
-    start_iterations: int
-    start_tolerance_px: np.float32
-    iterations: int
-    tolerance_px: Image  # (L,)
-    converged_px: np.float32  # largest last step of a converged fit
+    tolerance_px: Image  # of a warp, (L,)
     poor_square: Image  # squared residual beyond which to try another start, polynomial of the gain: (L, 3), counts^2
 
 
@@ -158,7 +157,7 @@ def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined on
             fits.step_px[lenslet] = LOST_PX
             finish(ledger)
             continue
-        displacement, settled = fits.displacement[lenslet], (limits.iterations, limits.tolerance_px[lenslet])
+        displacement, settled = fits.displacement[lenslet], (_ITERATIONS, limits.tolerance_px[lenslet])
         state = State(np.float32(np.inf), LOST_PX, np.float32(1.0), np.float32(0.0), False)
         translation[0] = translation[1] = 0
         stage = _GIVEN
@@ -168,8 +167,7 @@ def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined on
         while stage != _DONE:  # one call for all fits: each is compiled anew, since all code is inlined
             grid, work, fitted, until = warp, scratch, displacement, settled
             if stage == _TRANSLATING:
-                grid, work, fitted = start, coarse, translation
-                until = (limits.start_iterations, limits.start_tolerance_px)
+                grid, work, fitted, until = start, coarse, translation, _START_LIMITS
             elif stage == _SEARCHED:
                 fitted = again
             fit = fit_warp(frame, grid, lenslet, fitted, until, work)
@@ -179,15 +177,15 @@ def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined on
                 _translate(displacement, translation[0], translation[1], warp.basis)
                 stage = _TRANSLATED
             elif stage == _SEARCHED:
-                is_converged = state.step_px < limits.converged_px
+                is_converged = state.step_px < CONVERGED_PX
                 stage = _REPEATED if is_converged else _DONE  # to restore the excluded pixels
-                if fit.step_px < limits.converged_px and (fit.square < state.square or not is_converged):
+                if fit.step_px < CONVERGED_PX and (fit.square < state.square or not is_converged):
                     for p in range(displacement.size):
                         displacement[p] = again[p]
                     state, stage = fit, _DONE
             else:
                 state = fit
-                poor = stage != _REPEATED and _is_poor(state, limits.poor_square[lenslet], limits.converged_px)
+                poor = stage != _REPEATED and _is_poor(state, limits.poor_square[lenslet])
                 if poor and stage == _GIVEN:
                     stage = _TRANSLATING
                 elif poor and search.reach > 0:
@@ -224,10 +222,10 @@ def _translate(displacement: Image, x: np.float32, y: np.float32, basis: Image) 
 
 
 @inlined
-def _is_poor(state: State, poor_square: Image, converged_px: np.float32) -> bool:
+def _is_poor(state: State, poor_square: Image) -> bool:
     """True if another start might do better."""
     enough = state.square < poor_square[0] + state.gain * (poor_square[1] + state.gain * poor_square[2])
-    return not (state.step_px < converged_px and enough)
+    return not (state.step_px < CONVERGED_PX and enough)
 
 
 @inlined

@@ -183,26 +183,17 @@ def respond(template: Template, image: Floats, changes: Floats, own: Sequence[Ow
 
     The displaced subimage is interpolated. The steps of the template are scaled by those for a warp of that subimage.
     """
-    warp, basis = template.images, np.asarray(template.grid.basis, np.float64)
-    images = SteepestDescent(
-        warp.reference,
-        warp.modes,
-        warp.pixels,
-        basis,
-        conserve_flux=warp.conserves_flux,
-        brightness=warp.source_brightness,
-    )
-    row, column = np.nonzero(warp.pixels)
+    images, lenslets = template.images, len(template.grid.weight)
+    row, column = np.nonzero(images.pixels)
     parts, unit = np.stack([image, *(wavefront.image for wavefront in own)]), np.max(image)
     at_pixels = np.stack([column, row], -1).astype(float)
     slopes = [sample(spline_coefficients(np.asarray(part / unit, np.float32)), at_pixels)[1] for part in parts]
     still_light, still_gradient = parts[:, row, column], unit * np.stack(slopes)
-    blur, slope = mean_interpolation(warp.reference.width)
+    blur, slope = mean_interpolation(images.reference.width)
     moved_light = (blur @ parts @ blur.T)[:, row, column]
     moved_gradient = np.stack([blur @ parts @ slope.T, slope @ parts @ blur.T], axis=-1)[:, row, column]
     of_parts = np.stack([changes, *(wavefront.changes for wavefront in own)]).reshape(len(parts), -1, *image.shape)
     pixel_changes = np.swapaxes((blur @ of_parts @ blur.T)[..., row, column], 1, 2)  # (part, pixel, change)
-    lenslets = len(template.grid.weight)
     amplitudes = np.stack([np.ones(lenslets), *(wavefront.rad for wavefront in own)], axis=1)  # (lenslet, part)
 
     def descent(light: Floats, gradient: Floats, amplitude: Floats) -> Floats:
@@ -221,7 +212,7 @@ def respond(template: Template, image: Floats, changes: Floats, own: Sequence[Ow
         parameters = -np.linalg.pinv(squares, rcond=_UNSEEN**2) @ (
             projected @ np.tensordot(amplitude, pixel_changes, 1)
         )
-        return np.swapaxes(parameters[:, : len(basis)], 1, 2)
+        return np.swapaxes(parameters[:, : len(images.basis)], 1, 2)
 
     each = np.concatenate([found(slice(first, first + _AT_ONCE)) for first in range(0, lenslets, _AT_ONCE)])
     return each.reshape(lenslets, *changes.shape[:-2], -1)

@@ -16,8 +16,9 @@ from simulated_devices.optics import source
 from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.measurement_matrix import MeasurementMatrix
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
-from simulated_devices.optics.screen_light import RayMap, ScreenLight, point_field
+from simulated_devices.optics.screen_light import RayMap, ScreenLight
 from simulated_devices.optics.source import SourcePoints
+from simulated_devices.sample import point_field
 from simulated_devices.settings import Source
 
 SENSOR = sensor_of(4, 5)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Floats
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
 from simulated_devices.optics.propagated_light import PropagatedLight, fresnel_propagated, unwrapped_phase
-from simulated_devices.optics.screen_light import RayMap, ScreenLight, point_field
+from simulated_devices.optics.screen_light import RayMap, ScreenLight
+from simulated_devices.sample import point_field
 
 WAVENUMBER = 2 * math.pi / 462e-9
 FOCAL_LENGTH_M = 0.2
