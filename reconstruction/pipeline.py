@@ -4,7 +4,7 @@ import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -156,14 +156,21 @@ class Reconstructor:
         self.noise = camera.noise.of_frame
         self._own = own
         registration, self.reconstruction = own.named(registration, reconstruction)
-        self._excluded = registration.excluded
         light, _ = self._above_dark(reference, "reference")
         if not np.mean(light) > 0:
             raise ReconstructionError(
                 "the reference shows no light above the dark: was the light on for the dark, or off for the reference?",
                 image="reference",
             )
-        self._bad = find_bad_pixels(reference, camera.dark)
+        self._cut = partial(
+            ReferenceSubimages,
+            sensor=sensor,
+            lattice=lattice,
+            field=field,
+            noise=camera.noise,
+            bad=find_bad_pixels(reference, camera.dark),
+            excluded=registration.excluded,
+        )
         self.subimages, self._lenslet_model = self._cut(light), lenslet_model
         self._dark_contrast = _DARK_CONTRAST * float(self.subimages.light.std())
         read_noise = 0.0 if self.noise is None else self.noise.read_noise_counts
@@ -410,17 +417,6 @@ class Reconstructor:
             at_rest.covariance * (0.0 if is_unknown else 1.0),
             layered=layered_wavefronts(self.sensor, modes, at_rest.modes, parameters),
             field_degree=at_rest.modes.degree if has_prior else None,
-        )
-
-    def _cut(self, light: Image) -> ReferenceSubimages:
-        return ReferenceSubimages(
-            light,
-            sensor=self.sensor,
-            lattice=self.lattice,
-            field=self.field,
-            noise=self.camera.noise,
-            bad=self._bad,
-            excluded=self._excluded,
         )
 
 

@@ -36,7 +36,6 @@ from reconstruction.registration.gauss_newton._lenslet_fits import (
     fit_lenslets,
     new_ledger,
     new_workplace,
-    propagate,
 )
 from reconstruction.registration.gauss_newton._template import (
     LINEAR,
@@ -129,13 +128,25 @@ class ErrorPropagation:
             per_pixel, per_light = (
                 whole.replaced(partial, part) for whole, part in zip((per_pixel, per_light), of_partial, strict=True)
             )
-        noise = (self._shot, self._read) if self._knows_noise else (np.nan, np.nan)
-        lenslets = len(fits.gain)
-        variance, chi_square, unexplained = np.zeros((lenslets, 2)), np.full(lenslets, np.nan), np.empty(lenslets)
-        found = variance, chi_square, unexplained
-        propagate(fits, per_pixel, per_light, *noise, self._of_reference, self._reference_power, found)
-        covariance = FitCovariance(variance.reshape(*self._lattice, 2), per_pixel, per_light, self._basis)
-        return covariance, chi_square, unexplained, known
+        gain, power, still = fits.gain, fits.noise_power, self._reference_power
+        of_light, expected, chi_square = np.zeros((3, len(gain)))
+        with np.errstate(all="ignore"):  # of lost lenslets
+            if self._knows_noise:
+                # Noise of the frame, scaled to the brightness of the reference, and of the reference.
+                shot, read = self._shot * gain, self._read * gain**2
+                shot_still, read_still = self._shot * self._of_reference, self._read * self._of_reference
+                of_pixels, of_light = read + read_still, shot + shot_still
+                left_pixels = read * power[:, 0] + read_still * still[:, 0]
+                left_light = shot * power[:, 1] + shot_still * still[:, 1]
+                expected = left_pixels * per_pixel.square - of_pixels * per_pixel.fitted
+                expected += left_light * per_light.square - of_light * per_light.fitted
+                chi_square = fits.square / expected
+            else:
+                of_pixels = fits.square / (power[:, 0] * per_pixel.square - per_pixel.fitted)
+                chi_square[:] = np.nan
+        variance = np.stack([of_pixels, of_light], axis=-1).reshape(*self._lattice, 2)
+        covariance = FitCovariance(variance, per_pixel, per_light, self._basis)
+        return covariance, chi_square, fits.square - expected, known
 
 
 # Margin of the pixels used beyond the field's edge, in blurs. Further out there is only scattered light, which no warp

@@ -1,4 +1,4 @@
-"""Compiled loop over the lenslets: the starts of their fits, the noise left by interpolation, and its effect.
+"""Compiled loop over the lenslets: the starts of their fits, and the noise left by interpolation.
 
 Threads share the lenslets without the interpreter lock: each takes the next until none is left. One that starts late,
 because others hold the lock or the processor is busy, delays nobody.
@@ -275,39 +275,3 @@ def _best_shift(
             if spread > 0 and product > best * np.sqrt(spread):  # the template's mean is 0: the patch's does not matter
                 best, best_x, best_y = product / np.sqrt(spread), shift_x, shift_y
     return np.float32(best_x - reach), np.float32(best_y - reach)
-
-
-@compiled
-def propagate(  # noqa: PLR0917 - compiled code takes its arguments by their place
-    fits: Fits,
-    per_pixel: Propagated,
-    per_light: Propagated,
-    shot: float,
-    read: float,
-    of_reference: float,
-    reference_power: Floats,
-    found: tuple[Floats, Floats, Floats],
-) -> None:
-    """Find noise variances (L, 2), reduced chi-squares and unexplained squares (L,).
-
-    `shot` (counts^2 per count of light) and `read` (counts^2) are NaN if unknown; the reference has the share
-    `of_reference` of them, reduced by interpolation to `reference_power` (L, 2).
-    """
-    variance, chi_square, unexplained = found
-    for lenslet in range(fits.gain.size):
-        gain, square, power = fits.gain[lenslet], fits.square[lenslet], fits.noise_power[lenslet]
-        still, expected = reference_power[lenslet], 0.0
-        if np.isnan(shot):
-            variance[lenslet, 0] = square / (power[0] * per_pixel.square[lenslet] - per_pixel.fitted[lenslet])
-        else:
-            # Noise of the frame, scaled to the brightness of the reference, and of the reference.
-            shot_frame, read_frame = shot * gain, read * gain * gain
-            shot_reference, read_reference = shot * of_reference, read * of_reference
-            of_pixels, of_light = read_frame + read_reference, shot_frame + shot_reference
-            left_pixels = read_frame * power[0] + read_reference * still[0]
-            left_light = shot_frame * power[1] + shot_reference * still[1]
-            expected = left_pixels * per_pixel.square[lenslet] - of_pixels * per_pixel.fitted[lenslet]
-            expected += left_light * per_light.square[lenslet] - of_light * per_light.fitted[lenslet]
-            chi_square[lenslet] = square / expected
-            variance[lenslet, 0], variance[lenslet, 1] = of_pixels, of_light
-        unexplained[lenslet] = square - expected
