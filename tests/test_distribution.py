@@ -18,7 +18,7 @@ from support.patience import HANG_S
 
 pytestmark = pytest.mark.slow
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
-EXTRAS = {  # by what they make possible
+EXTRAS = {  # by what they make possible; hcipy is not installed here
     "batch": "bokeh, distributed",
     "genicam": "drivers.genicam._library",
     "mask": "ezdxf, gdstk",

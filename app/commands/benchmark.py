@@ -53,7 +53,7 @@ def benchmark(
 ) -> None:
     """Measure the speed beside other libraries.
 
-    It compares with SimpleITK, OpenCV, scikit-image and pyrtcao (extra: peers) in some minutes. With --live it
+    It compares with SimpleITK, OpenCV, scikit-image, pyrtcao and HCIPy (extra: peers) in some minutes. With --live it
     measures instead whether the window keeps up with 70 frames/s, and then the rate without window and disk. Refinement
     is off unless --set reconstruction.refine=true turns it on.
 
@@ -143,7 +143,7 @@ def print_benchmark(result: dict[str, Any]) -> None:
     """Print times and residuals of all contestants, and the growth."""
     from app.evaluation.benchmark.contestants import OURS
 
-    machine = result["machine"]
+    machine, zonal, forward = result["machine"], result["zonal"], result["forward"]
     terminal.print_sentence(f"{machine['processor']}, {machine['cores']} cores; the same noisy frame for all")
     headings, lines = ["one frame", "median, ms", "best, ms", "over ours", "residual, rad", "noise-free"], []
     ours_s = result["times"][OURS]["median_s"]
@@ -155,6 +155,14 @@ def print_benchmark(result: dict[str, Any]) -> None:
     for name, problem in result["missing"].items():
         terminal.print_sentence(f"missing: {name}: {problem}")
     terminal.print_sentence(f"{result['frames_per_s']:.0f} frames/s in a loop (quadratic, warm)")
+    ours_ms, scipy_ms = zonal["ours_s"] * 1e3, zonal["scipy_splu_s"] * 1e3
+    terminal.print_sentence(f"zonal solve of all views {ours_ms:.3f} ms, bare SciPy splu {scipy_ms:.3f} ms")
+    layer = result["layer"]
+    terminal.print_sentence(
+        f"one layer at a known distance {layer['known_s'] * 1e3:.1f} ms, search for layers {layer['search_s']:.2f} s"
+    )
+    hcipy = f", HCIPy {forward['hcipy_s_per_point'] * 1e3:.1f} ms" if "hcipy_s_per_point" in forward else ""
+    terminal.print_sentence(f"forward model {forward['ours_s_per_point'] * 1e3:.2f} ms per object point{hcipy}")
     headings = ["lenslets", "Q", "px", "register", "zonal", "modal", "all, ms", "each, us", "prepare, s", "peak, MB"]
     lines = [
         [

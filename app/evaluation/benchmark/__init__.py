@@ -1,4 +1,7 @@
-"""The benchmark: contestants on the same frames, side by side, and growing lattices, as one tree for JSON."""
+"""The benchmark: everything on the same frames, side by side, as one tree for JSON, and the ratios to keep.
+
+Registration beside the contestants; zonal solve and forward model beside other software; frames of growing lattices.
+"""
 
 import json
 import math
@@ -6,10 +9,14 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from app.bench.config import Bench
 from app.evaluation.benchmark.contestants import OURS, PEERS, coefficients_of, frames_per_s, ours
@@ -17,16 +24,19 @@ from app.evaluation.benchmark.timed_frames import TimedFrames, medians_s, noise_
 from app.progress import Progress, between, named
 from app.run_facts import machine_facts, versions
 from reconstruction.arrays import Floats
+from reconstruction.geometry import centered_steps
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import FIELD_MODES, RegistrationSettings, Warp
 from reconstruction.solve.zonal import ZonalSolution, zonal_wavefront
 from reconstruction.wavefront import Wavefront, rms
+from simulated_devices.optics.forward_model import ForwardModel, phase_only
+from simulated_devices.optics.source import SourcePoints
 
 Json = dict[str, Any]
 
 _RATIOS = ("simpleitk_affine", "opencv_ecc_affine", "skimage_phase_correlation", "pyrtc_correlation")
-_PACKAGES = ("SimpleITK", "scikit-image", "pyrtcao")
+_PACKAGES = ("SimpleITK", "scikit-image", "pyrtcao", "hcipy")
 _SIZES = (5, 10, 15, 30, 64, 100)  # lenslets along a side
 
 
@@ -47,7 +57,15 @@ def run_benchmark(
         result = _race(clean, grainy, peers, budget_s, named(between(progress, 0.05, 0.5), "timing"))
         progress("frames in a loop", 0.5)
         result["frames_per_s"] = frames_per_s(grainy, budget_s)
-        step = named(between(progress, 0.6, 0.9), "timing")
+        progress("zonal solve", 0.55)
+        result["zonal"] = _zonal_times(grainy, budget_s / 2)
+        progress("one layer", 0.58)
+        result["layer"] = _layer_times(grainy, budget_s / 2)
+        progress("forward model", 0.6)
+        result["forward"], problem = _forward_times(clean, budget_s)
+        if problem:
+            result["missing"]["hcipy"] = problem
+        step = named(between(progress, 0.65, 0.9), "timing")
         result["growth"] = _growth(grainy, sizes, budget_s / 3, step)
         if with_four_k:
             progress("64 x 64 lenslets on 2048 x 2048 pixels", 0.9)
@@ -114,6 +132,27 @@ def _residual_rad(frames: TimedFrames, coefficients: Floats) -> float:
     return float(np.nanmean(rms(zonal_wavefront(slopes, valid, pitch_m=sensor.lenslet_pitch_m) - frames.truth)))
 
 
+def _zonal_times(frames: TimedFrames, budget_s: float) -> dict[str, float]:
+    """Time the zonal solve of all views beside bare equations of the same kind."""
+    sensor = frames.bench.sensor
+    coefficients = frames.reconstructor(RegistrationSettings(warp="quadratic")).register(frames.frame).coefficients
+    slopes = _slopes(frames, np.nan_to_num(coefficients))
+    slopes = slopes.reshape(-1, *slopes.shape[2:])
+    valid = np.ones(coefficients.shape[:2], np.bool_)
+    bare = _bare_southwell(sensor.lenslet_rows, sensor.lenslet_columns, sensor.lenslet_pitch_m)
+
+    def ours() -> Floats:
+        return zonal_wavefront(slopes, valid, pitch_m=sensor.lenslet_pitch_m)
+
+    times_s = medians_s({"ours": ours, "bare": lambda: bare(slopes)}, budget_s)
+    return {
+        "ours_s": times_s["ours"],
+        "scipy_splu_s": times_s["bare"],
+        "ratio": times_s["bare"] / times_s["ours"],
+        "largest_difference_rad": float(np.abs(ours() - bare(slopes)).max()),
+    }
+
+
 def _slopes(frames: TimedFrames, coefficients: Floats) -> Floats:
     """Slopes of all views, rad/m, (view_row, view_column, lenslet_row, lenslet_column, xy).
 
@@ -125,6 +164,112 @@ def _slopes(frames: TimedFrames, coefficients: Floats) -> Floats:
     )
     modes = LegendreModes(coefficients.shape[2]).values(x, y[:, None])
     return np.asarray(np.einsum("rcqd,qyx->yxrcd", coefficients, modes) * frames.bench.sensor.slope_per_px)
+
+
+def _bare_southwell(rows: int, columns: int, pitch_m: float) -> Callable[[Floats], Floats]:
+    """Factorise Southwell's equations by SciPy's `splu` for a lattice without lost lenslets.
+
+    Returns a function from slopes (case, lenslet_row, lenslet_column, xy), rad/m, to wavefronts (case, lenslet_row,
+    lenslet_column), rad, without piston.
+    """
+
+    def steps(count: int) -> tuple[sparse.csr_array, sparse.csr_array]:
+        shape = (count - 1, count)
+        return (
+            sparse.csr_array(sparse.diags_array([-1.0, 1.0], offsets=[0, 1], shape=shape)),
+            sparse.csr_array(sparse.diags_array([0.5, 0.5], offsets=[0, 1], shape=shape)),
+        )
+
+    (along_x, mean_x), (along_y, mean_y) = steps(columns), steps(rows)
+    one_row, one_column = sparse.eye_array(columns), sparse.eye_array(rows)
+    difference = sparse.vstack([sparse.kron(one_column, along_x), sparse.kron(along_y, one_row)]).tocsc()[:, 1:]
+    average = sparse.block_diag([sparse.kron(one_column, mean_x), sparse.kron(mean_y, one_row)])
+    factors = splu((difference.T @ difference).tocsc())
+    right = (difference.T @ average * pitch_m).tocsr()
+
+    def solve(slopes: Floats) -> Floats:
+        flat = np.moveaxis(slopes, -1, 1).reshape(len(slopes), -1)
+        phase = factors.solve(right @ flat.T)
+        phase = np.concatenate([np.zeros((1, len(slopes))), phase])
+        return np.asarray((phase - phase.mean(axis=0)).T.reshape(len(slopes), rows, columns))
+
+    return solve
+
+
+_RATIO = -0.975  # of field to pupil position: 195 mm in front of the lenslets of the paper's bench
+
+
+def _layer_times(frames: TimedFrames, budget_s: float) -> dict[str, float]:
+    """Return seconds from displacements to a layer at a known distance, and to layers at unknown ones."""
+    reconstructor = frames.reconstructor(RegistrationSettings())
+    displacement = reconstructor.register(frames.frame)
+    calls: dict[str, Callable[[], Any]] = {
+        "known_s": lambda: reconstructor.layers(displacement).fit(_RATIO),
+        "search_s": partial(reconstructor.find_sample, displacement),
+    }
+    return medians_s(calls, budget_s)
+
+
+_POINTS = 8  # along a side
+_BEND_RAD_PER_M2 = 3e5
+
+
+def _forward_times(frames: TimedFrames, budget_s: float) -> tuple[dict[str, float], str]:
+    """Return seconds of our forward model and HCIPy's per object point, and the problem of HCIPy if it cannot run.
+
+    Both get the same phase in closed form and the same object points. Ours repeats its costs per image for these few
+    points and covers the camera's pixels with squares of light; HCIPy has one sample per pixel.
+    """
+    calls, problem = {"ours": _our_image(frames)}, ""
+    try:
+        hcipy = _hcipy_image(frames)
+        hcipy()
+        calls["hcipy"] = hcipy
+    except Exception as error:  # noqa: BLE001 - any problem of a peer is reported
+        problem = f"{type(error).__name__}: {error}"
+    times_s = medians_s(calls, budget_s)
+    found = {"ours_s_per_point": times_s["ours"] / _POINTS**2}
+    if "hcipy" in times_s:
+        found |= {"hcipy_s_per_point": times_s["hcipy"], "ratio": times_s["hcipy"] / found["ours_s_per_point"]}
+    return found, problem
+
+
+def _our_image(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
+    """Prepare the image of a square of object points."""
+    bench, (rows, columns) = frames.bench, frames.reference.shape
+    samples = bench.simulation.pupil_samples
+    model = ForwardModel(bench.sensor, frames.lattice, bench.field, shape=(rows, columns), pupil_samples=samples)
+    x_m, y_m = model.sample_x_m[None, :], model.sample_y_m[:, None]
+    bend = (_BEND_RAD_PER_M2 * (x_m**2 + y_m**2)).astype(np.float32)
+    position_m = _positions_m(frames, _POINTS)
+    source = SourcePoints(position_m=position_m, area_m2=np.ones(len(position_m)))
+    return lambda: model.irradiance(source, phase_only(lambda _x, _y: bend))
+
+
+def _hcipy_image(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
+    """Prepare the image of one object point."""
+    hcipy = import_module("hcipy")
+    sensor, (rows, columns) = frames.bench.sensor, frames.reference.shape
+    width_m, height_m = (2 * half_m for half_m in sensor.pupil_half_width_m)
+    grid = hcipy.make_pupil_grid([columns, rows], [width_m, height_m])
+    lenslets = hcipy.CartesianGrid(hcipy.SeparatedCoords((sensor.pupil_x_m, sensor.pupil_y_m)))
+    array = hcipy.MicroLensArray(grid, lenslets, sensor.lenslet_focal_length_m)
+    propagator = hcipy.FresnelPropagator(grid, sensor.lenslet_focal_length_m)
+    x_m, y_m = _positions_m(frames, 2)[-1]
+    tilt = sensor.wavenumber_rad_per_m / frames.bench.field.collimator_focal_length_m * (grid.x * x_m + grid.y * y_m)
+    phase = _BEND_RAD_PER_M2 * (grid.x**2 + grid.y**2) + tilt
+
+    def image() -> NDArray[Any]:
+        light = hcipy.Wavefront(hcipy.Field(np.exp(1j * phase), grid), sensor.wavelength_m)
+        return np.asarray(propagator(array(light)).power)
+
+    return image
+
+
+def _positions_m(frames: TimedFrames, points: int) -> NDArray[np.float64]:
+    """Object points on a square, (point, xy)."""
+    along_m = centered_steps(points) / points * 2 * frames.bench.field.half_width_m
+    return np.stack(np.meshgrid(along_m, along_m), axis=-1).reshape(-1, 2)
 
 
 _LARGE_LENSLETS, _LARGE_MARGIN_PX = 64, 32  # 31 pixels each on 2048 x 2048
