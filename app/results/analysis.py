@@ -109,6 +109,19 @@ class Analysis:
         return {source: getattr(self, "setting", None) or ()}
 
 
+class RecordingAnalysis(Analysis):
+    """An analysis of recordings alone."""
+
+    source: ClassVar[object] = RecordingFolder
+
+    def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:
+        """Refuse a folder without a recording, before anything is loaded that takes seconds."""
+        from app.recording.folder import read_run
+
+        read_run(source)
+        return (), ()
+
+
 def load(name: str) -> type[Analysis]:
     """Read the file of an analysis."""
     module, _, kind = ANALYSES[name][0].rpartition(".")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -10,8 +9,7 @@ from typing import Annotated, ClassVar, Literal
 import typer
 
 from app.progress import Progress, counted
-from app.results import analysis
-from app.results.analysis import Analysis, Frames
+from app.results.analysis import Frames, RecordingAnalysis
 
 Format = Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"]
 
@@ -26,7 +24,7 @@ FORMATS: dict[Format, tuple[str, tuple[str, ...]]] = {  # what is written, and t
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export(Analysis):
+class Export(RecordingAnalysis):
     """Convert a recording for other programs.
 
     tiff: one BigTIFF for ImageJ with times and settings. csv: one row per frame for pandas or a spreadsheet. netcdf:
@@ -39,7 +37,6 @@ class Export(Analysis):
     Example: svwfs export run1 --to double-zernike --out run1.nc
     """
 
-    source: ClassVar = analysis.RecordingFolder
     file_help: ClassVar = "File to write."
     picture_dpi: ClassVar = 0
 
@@ -55,13 +52,6 @@ class Export(Analysis):
     def suffixes(self) -> tuple[str, ...]:  # type: ignore[override] # those of the format
         """Suffixes of the format."""
         return FORMATS[self.to][1]
-
-    def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:
-        """Refuse a folder without a recording, before anything is loaded that takes seconds."""
-        from app.recording.folder import read_run
-
-        read_run(source)
-        return (), ()
 
     def run(self, source: Path, out: Path, progress: Progress) -> str:
         """Write the frames of a recording, or their results, one after the other."""

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from app.progress import Progress, between, part
-from app.results import analysis
-from app.results.analysis import Analysis, ByView, Frames, Set
+from app.results.analysis import ByView, Frames, RecordingAnalysis, Set
 
 if TYPE_CHECKING:
     from app.results.report_summary import Residual, Summary
@@ -20,7 +19,7 @@ _RECONSTRUCTED = 0.8  # share of the work that comes before the pages
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(Analysis):
+class Report(RecordingAnalysis):
     """Summarise a recording on three pages.
 
     They show conditions, wavefronts, their uncertainty, lost frames and lenslets, and with the modal method the
@@ -33,7 +32,6 @@ class Report(Analysis):
     Example: svwfs report square --beside stars --set registration.method=correlation --out compared.pdf
     """
 
-    source: ClassVar = analysis.RecordingFolder
     file_help: ClassVar = "File to write: .pdf with A4 pages, or .png with all pages in one picture."
     suffixes: ClassVar = (".pdf", ".png")
     needs_suffix: ClassVar = True
@@ -71,14 +69,7 @@ class Report(Analysis):
         title = f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames"
         return residual.field, title, ((f"{value:.3f}" for value in row) for row in residual.rms_rad)
 
-    def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:
-        """Refuse a folder without a recording, before anything is loaded that takes seconds."""
-        from app.recording.folder import read_run
-
-        read_run(source)
-        return (), ()
-
     def sources(self, source: Path) -> dict[Path, Iterable[str]]:
         """Return the changed settings of the first recording, and the other one."""
         others = {} if self.beside is None else {self.beside: ()}
-        return Analysis.sources(self, source) | others
+        return RecordingAnalysis.sources(self, source) | others
