@@ -142,7 +142,7 @@ class RemoteFrames:
 
     def _solved(self, record: RingRecord) -> Measurement:
         made = record.measurement
-        if not record.has_wavefront or made.calibration is None or made.registered is None:
+        if made.problem or made.calibration is None or made.registered is None:
             return made
         try:
             with self._preparing:  # once, whoever needs it first

@@ -192,7 +192,7 @@ class Server:
             except IndexError:
                 return
             lean = replace(measurement, wavefront=None, start=None)
-            record = RingRecord(lean, measurement.wavefront is not None, is_shown_only)
+            record = RingRecord(lean, is_shown_only)
             packed = Packed(record, self._travellers.number)
             if self._ring is None or not self._ring.fits(packed):
                 if self._ring is not None:

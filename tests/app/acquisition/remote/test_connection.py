@@ -260,7 +260,7 @@ def test_a_bias_that_the_instrument_subtracted_is_subtracted_here() -> None:
         bias = np.full(made.registered.coefficients.shape, 0.1)
         bias[0] = 0.3
         applied = replace(made, assumed=Assumptions(FREE, RefinementState("applied", bias=bias)), wavefront=None)
-        found = connection._frames._solved(RingRecord(applied, has_wavefront=True, is_shown_only=False))
+        found = connection._frames._solved(RingRecord(applied, is_shown_only=False))
         reconstructor = made.calibration.reconstructor()
         assert found.wavefront is not None
         assert made.wavefront is not None

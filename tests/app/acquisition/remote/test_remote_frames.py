@@ -61,7 +61,7 @@ def test_frames_measured_before_a_command_are_shown_but_no_longer_passed_on(tmp_
                 frames.outdate(2)
             frame = make_frame(np.zeros((3, 4), np.uint16), index=index)
             frames.announce(
-                Notice(ring.place, ring.write(Packed(RingRecord(Measurement(frame, None, "x"), False, False))))
+                Notice(ring.place, ring.write(Packed(RingRecord(Measurement(frame, None, "x"), is_shown_only=False))))
             )
             wait_until(lambda: frames.newest is not None and frames.newest.frame.index == index)  # noqa: B023 - at once
         frames.close()
@@ -72,7 +72,7 @@ def test_frames_measured_before_a_command_are_shown_but_no_longer_passed_on(tmp_
 def publish(ring: RingWriter, frames: RemoteFrames, count: int, *, is_shown_only: bool = False) -> None:
     """Let an instrument write a record whose frame has the index `count`, and tell of it."""
     made = Measurement(make_frame(np.zeros((3, 4), np.uint16), index=count), None, "x")
-    ring.write(Packed(RingRecord(made, has_wavefront=False, is_shown_only=is_shown_only)), count)
+    ring.write(Packed(RingRecord(made, is_shown_only)), count)
     frames.announce(Notice(ring.place, count))
 
 
