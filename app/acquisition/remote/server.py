@@ -322,11 +322,10 @@ class Server:
             raise BadValue(f"{command.request}: {error}") from error
 
     def _answer(self, identity: bytes, number: int, future: Future[Any]) -> None:
-        error = future.exception()
+        failure = future.exception()
+        result, error = (future.result(), None) if failure is None else (None, told(failure))
         self._write()  # what was measured before the command was done
         count = 0 if self._ring is None else self._ring.count
-        result = None if error is not None else future.result()
-        error = None if error is None else told(error)
         self._tell_state(has_new_timings=False)  # they would delay it by milliseconds
         client = self._clients.get(identity)
         if client is None or client.is_behind:  # it gets no news

@@ -1,4 +1,4 @@
-"""Our own data between processes, dataclasses, named tuples, enums, errors, arrays: JSON text with arrays behind it.
+"""Our own data between processes (dataclasses, named tuples, enums, errors, arrays): JSON text and arrays behind it.
 
 Never pickle: only types of this project's rooms can arrive, and to make one runs nothing but its constructor. Large
 objects that belong to many frames travel once; where they occur, a message has their number instead.
