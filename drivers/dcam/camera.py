@@ -208,11 +208,15 @@ class DcamCamera(Camera):
         return self._values.get(Id.EXPOSURETIME)
 
     def _set_exposure(self, exposure_s: float) -> float:
-        with self._restored_on_failure(Id.EXPOSURETIME):
-            taken_s = self._values.set(Id.EXPOSURETIME, exposure_s)
+        return self._set_of_frames(Id.EXPOSURETIME, exposure_s)
+
+    def _set_of_frames(self, identifier: Id, value: float) -> float:
+        """Change exposure or EM gain, and note which frames have it; return the one in force."""
+        with self._restored_on_failure(identifier):
+            taken = self._values.set(identifier, value)
             if self._capture is not None:
-                self._capture.change(taken_s, self._read_em_gain())
-        return taken_s
+                self._capture.change(self._read_exposure(), self._read_em_gain())
+        return taken
 
     def _read_temperature(self) -> float | None:
         temperature_c = self._values.get_or(Id.SENSORTEMPERATURE, math.nan)
@@ -222,13 +226,7 @@ class DcamCamera(Camera):
         return self._values.get(Id.SENSITIVITY) if self._has_em_gain() else 1.0
 
     def _set_em_gain(self, em_gain: float) -> float:
-        if not self._has_em_gain():
-            return 1.0
-        with self._restored_on_failure(Id.SENSITIVITY):
-            taken = self._values.set(Id.SENSITIVITY, em_gain)
-            if self._capture is not None:
-                self._capture.change(self._read_exposure(), taken)
-        return taken
+        return self._set_of_frames(Id.SENSITIVITY, em_gain) if self._has_em_gain() else 1.0
 
     def _read_amplifier(self) -> str:
         return ids.AMPLIFIERS[round(self._values.get_or(Id.CCDMODE, ids.CCDMODE_NORMAL))]
