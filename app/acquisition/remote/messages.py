@@ -4,7 +4,7 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
@@ -56,6 +56,11 @@ class Command:
     named: Mapping[str, Any] = field(default_factory=dict)
     may_light: bool = True  # False if the light was switched off after it, but before it was sent or heard
     until_s: float = math.inf  # the latest begin, of `time.monotonic()`: soon after, its client gives it up
+
+
+def held_off(message: Any) -> Any:
+    """Return a message that precedes one to switch the light off: a command may not light."""
+    return replace(message, may_light=False) if isinstance(message, Command) else message
 
 
 class Sign(Enum):

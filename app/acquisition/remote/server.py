@@ -32,6 +32,7 @@ from app.acquisition.remote.messages import (
     Sign,
     State,
     Travellers,
+    held_off,
     told,
     watching,
 )
@@ -236,7 +237,7 @@ class Server:
             except RunError:  # of another version
                 continue
             if isinstance(message, Command) and message.request == "switch_light_off":
-                arrived = [(who, _held_off(earlier)) for who, earlier in arrived]
+                arrived = [(who, held_off(earlier)) for who, earlier in arrived]
             arrived.append((identity, message))
         return arrived
 
@@ -395,8 +396,3 @@ class Server:
             self._tell(identity, traveller)
             if client is not None:
                 client.objects = traveller.number
-
-
-def _held_off(message: Any) -> Any:
-    """Return a message that precedes one to switch the light off: a command may not light."""
-    return replace(message, may_light=False) if isinstance(message, Command) else message
