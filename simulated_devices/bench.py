@@ -96,7 +96,7 @@ class SimulatedBench:
         self._cache_folder = cache_folder
         self.renderer = Renderer(scene)
         self._cache = ImageCache(cache_folder, scene)
-        self._references: dict[str, NDArray[np.float32]] = {}
+        self.references: dict[str, NDArray[np.float32]] = {}  # without the sample, by mask, (row, column), m^2
         self._films: dict[str, list[NDArray[np.float32]]] = {}
         self._ahead: BackgroundProcess | None = None
         self._start_s = self._next_poll_s = self.clock.now()
@@ -125,16 +125,6 @@ class SimulatedBench:
         with self._changing:
             condition = dataclasses.replace(self.condition, **changes)  # type: ignore[arg-type] # fields by name
             self._history.append((self.clock.now(), condition))
-
-    def render_reference(self, mask: str, progress: OnFraction | None = None) -> NDArray[np.float32]:
-        """Irradiance (row, column), m^2, without the sample; rendered once."""
-        if mask not in self._references:
-            image = self._cache.load(mask, "reference")
-            if image is None:
-                image = self.renderer.reference(mask, progress)
-                self._cache.save(mask, "reference", image)
-            self._references[mask] = image
-        return self._references[mask]
 
     def expose(self, start_s: float, end_s: float) -> Exposed:
         """Photons on the camera from `start_s` to `end_s`; a change in between counts from its moment."""
@@ -166,7 +156,7 @@ class SimulatedBench:
 
     def _image(self, condition: Condition, time_s: float) -> tuple[NDArray[np.float32], int | None]:
         if not condition.is_sample_in:
-            return self._references[condition.mask], None
+            return self.references[condition.mask], None
         film, duration_s = self._films[condition.mask], self.simulation.state_duration_s
         since_s = time_s - self._start_s
         state = played_state(since_s, states=self._scene.states, rendered=len(film), duration_s=duration_s)
@@ -174,15 +164,17 @@ class SimulatedBench:
 
     def _prepare(self, mask: str, progress: OnFraction | None) -> None:
         """Render the reference and the first state of `mask`, and start to render its other states."""
-        first = self._films[mask][0] if mask in self._films else self._cache.load(mask, 0)
-        if first is None:  # else they were checked before it was rendered
-            self.renderer.check_rays()
-        self.render_reference(mask, _part(progress, 0.0, _REFERENCE_SHARE))
         if mask not in self._films:
+            first, reference = self._cache.load(mask, 0), self._cache.load(mask, "reference")
+            if first is None:  # else they were checked before it was rendered
+                self.renderer.check_rays()
+            if reference is None:
+                reference = self.renderer.reference(mask, _part(progress, 0.0, _REFERENCE_SHARE))
+                self._cache.save(mask, "reference", reference)
             if first is None:
                 first = self.renderer.state(mask, 0, _part(progress, _REFERENCE_SHARE, 1.0))
                 self._cache.save(mask, 0, first)
-            self._films[mask] = [first]
+            self.references[mask], self._films[mask] = reference, [first]
             self._load_states(mask, self._scene.states)
         if progress is not None:
             progress(1.0)

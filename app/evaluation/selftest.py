@@ -17,7 +17,7 @@ from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import rms, without_piston
 from simulated_devices.optics.forward_model import ForwardModel
-from simulated_devices.optics.source import square
+from simulated_devices.optics.source import source_points
 from simulated_devices.settings import Source
 
 SENSOR = Sensor(
@@ -92,7 +92,7 @@ class PhaseCheck:
 def run_checks() -> Iterator[PhaseCheck]:
     """Render and reconstruct every light."""
     model = ForwardModel(SENSOR, LATTICE, FIELD, shape=FRAME_SHAPE, pupil_samples=12)
-    source = square(Source(), object_samples=25)
+    source = source_points("square", Source(), object_samples=25)
     bench = Bench(
         sensor=SENSOR,
         field=FIELD,

@@ -42,46 +42,49 @@ def source_points(mask: str, source: Source, *, object_samples: int) -> SourcePo
     """Return the points of the mask with that name."""
     if mask == "stars":
         return stars(source)
-    return _ON_THE_GRID[mask](source, object_samples=object_samples)
+    edges_m = _cell_edges(source, object_samples)
+    along_m = np.linspace(-source.half_width_m, source.half_width_m, object_samples)
+    y_m, x_m = np.meshgrid(along_m, along_m, indexing="ij")
+    area_m2 = _ON_THE_GRID[mask](source, object_samples) * np.outer(np.diff(edges_m), np.diff(edges_m))
+    return SourcePoints(position_m=np.stack([x_m.ravel(), y_m.ravel()], axis=-1), area_m2=area_m2.ravel())
 
 
-def square(source: Source, *, object_samples: int) -> SourcePoints:
-    """Return the square opening; all areas add up to that of the square."""
-    return _with_brightness(source, np.ones((object_samples, object_samples)))
+def _square(_source: Source, object_samples: int) -> Floats:
+    """Square opening; all areas add up to that of the square."""
+    return np.ones((object_samples, object_samples))
 
 
-def checkerboard(source: Source, *, object_samples: int) -> SourcePoints:
-    """Return the square in `checker_cells` x `checker_cells` cells, every other one lit: the one at lowest x, y is."""
+def _checkerboard(source: Source, object_samples: int) -> Floats:
+    """Square in `checker_cells` x `checker_cells` cells, every other one lit: the one at lowest x, y is."""
     row, column = np.indices(2 * (source.checker_cells,))
-    lit = ((row + column) % 2 == 0).astype(np.float64)
-    return _with_brightness(source, _pixels_on_grid(source, lit, object_samples))
+    return _pixels_on_grid(source, ((row + column) % 2 == 0).astype(np.float64), object_samples)
 
 
-def optimised(source: Source, *, object_samples: int) -> SourcePoints:
-    """Return the square in 6 x 6 cells, those of `OPTIMISED` lit; row 0 is at the lowest y."""
-    return _with_brightness(source, _pixels_on_grid(source, OPTIMISED.astype(np.float64), object_samples))
+def _optimised(source: Source, object_samples: int) -> Floats:
+    """Square in 6 x 6 cells, those of `OPTIMISED` lit; row 0 is at the lowest y."""
+    return _pixels_on_grid(source, OPTIMISED.astype(np.float64), object_samples)
 
 
-def circle(source: Source, *, object_samples: int) -> SourcePoints:
-    """Return the circular opening that touches the square's four sides: area pi h^2, h the half width."""
+def _circle(source: Source, object_samples: int) -> Floats:
+    """Circular opening that touches the square's four sides: area pi h^2, h the half width."""
     half_m = source.half_width_m
     return _opening(source, lambda y_m: np.sqrt(half_m**2 - y_m**2), object_samples)
 
 
-def ellipse(source: Source, *, object_samples: int) -> SourcePoints:
-    """Return the elliptic opening with half axes h along x and h times `ellipse_ratio` along y."""
+def _ellipse(source: Source, object_samples: int) -> Floats:
+    """Elliptic opening with half axes h along x and h times `ellipse_ratio` along y."""
     half_m, ratio = source.half_width_m, source.ellipse_ratio
     return _opening(source, lambda y_m: np.sqrt(np.maximum(0, half_m**2 - (y_m / ratio) ** 2)), object_samples)
 
 
-def octagon(source: Source, *, object_samples: int) -> SourcePoints:
-    """Return the regular octagon, four of its sides on those of the square: area 8 (sqrt(2) - 1) h^2."""
+def _octagon(source: Source, object_samples: int) -> Floats:
+    """Regular octagon, four of its sides on those of the square: area 8 (sqrt(2) - 1) h^2."""
     half_m = source.half_width_m
     return _opening(source, lambda y_m: np.minimum(half_m, math.sqrt(2) * half_m - np.abs(y_m)), object_samples)
 
 
-def peaks(source: Source, *, object_samples: int) -> SourcePoints:
-    """Return the square with the brightness of MATLAB's `peaks` surface, moved and scaled to reach from 0 to 1.
+def _peaks(_source: Source, object_samples: int) -> Floats:
+    """Square with the brightness of MATLAB's `peaks` surface, moved and scaled to reach from 0 to 1.
 
     peaks(x, y) = 3 (1-x)^2 exp(-x^2 - (y+1)^2) - 10 (x/5 - x^3 - y^5) exp(-x^2 - y^2) - exp(-(x+1)^2 - y^2) / 3 for
     x and y in [-3, 3], here the square's sides (y downwards, as in every image); its values lie between -6.5511
@@ -92,18 +95,17 @@ def peaks(source: Source, *, object_samples: int) -> SourcePoints:
     surface = 3 * (1 - x) ** 2 * np.exp(-(x**2) - (y + 1) ** 2)
     surface -= 10 * (x / 5 - x**3 - y**5) * np.exp(-(x**2) - y**2)
     surface -= np.exp(-((x + 1) ** 2) - y**2) / 3
-    brightness = (surface - _PEAKS_LOWEST) / (_PEAKS_HIGHEST - _PEAKS_LOWEST)
-    return _with_brightness(source, np.clip(brightness, 0, 1))  # its two constants are rounded
+    return np.clip((surface - _PEAKS_LOWEST) / (_PEAKS_HIGHEST - _PEAKS_LOWEST), 0, 1)  # both constants are rounded
 
 
-def image(source: Source, *, object_samples: int) -> SourcePoints:
-    """Return the square with the brightness of the grey image in `source.file`, its brightest point 1.
+def _image(source: Source, object_samples: int) -> Floats:
+    """Square with the brightness of the grey image in `source.file`, its brightest point 1.
 
     The image's longer side fills the square; the rest is dark. Each point gets the mean over its cell of the grid.
     Row 0 is at the lowest y.
     """
     brightness = _pixels_on_grid(source, read_grey_image(Path(source.file)), object_samples)
-    return _with_brightness(source, brightness / brightness.max())
+    return np.asarray(brightness / brightness.max())
 
 
 def stars(source: Source) -> SourcePoints:
@@ -172,20 +174,8 @@ def _cell_edges(source: Source, object_samples: int) -> Floats:
     return np.concatenate([[-half_m], (along_m[1:] + along_m[:-1]) / 2, [half_m]])
 
 
-def _with_brightness(source: Source, brightness: Floats) -> SourcePoints:
-    """Points of the grid with that brightness (row, column)."""
-    object_samples = len(brightness)
-    width_m = np.diff(_cell_edges(source, object_samples))
-    along_m = np.linspace(-source.half_width_m, source.half_width_m, object_samples)
-    y_m, x_m = np.meshgrid(along_m, along_m, indexing="ij")
-    return SourcePoints(
-        position_m=np.stack([x_m.ravel(), y_m.ravel()], axis=-1),
-        area_m2=(brightness * np.outer(width_m, width_m)).ravel(),
-    )
-
-
-def _opening(source: Source, half_chord_m: Callable[[Floats], Floats], object_samples: int) -> SourcePoints:
-    """Return an opening from -half_chord(y) to half_chord(y) along x; empty where that is 0 or less.
+def _opening(source: Source, half_chord_m: Callable[[Floats], Floats], object_samples: int) -> Floats:
+    """Opening from -half_chord(y) to half_chord(y) along x; empty where that is 0 or less.
 
     A point's brightness is the open part of its cell: exact along x, in thin rows along y.
     """
@@ -194,7 +184,7 @@ def _opening(source: Source, half_chord_m: Callable[[Floats], Floats], object_sa
     y_m = edges_m[:-1, None] + np.diff(edges_m)[:, None] * fraction  # (cell row, thin row)
     half_m = np.maximum(half_chord_m(y_m), 0)[..., None]
     inside_m = np.diff(np.clip(edges_m, -half_m, half_m), axis=-1)  # (cell row, thin row, cell column)
-    return _with_brightness(source, inside_m.mean(axis=1) / np.diff(edges_m))
+    return np.asarray(inside_m.mean(axis=1) / np.diff(edges_m))
 
 
 def _pixels_on_grid(source: Source, pixels: Floats, object_samples: int) -> Floats:
@@ -213,13 +203,13 @@ def _overlap_shares(edges_m: Floats, count: int, pixel_m: float) -> Floats:
     return np.asarray(np.maximum(high - low, 0) / np.diff(edges_m)[:, None], np.float64)
 
 
-_ON_THE_GRID = {
-    "square": square,
-    "checkerboard": checkerboard,
-    "optimised": optimised,
-    "circle": circle,
-    "ellipse": ellipse,
-    "octagon": octagon,
-    "peaks": peaks,
-    "image": image,
+_ON_THE_GRID: dict[str, Callable[[Source, int], Floats]] = {  # brightness of the grid's points, (row, column)
+    "square": _square,
+    "checkerboard": _checkerboard,
+    "optimised": _optimised,
+    "circle": _circle,
+    "ellipse": _ellipse,
+    "octagon": _octagon,
+    "peaks": _peaks,
+    "image": _image,
 }

@@ -53,8 +53,8 @@ def seen(bench: SmallBench) -> Image:
 def frames() -> dict[Shape, tuple[Image, Image]]:
     """Reference and frame of each source in the paper's world."""
     sources: dict[Shape, SourcePoints] = {
-        "square": source.square(Source(), object_samples=19),
-        "circle": source.circle(Source(), object_samples=19),
+        "square": source.source_points("square", Source(), object_samples=19),
+        "circle": source.source_points("circle", Source(), object_samples=19),
     }
     benches = {shape: SmallBench(field=PAPER, source=points) for shape, points in sources.items()}
     return {shape: (bench.reference, seen(bench)) for shape, bench in benches.items()}

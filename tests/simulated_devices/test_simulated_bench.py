@@ -124,7 +124,7 @@ def test_full_disk_leaves_no_partial_file(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     cache = ImageCache(tmp_path, bench._scene)
-    image = bench.render_reference("square")
+    image = bench.references["square"]
     with monkeypatch.context() as patch:
         patch.setattr(np, "save", write_some)
         assert not cache.save("square", 0, image)

@@ -143,7 +143,7 @@ def test_light_is_proportional_to_current_and_exposure(
         means.append(camera.read(1.0).pixels.mean() - 500.0)
     assert means[1] / means[0] == pytest.approx(2.0, rel=0.01)
     assert means[2] / means[0] == pytest.approx(3.0, rel=0.01)
-    photons = bench.render_reference("square").mean() * PHOTONS_PER_S_M2_A * 0.2 * 0.02
+    photons = bench.references["square"].mean() * PHOTONS_PER_S_M2_A * 0.2 * 0.02
     assert means[0] == pytest.approx(photons * 0.8 / 5.8, rel=0.01)
 
 
@@ -159,7 +159,7 @@ def test_change_during_exposure_counts_in_proportion(
     stage.set_sample_in(True)
     bench.clock.sleep(0.175)
     dark_and_light, mixed, sample = (camera.read(1.0).pixels.astype(float) - 500 for _ in range(3))
-    whole = bench.render_reference("square").mean() * PHOTONS_PER_S_M2_A * 0.1 * 0.1 * 0.8 / 5.8
+    whole = bench.references["square"].mean() * PHOTONS_PER_S_M2_A * 0.1 * 0.1 * 0.8 / 5.8
     assert dark_and_light.mean() == pytest.approx(0.25 * whole, rel=0.01)
     assert (camera.state_of_frame(0), camera.state_of_frame(2)) == (None, 0)
     # A quarter of the second exposure saw the reference: the rest looks like the third.

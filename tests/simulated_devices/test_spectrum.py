@@ -104,7 +104,7 @@ def test_progress_runs_once_over_all_lines(bench: Bench) -> None:
 def test_simulated_devices_see_the_spectrum(bench: Bench) -> None:
     live = simulated_bench(broad(bench), lambda _: None, ManualClock())
     try:
-        np.testing.assert_array_equal(live.render_reference("square"), Renderer(live._scene).reference("square"))
+        np.testing.assert_array_equal(live.references["square"], Renderer(live._scene).reference("square"))
         assert live._scene.lines == ((LINES_M[0], 4 / 15), (LINES_M[1], 11 / 15))
     finally:
         live.close()

@@ -19,7 +19,7 @@ from reconstruction.pipeline import Reconstructor
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel, Warp
 from simulated_devices.optics.forward_model import ForwardModel, phase_only
-from simulated_devices.optics.source import SourcePoints, square
+from simulated_devices.optics.source import SourcePoints, source_points
 from simulated_devices.settings import Source
 
 VIEWS = np.array([-5.0, 0.0, 5.0]) / 6  # where the views of FIELD lie, in units of its half width
@@ -58,7 +58,7 @@ PointValues = Callable[[float, float], Image]  # of an object point (x_m, y_m), 
 
 def checkerboard(cells: int = 6, object_samples: int = 24) -> SourcePoints:
     """A square of bright and dark cells, whose inside shows displacements in real light, too."""
-    points = square(Source(), object_samples=object_samples)
+    points = source_points("square", Source(), object_samples=object_samples)
     cell = np.floor((points.position_m / FIELD.half_width_m + 1) / 2 * cells * (1 - 1e-9)).astype(int)
     return SourcePoints(position_m=points.position_m, area_m2=points.area_m2 * (cell.sum(axis=1) % 2 == 0))
 
@@ -88,7 +88,7 @@ class SmallBench:
             rotation_rad=rotation_rad,
         )
         self.model = ForwardModel(self.sensor, self.lattice, field, shape=self.frame_shape, pupil_samples=12)
-        self.source = source or square(Source(), object_samples=19)
+        self.source = source or source_points("square", Source(), object_samples=19)
         self.reference = self.model.irradiance(self.source) * 1e14
         y, x = np.meshgrid(self.sensor.pupil_y_m, self.sensor.pupil_x_m, indexing="ij")
         self.pupil_x_m, self.pupil_y_m = x, y  # of the lenslet centres, (lenslet_row, lenslet_column)

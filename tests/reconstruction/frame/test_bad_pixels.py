@@ -10,11 +10,11 @@ from support.paths import FOREIGN_FRAMES
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.frame.pixels import find_bad_pixels, repaired
-from simulated_devices.optics.source import square, stars
+from simulated_devices.optics.source import source_points, stars
 from simulated_devices.settings import Source
 
 FRAMES = FOREIGN_FRAMES
-SOURCES = {"square": square(Source(), object_samples=19), "stars": stars(Source())}
+SOURCES = {"square": source_points("square", Source(), object_samples=19), "stars": stars(Source())}
 
 
 @pytest.fixture(scope="module", params=SOURCES)

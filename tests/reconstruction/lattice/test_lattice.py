@@ -10,7 +10,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import survey
 from simulated_devices.optics.forward_model import ForwardModel
-from simulated_devices.optics.source import square, stars
+from simulated_devices.optics.source import source_points, stars
 from simulated_devices.settings import Source
 
 
@@ -19,7 +19,7 @@ from simulated_devices.settings import Source
 def test_pitch_rotation_and_centre_are_found(rotation_rad: float, source: str) -> None:
     lattice = Lattice(center_x_px=161.7, center_y_px=129.2, pitch_px=31.4, rotation_rad=rotation_rad)
     model = ForwardModel(sensor_of(7, 9), lattice, FIELD, shape=(264, 330), pupil_samples=12)
-    points = square(Source(), object_samples=19) if source == "square" else stars(Source())
+    points = source_points("square", Source(), object_samples=19) if source == "square" else stars(Source())
     reference = model.irradiance(points) * 1e12
     reference += np.random.default_rng(0).normal(200, 0.02 * reference.max(), reference.shape).astype(np.float32)
     found = survey(reference, sensor_of(7, 9)).lattice

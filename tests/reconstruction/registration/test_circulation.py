@@ -16,7 +16,7 @@ from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes
 from reconstruction.registration.circulation import Circulation, measure_circulation
 from reconstruction.settings import RegistrationSettings, Warp
-from simulated_devices.optics.source import SourcePoints, circle
+from simulated_devices.optics.source import SourcePoints, source_points
 from simulated_devices.settings import Source
 
 HALF_M = FIELD.half_width_m
@@ -79,7 +79,7 @@ def bench() -> CirculationBench:
 
 @pytest.fixture(scope="module")
 def round_bench() -> CirculationBench:
-    return CirculationBench(source=circle(Source(), object_samples=19))
+    return CirculationBench(source=source_points("circle", Source(), object_samples=19))
 
 
 @pytest.fixture(scope="module", params=["square", "checkerboard"])
@@ -123,7 +123,7 @@ def test_rotation_is_found_in_real_light(real_bench: CirculationBench) -> None:
 @pytest.mark.parametrize("field", [FIELD, PAPER], ids=["real light", "paper"])
 def test_rotation_that_a_disc_hides_is_not_measured(field: Field) -> None:
     """What the source hardly shows is left out of the warp, as if the registration excluded it."""
-    round_bench = CirculationBench(field, circle(Source(), object_samples=19))
+    round_bench = CirculationBench(field, source_points("circle", Source(), object_samples=19))
     displacement = round_bench.registered(round_bench.seen(twist), "affine")
     assert measure_circulation(displacement, round_bench.half_width_px) is None
     circulation = round_bench.measured(round_bench.seen(twist), "quadratic")

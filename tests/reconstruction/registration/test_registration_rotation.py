@@ -10,7 +10,7 @@ from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
 from reconstruction.settings import RegistrationSettings
 from reconstruction.wavefront import rms, without_piston
-from simulated_devices.optics.source import circle
+from simulated_devices.optics.source import source_points
 from simulated_devices.settings import Source
 
 _MAGNIFICATION = 0.195 / 0.2  # of the field on a layer 195 mm before the lenslets
@@ -26,7 +26,7 @@ class RoundBench(SmallBench):
 
     def __init__(self) -> None:
         super().__init__(5, 7, field=PAPER)
-        self.source = circle(Source(), object_samples=19)
+        self.source = source_points("circle", Source(), object_samples=19)
         self.reference = self.model.irradiance(self.source) * 1e14
         self.scale_m = max(self.sensor.pupil_half_width_m) + 0.6e-3
 

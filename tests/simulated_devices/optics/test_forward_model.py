@@ -197,7 +197,7 @@ def test_object_point_keeps_its_place_in_every_subimage() -> None:
 
 
 def test_light_of_a_lenslet_is_the_emitting_area() -> None:
-    square = source.square(Source(), object_samples=13)
+    square = source.source_points("square", Source(), object_samples=13)
     image = model().irradiance(square)
     per_lenslet = image.sum() / (7 * 9)
     area = (2 * 0.6e-3) ** 2
@@ -227,7 +227,7 @@ def test_border_lenslets_change_nothing_inside() -> None:
 
 
 def test_result_does_not_depend_on_threads() -> None:
-    square = source.square(Source(), object_samples=5)
+    square = source.source_points("square", Source(), object_samples=5)
     phase_screen = screen()
     one, two = model(threads=1), model(threads=2)
     image = one.irradiance(square, behind(one, phase_screen))
@@ -237,7 +237,7 @@ def test_result_does_not_depend_on_threads() -> None:
 
 
 def test_progress_rises_to_one() -> None:
-    square = source.square(Source(), object_samples=7)
+    square = source.source_points("square", Source(), object_samples=7)
     heard: list[float] = []
     model().irradiance(square, progress=heard.append)
     assert heard[0] < 0.5
@@ -292,7 +292,7 @@ def interrupt() -> None:
     signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
-MANY = source.square(Source(), object_samples=31)
+MANY = source.source_points("square", Source(), object_samples=31)
 
 
 @pytest.mark.usefixtures("default_signals")

@@ -24,7 +24,7 @@ from simulated_devices.settings import Source
 SENSOR = sensor_of(4, 5)
 LATTICE = Lattice(center_x_px=81.3, center_y_px=68.9, pitch_px=31.25, rotation_rad=0.03)
 N = 13  # an object step of 0.1 mm, so that stars 0.5 mm apart lie on the grid
-GRID = source.square(Source(), object_samples=N)
+GRID = source.source_points("square", Source(), object_samples=N)
 POINT_STARS = Source(pinhole_diameter_m=0.0)
 
 

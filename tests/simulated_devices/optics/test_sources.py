@@ -27,7 +27,7 @@ N = 37
 def brightness(mask: str, settings: Source | None = None, samples: int = N) -> Floats:
     """Area over that of the square's point, (row, column)."""
     points = source.source_points(mask, settings or Source(), object_samples=samples)
-    whole = source.square(Source(), object_samples=samples)
+    whole = source.source_points("square", Source(), object_samples=samples)
     np.testing.assert_array_equal(points.position_m, whole.position_m)
     return np.asarray(points.area_m2 / whole.area_m2).reshape(samples, samples)
 
@@ -82,7 +82,7 @@ def test_optimised_mask_has_the_cells_of_the_documentation() -> None:
 
 
 def test_openings_have_the_shapes_of_their_names() -> None:
-    points = source.square(Source(), object_samples=N).position_m / HALF_M
+    points = source.source_points("square", Source(), object_samples=N).position_m / HALF_M
     x, y = np.abs(points).T
     sizes = {
         "circle": np.hypot(x, y),
@@ -151,7 +151,7 @@ def test_bright_corner_of_image_keeps_its_corner(tmp_path: Path, suffix: str) ->
     lattice = Lattice(center_x_px=46.5, center_y_px=31.0, pitch_px=31.0)
     field = Field(collimator_focal_length_m=0.2, half_width_m=HALF_M)
     model = ForwardModel(sensor, lattice, field, shape=(62, 93), pupil_samples=12)
-    subimage = model.irradiance(source.image(settings, object_samples=13))[:31, 31:62]
+    subimage = model.irradiance(source.source_points("image", settings, object_samples=13))[:31, 31:62]
     row, column = np.unravel_index(subimage.argmax(), subimage.shape)
     assert row < 12
     assert column > 19
@@ -159,13 +159,13 @@ def test_bright_corner_of_image_keeps_its_corner(tmp_path: Path, suffix: str) ->
 
 def test_image_is_resampled_by_area(tmp_path: Path) -> None:
     pixels = np.random.default_rng(5).uniform(size=(40, 90))
-    found = source.image(write_image(tmp_path / "a.npy", pixels), object_samples=11)
+    found = source.source_points("image", write_image(tmp_path / "a.npy", pixels), object_samples=11)
     light = found.area_m2.sum()
     mean = pixels.mean() * 40 / 90  # the rest of the square is dark
-    whole = source.square(Source(), object_samples=11).area_m2
+    whole = source.source_points("square", Source(), object_samples=11).area_m2
     brightest = np.max(found.area_m2 / whole)
     assert brightest == pytest.approx(1)
-    again = source.image(write_image(tmp_path / "b.npy", 7 * pixels), object_samples=11)
+    again = source.source_points("image", write_image(tmp_path / "b.npy", 7 * pixels), object_samples=11)
     np.testing.assert_allclose(again.area_m2, found.area_m2)
     cells = found.area_m2.reshape(11, 11) / whole.reshape(11, 11)
     first = pixels[:, :4].mean(axis=1) * 4 + pixels[:, 4] * 0.5  # 90 pixels in 10 cells: the edge cell has 4.5
