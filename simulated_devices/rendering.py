@@ -157,18 +157,16 @@ class Renderer:
 
         It is that of the sensor's wavelength, whatever the spectrum.
         """
-        scene = self.scene
-        return self.sample.wavefront(scene.sensor, scene.field, shift_m(scene.simulation, state))
+        return self.sample.wavefront(shift_m(self.scene.simulation, state))
 
     def truth_intensity(self, state: int) -> Floats:
         """Light of every view at the lenslet centres relative to the reference, shaped like the wavefront."""
-        scene = self.scene
-        return self.sample.intensity(scene.sensor, scene.field, shift_m(scene.simulation, state))
+        return self.sample.intensity(shift_m(self.scene.simulation, state))
 
     def light(self, state: int) -> PointField:
         """Field of each object point with the sample in state number `state`."""
-        shift, half_width_m = shift_m(self.scene.simulation, state), self.scene.field.half_width_m
-        return self.sample.field(self.model.sample_x_m, self.model.sample_y_m, half_width_m, shift)
+        shift = shift_m(self.scene.simulation, state)
+        return self.sample.light_of_points(self.model.sample_x_m, self.model.sample_y_m, shift)
 
 
 class ImageCache:

@@ -166,50 +166,48 @@ def point_field(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sample:
-    """A screen in the beam, and its light at the lenslets."""
+    """A screen in the beam of a sensor, and its light at the lenslets."""
 
+    sensor: Sensor
+    field: Field
     screen: PhaseScreen
     amplitude: PhaseScreen | None  # square root of its transmission; None: it absorbs nothing
     ray_map: RayMap
     light: SampleLight
 
-    def layer(self, collimator_focal_length_m: float) -> PlacedScreen:
+    def layer(self) -> PlacedScreen:
         """Return the screen as a layer in pupil coordinates."""
         rays = self.ray_map
         return PlacedScreen(
             phase=self.screen.magnified(1 / rays.pupil_scale),
             amplitude=None if self.amplitude is None else self.amplitude.magnified(1 / rays.pupil_scale),
-            distance_m=rays.propagation_m(collimator_focal_length_m),
+            distance_m=rays.propagation_m(self.field.collimator_focal_length_m),
         )
 
-    def field(
-        self, sample_x_m: Floats, sample_y_m: Floats, field_half_width_m: float, shift_m: tuple[float, float]
-    ) -> PointField:
+    def light_of_points(self, sample_x_m: Floats, sample_y_m: Floats, shift_m: tuple[float, float]) -> PointField:
         """Field of each object point at pupil samples (m), behind the screen moved by `shift_m` (x, y).
 
         Raises `ValueError` if a ray of the field's square would leave the screen.
         """
         rays = self.ray_map
-        for edge_m in (-field_half_width_m, field_half_width_m):
+        for edge_m in (-self.field.half_width_m, self.field.half_width_m):
             self.screen.at(rays.pupil_scale * sample_x_m + rays.field_scale * edge_m - shift_m[0], 0.0)
             self.screen.at(0.0, rays.pupil_scale * sample_y_m + rays.field_scale * edge_m - shift_m[1])
         return point_field(self.light, sample_x_m, sample_y_m, shift_m)
 
-    def wavefront(self, sensor: Sensor, field: Field, shift_m: tuple[float, float] = (0.0, 0.0)) -> Floats:
+    def wavefront(self, shift_m: tuple[float, float] = (0.0, 0.0)) -> Floats:
         """True wavefront of every view: phase of the light at the lenslets, see `truth_wavefront`."""
-        light = self.light
-        moved_m = light.per_shift * shift_m[0], light.per_shift * shift_m[1]
-        return truth_wavefront(light.phase, light.ray_map, sensor, field, moved_m)
+        moved_m = self._moved_m(shift_m)
+        return truth_wavefront(self.light.phase, self.light.ray_map, self.sensor, self.field, moved_m)
 
-    def intensity(self, sensor: Sensor, field: Field, shift_m: tuple[float, float] = (0.0, 0.0)) -> Floats:
-        """Light of every view at the lenslet centres relative to that without sample.
+    def intensity(self, shift_m: tuple[float, float] = (0.0, 0.0)) -> Floats:
+        """Light of every view at the lenslet centres relative to that without sample, shaped like the wavefront."""
+        x_m, y_m = view_positions_m(self.light.ray_map, self.sensor, self.field, self._moved_m(shift_m))
+        return np.asarray(np.abs(self.light.at(x_m, y_m)) ** 2, np.float64)
 
-        (view_row, view_column, lenslet_row, lenslet_column).
-        """
-        light = self.light
-        moved_m = light.per_shift * shift_m[0], light.per_shift * shift_m[1]
-        x_m, y_m = view_positions_m(light.ray_map, sensor, field, moved_m)
-        return np.asarray(np.abs(light.at(x_m, y_m)) ** 2, np.float64)
+    def _moved_m(self, shift_m: tuple[float, float]) -> tuple[float, float]:
+        """Shift (x, y) of the light in its plane."""
+        return self.light.per_shift * shift_m[0], self.light.per_shift * shift_m[1]
 
 
 def ray_map(screen: Screen, field: Field) -> RayMap:
@@ -253,7 +251,7 @@ def make_sample(simulation: Simulation, sensor: Sensor, field: Field, *, phase_s
             collimator_focal_length_m=field.collimator_focal_length_m,
             wavenumber_rad_per_m=sensor.wavenumber_rad_per_m,
         )
-    return Sample(screen=phase, amplitude=amplitude, ray_map=rays, light=light)
+    return Sample(sensor=sensor, field=field, screen=phase, amplitude=amplitude, ray_map=rays, light=light)
 
 
 def _generated_phases(

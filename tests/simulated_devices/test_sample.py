@@ -68,14 +68,14 @@ def test_truth_is_the_phase_of_the_light_at_the_lenslets(tmp_path: Path) -> None
     curvature, slope, shift_m = 5e6, 4e3, (0.1e-3, -0.2e-3)
     sample, _ = lens_sample(curvature, slope, tmp_path)
     stretch = 1 + curvature * 0.15 / K
-    found = sample.wavefront(SENSOR, FIELD, shift_m)
+    found = sample.wavefront(shift_m)
     centers_m = SENSOR.lenslet_centers_m
     for row, column in ((0, 2), (1, 1), (2, 0)):
         moved = centers_m - 0.15 / 0.2 * np.array([FIELD.view_x_m[column], FIELD.view_y_m[row]]) - shift_m
         expected = (curvature / 2 * (moved**2).sum(axis=-1) + slope * moved[..., 0]) / stretch
         np.testing.assert_allclose(found[row, column], expected - expected.mean(), atol=3e-3)
-    np.testing.assert_allclose(sample.intensity(SENSOR, FIELD), stretch**-2, rtol=2e-3)
-    assert scintillation(sample.intensity(SENSOR, FIELD)) == pytest.approx(1 - stretch**-2, rel=0.02)
+    np.testing.assert_allclose(sample.intensity(), stretch**-2, rtol=2e-3)
+    assert scintillation(sample.intensity()) == pytest.approx(1 - stretch**-2, rel=0.02)
 
 
 def test_drift_near_the_source_moves_light_by_the_magnification(tmp_path: Path) -> None:
@@ -86,13 +86,13 @@ def test_drift_near_the_source_moves_light_by_the_magnification(tmp_path: Path) 
     screen = Screen(file=str(tmp_path / "lens.npy"), placement="source", distance_m=d, sample_spacing_m=10e-6)
     sample = make_sample(Simulation(screen=screen), SENSOR, FIELD)
     stretch = 1 + 0.6 * curvature / 16 / K
-    found = sample.wavefront(SENSOR, FIELD, shift_m)
+    found = sample.wavefront(shift_m)
     for row, column in ((0, 2), (1, 1)):
         center_m = 3 * np.array([FIELD.view_x_m[column], FIELD.view_y_m[row]]) + 4 * np.array(shift_m)
         expected = curvature / 16 / 2 * ((SENSOR.lenslet_centers_m - center_m) ** 2).sum(axis=-1) / stretch
         np.testing.assert_allclose(found[row, column], expected - expected.mean(), atol=5e-3)
     u_m, v_m = SENSOR.pupil_x_m, SENSOR.pupil_y_m
-    moved, still = (sample.field(u_m, v_m, 0.6e-3, by_m)(0.0, 0.0) for by_m in (shift_m, (0.0, 0.0)))
+    moved, still = (sample.light_of_points(u_m, v_m, by_m)(0.0, 0.0) for by_m in (shift_m, (0.0, 0.0)))
     center_m = 4 * np.array(shift_m)
     change = curvature / 16 / stretch * (-u_m * center_m[0] - v_m[:, None] * center_m[1])
     ratio = moved / still * np.exp(-1j * change)
@@ -104,10 +104,10 @@ def test_truth_differs_little_from_the_screen() -> None:
     sensor, simulation = sensor_of(15, 15), Simulation(seed=1)
     real, paper = (make_sample(simulation, sensor, field) for field in (FIELD, PAPER_FIELD))
     np.testing.assert_array_equal(real.screen.samples_rad, paper.screen.samples_rad)
-    difference = real.wavefront(sensor, FIELD) - paper.wavefront(sensor, PAPER_FIELD)
+    difference = real.wavefront() - paper.wavefront()
     assert 0.08 < np.sqrt(np.mean(difference**2)) < 0.09
-    assert 0.03 < scintillation(real.intensity(sensor, FIELD)) < 0.04
-    np.testing.assert_allclose(paper.intensity(sensor, PAPER_FIELD), 1, atol=1e-12)
+    assert 0.03 < scintillation(real.intensity()) < 0.04
+    np.testing.assert_allclose(paper.intensity(), 1, atol=1e-12)
 
 
 def test_ray_beside_the_screen_is_refused_in_both_worlds(tmp_path: Path) -> None:
@@ -117,7 +117,7 @@ def test_ray_beside_the_screen_is_refused_in_both_worlds(tmp_path: Path) -> None
     for field in (FIELD, PAPER_FIELD):
         sample = make_sample(simulation, SENSOR, field)
         with pytest.raises(ValueError, match="at y = "):
-            sample.field(along_m, along_m, 0.6e-3, (0.0, 0.0))
+            sample.light_of_points(along_m, along_m, (0.0, 0.0))
 
 
 @pytest.mark.slow
@@ -178,13 +178,13 @@ def test_transmission_has_the_rms_and_leaves_the_phase_alone() -> None:
 def test_absorbed_light_is_missing_at_the_lenslets() -> None:
     absorbing = replace(STILL, screen=replace(STILL.screen, transmission_rms=0.16, rms_rad=0.0, distance_m=0.02))
     uniform = make_sample(absorbing, SENSOR, PAPER_FIELD)
-    found = uniform.intensity(SENSOR, PAPER_FIELD)
+    found = uniform.intensity()
     assert uniform.amplitude is not None
     centers_m = SENSOR.lenslet_centers_m
     x_m = centers_m[..., 0] + 0.02 / 0.2 * 0.5e-3  # view (1, 0)
     np.testing.assert_allclose(found[1, 0], uniform.amplitude.at(x_m, centers_m[..., 1]) ** 2, rtol=1e-9)
     assert found.std() > 0.1
-    real = make_sample(absorbing, SENSOR, FIELD).intensity(SENSOR, FIELD)
+    real = make_sample(absorbing, SENSOR, FIELD).intensity()
     assert np.std(real - found) < 0.05 * found.std()  # 20 mm of propagation wash out little of 0.5 mm
 
 

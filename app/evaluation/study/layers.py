@@ -125,7 +125,7 @@ def _through(renderer: Renderer, mask: str, made: Correction) -> Image:
     phase = PhaseScreen(made.phase(x_m, y_m[:, None]), _SPACING_M)
     corrector = PlacedScreen(phase=phase, distance_m=-made.ratio * focal_length_m)
     light = LayeredLight(
-        [renderer.sample.layer(focal_length_m), corrector],
+        [renderer.sample.layer(), corrector],
         scene.sensor,
         scene.field,
         pupil_half_width_m=(float(model.sample_x_m.max()), float(model.sample_y_m.max())),

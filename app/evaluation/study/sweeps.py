@@ -170,9 +170,7 @@ def _live(
 def _drifting(bench: Bench) -> Bench:
     """The bench with a drifting screen; its state k is k seconds old."""
     sample = make_sample(bench.simulation, bench.sensor, bench.field)
-    here, there = (
-        sample.wavefront(bench.sensor, bench.field, (shift_m, shift_m)) for shift_m in (0.0, _STEP_M / math.sqrt(2))
-    )
+    here, there = (sample.wavefront((shift_m, shift_m)) for shift_m in (0.0, _STEP_M / math.sqrt(2)))
     speed_m_per_s = _DRIFT_RAD_PER_S / mean_rms(here - there) * _STEP_M
     # rounded, so that its frames are cached
     along_m_per_s = float(np.format_float_scientific(speed_m_per_s / math.sqrt(2), 3))

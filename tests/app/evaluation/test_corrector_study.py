@@ -51,7 +51,7 @@ def left_rad(made: Correction, change: Callable[[Floats], Floats], distance_m: f
     count = 2 * int(float(made.half_width_m[0]) / spacing_m) + 1
     along_m = centered_steps(count) * spacing_m
     command = PhaseScreen(change(made.phase(along_m, along_m[:, None])), spacing_m)
-    sample = make_sample(BENCH.simulation, BENCH.sensor, BENCH.field).layer(F1_M)
+    sample = make_sample(BENCH.simulation, BENCH.sensor, BENCH.field).layer()
     layers = [sample, PlacedScreen(phase=command, distance_m=distance_m)]
     light = LayeredLight(layers, BENCH.sensor, BENCH.field, pupil_half_width_m=BENCH.sensor.pupil_half_width_m)
     return float(np.mean(rms(light.wavefront(BENCH.sensor, BENCH.field))))

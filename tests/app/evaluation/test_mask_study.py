@@ -31,7 +31,14 @@ def test_local_screen_adds_up_to_the_screen(small_toml: Path) -> None:
     y, x = np.meshgrid(along_m * 1e3, along_m * 1e3, indexing="ij")
     screen = PhaseScreen(0.3 * x**2 * y - y**3 + x * y + 2 * x, 0.1e-3)  # splines are exact for cubics
     rays = RayMap(pupil_scale=0.9, field_scale=0.8)
-    sample = Sample(screen=screen, amplitude=None, ray_map=rays, light=ScreenLight(screen, None, rays))
+    sample = Sample(
+        sensor=bench.sensor,
+        field=bench.field,
+        screen=screen,
+        amplitude=None,
+        ray_map=rays,
+        light=ScreenLight(screen, None, rays),
+    )
     local = local_screen(sample, bench, modes).reshape(5, 7, 6, 6, 21)
     xi, eta, x_field, y_field = np.random.default_rng(1).uniform(-1, 1, (4, 20))
     of_field = modes.values(x_field, y_field)

@@ -26,12 +26,12 @@ def rendered(preset: str, distances_m: tuple[float, ...], **settings: Any) -> tu
     Propagation is neglected: that of ten layers takes minutes.
     """
     bench = load_bench(preset, ("field.neglect_propagation=true",))
-    renderer, focal_length_m = Renderer(scene_of(bench)), bench.field.collimator_focal_length_m
+    renderer = Renderer(scene_of(bench))
     layers, screens = [], []
     for seed, at_m in enumerate(distances_m, 3):
         screen = replace(bench.simulation.screen, distance_m=at_m, **settings)
         sample = make_sample(replace(bench.simulation, seed=seed, screen=screen), bench.sensor, bench.field)
-        layers.append(sample.layer(focal_length_m))
+        layers.append(sample.layer())
         screens.append(sample.screen)
     points, model = renderer.points("square"), renderer.model
     reference = renderer.reference("square")
