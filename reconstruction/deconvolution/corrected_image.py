@@ -16,8 +16,9 @@ from scipy import ndimage
 from scipy.sparse.linalg import LinearOperator, cg
 
 from reconstruction.arrays import Booleans, Counts, Floats, Image
-from reconstruction.deconvolution.blur import PsfOptics, SpaceVariantBlur, Values, reach_px
+from reconstruction.deconvolution.blur import SpaceVariantBlur, Values
 from reconstruction.deconvolution.imaging import Imaging
+from reconstruction.deconvolution.psf_optics import PsfOptics, psf_reach_px
 from reconstruction.frame.noise import CameraNoise, image_transfer
 from reconstruction.geometry import Field, Sensor
 from reconstruction.wavefront import rms
@@ -240,7 +241,7 @@ def _extent(phase_at: PhaseAt, imaging: Imaging, sensor: Sensor, field: Field) -
     if not np.isfinite(phase).any(axis=(-2, -1)).all():
         raise ValueError("the wavefront is unknown in a part of the field: too few lenslets are valid")
     changes = [rms(np.diff(phase, axis=axis)).max() / (at_m[1] - at_m[0]) for axis in (0, 1)]
-    return reach_px(imaging, sensor, field, phase), float(max(changes))
+    return psf_reach_px(imaging, sensor, field, phase), float(max(changes))
 
 
 def _nearest(x_m: float, y_m: float, field: Field) -> tuple[float, float]:

@@ -15,9 +15,9 @@ from app.evaluation.studies import CaseResult, Printed, Study
 from app.measurement.bench_reconstructor import BenchReconstructor
 from app.progress import Progress
 from reconstruction.arrays import Floats
-from reconstruction.deconvolution.blur import reach_px
 from reconstruction.deconvolution.corrected_image import PhaseAt, corrected_image
 from reconstruction.deconvolution.imaging import Imaging
+from reconstruction.deconvolution.psf_optics import psf_reach_px
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from simulated_devices.optics.photograph import PupilField, cells, photographs, resolution_target, stars, true_psf
 from simulated_devices.sample import Sample
@@ -103,7 +103,7 @@ class _Photographs:
 
     def _photographed(self, truths: Floats) -> Floats:
         bench = self._bench
-        reach = reach_px(self._imaging, bench.sensor, bench.field, self._measured.views) + _WIDER_PX
+        reach = psf_reach_px(self._imaging, bench.sensor, bench.field, self._measured.views) + _WIDER_PX
 
         def psf_at(x_px: float, y_px: float) -> Floats:
             x_m, y_m = self._imaging.field_m(np.array(x_px), np.array(y_px), truths.shape[1:])

@@ -10,8 +10,8 @@ import pytest
 from scipy import special
 from support.optics import sensor_of
 
-from reconstruction.deconvolution.blur import PsfOptics, reach_px
 from reconstruction.deconvolution.imaging import Imaging
+from reconstruction.deconvolution.psf_optics import PsfOptics, psf_reach_px
 from reconstruction.geometry import Field
 from simulated_devices.optics.photograph import true_psf
 
@@ -79,7 +79,7 @@ def test_aberrated_pattern_is_that_of_another_simulator() -> None:
         x_mm, y_mm = x_m * 1e3, y_m * 1e3
         return 0.3 * x_mm**2 - 0.1 * x_mm * y_mm + 0.05 * y_mm**3 + 0.2 * x_mm
 
-    reach = reach_px(Imaging(pixel_m=PIXEL_M), square, FIELD, phase(x, y))
+    reach = psf_reach_px(Imaging(pixel_m=PIXEL_M), square, FIELD, phase(x, y))
     ours = PsfOptics(Imaging(pixel_m=PIXEL_M), square, FIELD, reach)(phase(x, y))
     theirs = true_psf(
         lambda x_m, y_m: np.exp(1j * phase(x_m[None, :], y_m[:, None])),
@@ -101,7 +101,7 @@ def test_coarse_pixels_hold_the_mean_over_their_area() -> None:
 
 def test_reach_holds_nearly_all_light() -> None:
     phase = 2.0 * (U**2 - V**2) * 1e6 / 4 + 0.5 * (U * 1e3) ** 3 / 3
-    reach = reach_px(Imaging(pixel_m=PIXEL_M), SENSOR, FIELD, phase)
+    reach = psf_reach_px(Imaging(pixel_m=PIXEL_M), SENSOR, FIELD, phase)
     wide = psf(phase, 3 * reach)
     assert wide[2 * reach : 4 * reach + 1, 2 * reach : 4 * reach + 1].sum() > 0.97
 
