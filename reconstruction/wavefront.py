@@ -1,24 +1,21 @@
-"""The wavefront at every field position, with its error bars, and what wavefronts are reduced to: RMS, low orders."""
+"""The wavefront at every field position, with its error bars; RMS and low orders of wavefronts."""
 
-import base64
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from html import escape
-from typing import Any, Self, TypeAlias
+from typing import Self, TypeAlias
 
-import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from reconstruction.arrays import Booleans, Floats
 from reconstruction.displacement import TRANSMISSION_MODES, Displacement
 from reconstruction.geometry import Arrangement, Field, Sensor, lenslet_centers
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import FieldModes
-from reconstruction.modes.pupil_modes import PupilModes
+from reconstruction.pictures import html, picture_of_views
 from reconstruction.solve.modal import ModalSolution
-from reconstruction.solve.zonal import ZonalSolution, zonal_wavefront
+from reconstruction.solve.zonal import ZonalSolution
 
 Solution: TypeAlias = ZonalSolution | ModalSolution
 """Result of the reconstruction: the wavefront of any combination of field modes, and its standard deviation."""
@@ -61,7 +58,7 @@ class Wavefront:
         """
         if (found := self.displacement.transmission) is None:
             return None
-        modes, is_inside = _modes_at_views(self.field, TRANSMISSION_MODES)
+        modes, is_inside = modes_at_views(self.field, TRANSMISSION_MODES)
         value, sigma = (np.where(is_inside[..., None, None], each, np.nan) for each in found.at(modes))
         return value, sigma
 
@@ -131,14 +128,14 @@ def _mean(values: Floats) -> Floats:
 
 def _at_views(field: Field, displacement: Displacement, evaluate: Callable[[Floats], Floats]) -> Floats:
     """Evaluate a function of the field modes at the views; NaN outside the field."""
-    field_modes, is_inside = _modes_at_views(field, displacement.modes)
+    field_modes, is_inside = modes_at_views(field, displacement.modes)
     values = evaluate(field_modes)
     values[~is_inside] = np.nan
     return values
 
 
 @lru_cache(maxsize=16)
-def _modes_at_views(field: Field, modes: FieldModes) -> tuple[Floats, Booleans]:
+def modes_at_views(field: Field, modes: FieldModes) -> tuple[Floats, Booleans]:
     """Field modes at the views (view_row, view_column, field_mode), and the views inside the field."""
     x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
     return np.moveaxis(modes.values(x, y[:, None]), 0, -1).copy(), field.contains(x, y[:, None])
@@ -167,79 +164,3 @@ def without_low_orders(phase: Floats, *, tilt: bool, defocus: bool, arrangement:
     if not tilt:
         fitted[..., 1:3] = 0
     return without_piston(phase - np.tensordot(fitted, terms, axes=1))
-
-
-_SIDE_PX = 240  # of the longer side, about
-_UNKNOWN = 0.85  # grey of what is NaN
-
-
-def picture_of_views(views: Floats) -> NDArray[np.uint8]:
-    """Wavefronts (view_row, view_column, row, column) side by side, blue below 0 and red above: (row, column, RGB)."""
-    framed = np.pad(views, ((0, 0), (0, 0), (0, 1), (0, 1)), constant_values=np.nan)
-    tiled = np.concatenate(np.concatenate(framed, axis=1), axis=1)[:-1, :-1]
-    most = np.nanmax(np.abs(tiled), initial=0.0) or 1.0
-    share = tiled / most
-    colours = np.stack([1 + np.minimum(share, 0), 1 - np.abs(share), 1 - np.maximum(share, 0)], axis=-1)
-    return _bytes(np.where(np.isnan(colours), _UNKNOWN, colours))
-
-
-def picture_of_frame(frame: NDArray[Any]) -> NDArray[np.uint8]:
-    """A frame (row, column) in grey from its darkest to its brightest pixel: (row, column, RGB)."""
-    step = max(1, max(frame.shape) // _SIDE_PX)
-    some = np.asarray(frame[::step, ::step], np.float64)
-    darkest, brightest = some.min(), some.max()
-    return _bytes(np.repeat(((some - darkest) / (brightest - darkest or 1.0))[..., None], 3, axis=2))
-
-
-def html(text: str, picture: NDArray[np.uint8]) -> str:
-    """A line of text and a picture (row, column, RGB) below it, whose pixels are enlarged."""
-    times = max(1, _SIDE_PX // max(picture.shape))
-    large = picture.repeat(times, axis=0).repeat(times, axis=1)
-    png = cv2.imencode(".png", large[..., ::-1])[1].tobytes()
-    return f'<p>{escape(text)}</p><img src="data:image/png;base64,{base64.b64encode(png).decode()}">'
-
-
-def _bytes(colours: Floats) -> NDArray[np.uint8]:
-    return np.asarray(np.rint(255 * colours), np.uint8)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SlopeFit:
-    """Wavefronts without piston, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown."""
-
-    measured: Floats  # from the slopes
-    fitted: Floats  # by the pupil modes
-    difference: Floats  # measured minus fitted: noise, and what the modes cannot represent
-
-
-def slope_fit(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> SlopeFit:
-    """Compare the views of a wavefront with the slopes measured; `modes` are those of the reconstruction.
-
-    Modal: the difference is the integral of the misfit of the displacements, the measured wavefront is the fit plus it.
-    (Integrating the slopes themselves would add Southwell's discretisation error, many times the difference.) Zonal:
-    the views are the measured wavefront; the fit is the least-squares fit of the modes to them.
-    """
-    solution, views = wavefront.solution, wavefront.views
-    if not isinstance(solution, ModalSolution):
-        fitted = _fit(views, modes)
-        return SlopeFit(views, fitted, without_piston(views - fitted))
-    displacement = wavefront.displacement
-    field_modes, is_inside = _modes_at_views(wavefront.field, displacement.modes)
-    misfit = np.tensordot(field_modes, solution.misfit, axes=([-1], [2])) * sensor.slope_per_px
-    known, pitch_m = displacement.valid & modes.inside, sensor.lenslet_pitch_m
-    difference = zonal_wavefront(misfit, known, pitch_m=pitch_m, arrangement=sensor.arrangement)
-    difference[~is_inside] = np.nan
-    return SlopeFit(without_piston(views + difference), views, difference)
-
-
-def _fit(views: Floats, modes: PupilModes) -> Floats:
-    """Least-squares fit of the modes to each view; views with the same known lenslets share a decomposition."""
-    flat = views.reshape(-1, *views.shape[2:])
-    known = np.isfinite(flat) & modes.inside
-    fitted = np.full_like(flat, np.nan)
-    for is_known in np.unique(known, axis=0):
-        alike = np.flatnonzero((known == is_known).all(axis=(1, 2)))
-        values = modes.values[:, is_known].T
-        row, column = np.nonzero(is_known)
-        fitted[alike[:, None], row, column] = (values @ np.linalg.lstsq(values, flat[alike][:, is_known].T)[0]).T
-    return without_piston(fitted.reshape(views.shape))

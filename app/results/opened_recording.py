@@ -20,7 +20,7 @@ from app.recording.reprocess import reprocess
 from app.results.dataset import results_in_pieces
 from app.results.result_file import reading_results
 from reconstruction.arrays import Image
-from reconstruction.wavefront import html, picture_of_frame
+from reconstruction.pictures import html, picture_of_frame
 
 
 def open_recording(path: Path | str) -> "OpenedRecording":

@@ -21,9 +21,10 @@ from reconstruction.frame.spline import sample
 from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.quality.image_quality import psf, psf_angles_rad, psf_reach_rad
+from reconstruction.quality.slope_fit import slope_fit
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import PupilBasis, ReconstructionSettings
-from reconstruction.wavefront import Wavefront, mean_rms, peak_to_valley, rms, slope_fit
+from reconstruction.wavefront import Wavefront, mean_rms, peak_to_valley, rms
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,1 +1,1 @@
-"""Image quality of a wavefront, and how it varies over the field."""
+"""Quality of frames, references and wavefronts, and the information in a frame."""

@@ -12,8 +12,9 @@ from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.quality.slope_fit import slope_fit
 from reconstruction.solve.zonal import ZonalSolution
-from reconstruction.wavefront import Wavefront, slope_fit, without_piston, without_tilt
+from reconstruction.wavefront import Wavefront, without_piston, without_tilt
 
 SENSOR = sensor_of(7, 9)
 U, V = np.meshgrid(SENSOR.pupil_x_m, SENSOR.pupil_y_m)
