@@ -32,7 +32,7 @@ from app.progress import run_in_thread
 from app.recording.recorder import Recorder, RecordingLimit, RecordingState
 from app.timing import Timings
 from drivers.interface import DeviceError, Devices, Frame, WrongState
-from reconstruction.runtime.threads import one_blas_thread, short_turns
+from reconstruction.runtime.threads import one_blas_thread, short_switch_interval
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -264,7 +264,7 @@ class Acquisition:
         try:
             with (
                 one_blas_thread(),
-                short_turns(),
+                short_switch_interval(),
                 stream_sinks(self.bench) as published,
                 self._open_devices(self.bench, self._show_opening) as devices,
                 closing(

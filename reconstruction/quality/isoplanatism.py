@@ -60,7 +60,7 @@ class Isoplanatism:
 def isoplanatism(wavefront: Wavefront) -> Isoplanatism:
     """Compare the wavefronts at 7 x 7 positions over the field."""
     field = wavefront.field
-    position_m = field_positions_m(field, _ACROSS)
+    position_m = field_cell_middles_m(field, _ACROSS)
     x, y = position_m.T / field.half_width_m
     phase = wavefront.solution.wavefront(np.moveaxis(wavefront.displacement.modes.values(x, y), 0, -1))
     flat = without_tilt(phase, wavefront.sensor.arrangement)
@@ -75,7 +75,7 @@ def isoplanatism(wavefront: Wavefront) -> Isoplanatism:
     )
 
 
-def field_positions_m(field: Field, across: int) -> Floats:
+def field_cell_middles_m(field: Field, across: int) -> Floats:
     """Middles of `across` x `across` equal parts of the field's width that lie in the field: (position, xy)."""
     steps = centered_steps(across) * 2 / across
     position = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)

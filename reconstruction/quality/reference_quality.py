@@ -198,7 +198,7 @@ def _deformations_px(reference: ReferenceSubimages) -> Floats:
     u, v = reference.offset_px.T / reference.half_width_px
     position_px, turn = reference.position_px[lit], reference.turn
     for _ in range(_PASSES):
-        light, gradient = sample(reference.coefficients, position_px)
+        light, gradient = sample(reference.spline_coefficients, position_px)
         brightness = np.maximum(light.sum(axis=1), np.finfo(np.float32).tiny)[:, None]
         light, mean_gradient = light / brightness, (gradient / brightness[..., None]).mean(axis=0) @ turn.T
         mean = light.mean(axis=0)

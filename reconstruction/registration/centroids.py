@@ -74,7 +74,7 @@ class Centroids:
         self._search = max(int(reference.reach_px - outermost_px), 0)
         nominal_px = np.stack(self._modes.nodes, axis=-1) * reference.half_width_px
         start_px = np.broadcast_to(nominal_px, (len(light), *nominal_px.shape))
-        self._stars = self._follow(reference.coefficients, start_px)
+        self._stars = self._follow(reference.spline_coefficients, start_px)
         self._known = self._are_stars(self._stars, start_px)
         if not np.mean(self._known[reference.lit].all(axis=1)) > 1 - _STARLESS_FRACTION:
             raise ReconstructionError("the reference shows no stars where they are expected: is the pinhole mask in?")

@@ -55,7 +55,7 @@ def _fitted(reference: ReferenceSubimages, images: Floats) -> tuple[Floats, Floa
     blur, _ = mean_interpolation(reference.width)
     own_images = (blur @ images @ blur.T).reshape(len(images), -1)
     brightness = TRANSMISSION_MODES.values(*reference.offset_px.T / reference.half_width_px)
-    edge = np.array(reference.coefficients.shape[::-1]) - 1
+    edge = np.array(reference.spline_coefficients.shape[::-1]) - 1
     light, moved_px = reference.light[reference.lit], np.zeros(2)
     for alignment in range(_ALIGNMENTS + 1):
         mean = np.sum(light, axis=0) / np.sum(light)
@@ -67,7 +67,7 @@ def _fitted(reference: ReferenceSubimages, images: Floats) -> tuple[Floats, Floa
         if alignment < _ALIGNMENTS:
             moved_px = moved_px - shift / gain
             position_px = reference.position_px[reference.lit] + (moved_px @ reference.turn)[:, None]
-            light, _ = sample(reference.coefficients, np.clip(position_px, 0, edge))
+            light, _ = sample(reference.spline_coefficients, np.clip(position_px, 0, edge))
     variance = (light - fitted @ known) ** 2 @ fit**2
     return (fitted / gain)[:, -len(images) :].T, (variance / gain**2)[:, -len(images) :].T
 

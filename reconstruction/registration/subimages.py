@@ -103,8 +103,8 @@ class ReferenceSubimages:
         self.position_px = np.clip(position_px, 0, edge)  # of the windows on the camera, (L, N, xy)
 
         self.bad = np.zeros(reference.shape, np.bool_) if bad is None else bad  # (row, column)
-        self.coefficients = self.spline(reference)  # of the whole frame, (row, column)
-        self.light, gradient = sample(self.coefficients, self.position_px)  # (L, N)
+        self.spline_coefficients = self.spline(reference)  # of the whole frame, (row, column)
+        self.light, gradient = sample(self.spline_coefficients, self.position_px)  # (L, N)
         self.gradient = gradient @ self.turn.T  # per pixel, lattice frame, (L, N, xy)
         self.usable = self._usable()  # (L, N)
         self.contrast = self.light.std(axis=1)  # (L,)

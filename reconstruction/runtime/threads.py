@@ -11,7 +11,7 @@ from threading import RLock
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] # ships no types
 
 THREADS = 2  # that share a piece of work, unless a setting or the caller says otherwise
-_TURN_S = 0.0005
+_SWITCH_INTERVAL_S = 0.0005
 
 
 class ProcessSetting:
@@ -74,19 +74,19 @@ def _libraries(_modules: int) -> ThreadpoolController:
 _one_blas_thread = ProcessSetting(_limit_blas)
 
 
-def short_turns() -> AbstractContextManager[None]:
+def short_switch_interval() -> AbstractContextManager[None]:
     """Switch Python threads every 0.5 ms instead of 5 ms inside a `with`.
 
     A thread waits for its turn after each system call: beside a busy window, writing a frame (ten calls) would take up
     to 50 ms instead of 5. Several acquisitions may nest this in any order.
     """
-    return _short_turns.wanted()
+    return _short_switch_interval.wanted()
 
 
-def _shorten_turns() -> Callable[[], object]:
+def _shorten_switch_interval() -> Callable[[], object]:
     before_s = sys.getswitchinterval()
-    sys.setswitchinterval(_TURN_S)
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
     return lambda: sys.setswitchinterval(before_s)
 
 
-_short_turns = ProcessSetting(_shorten_turns)
+_short_switch_interval = ProcessSetting(_shorten_switch_interval)

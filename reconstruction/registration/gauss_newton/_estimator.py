@@ -32,10 +32,10 @@ from reconstruction.registration.gauss_newton._lenslet_fits import (
     FitLimits,
     Fits,
     Propagated,
-    Workplace,
+    WorkArrays,
     fit_lenslets,
-    new_ledger,
-    new_workplace,
+    new_counters,
+    new_work_arrays,
 )
 from reconstruction.registration.gauss_newton._template import (
     LINEAR,
@@ -219,7 +219,7 @@ class GaussNewton:
         self._errors = ErrorPropagation(self._warp)
         self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (MISFIT * self._warp.contrast) ** 2
         self._power = noise_power_polynomial()
-        self._workplaces: list[Workplace] = []  # that no thread uses now
+        self._idle_arrays: list[WorkArrays] = []  # that no thread uses now
         poor_square = _NOISE_AT_MOST * self._errors.expected_square
         poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(pixels)
         tolerance_px = np.clip(_TOLERANCE * self._errors.expected_sigma_px, *_TOLERANCE_PX)
@@ -303,17 +303,17 @@ class GaussNewton:
             half_cell_px=np.float32(reference.cell_height_px / 2),
         )
 
-        ledger = new_ledger()
+        counters = new_counters()
 
         grids = self._start.grid, grid
 
         def share() -> bool:
             try:
-                workplace = self._workplaces.pop()
+                arrays = self._idle_arrays.pop()
             except IndexError:
-                workplace = new_workplace(grids, self._search)
-            ended = fit_lenslets(frame, grids, self._search, self._limits, self._power, fits, workplace, ledger)
-            self._workplaces.append(workplace)
+                arrays = new_work_arrays(grids, self._search)
+            ended = fit_lenslets(frame, grids, self._search, self._limits, self._power, fits, arrays, counters)
+            self._idle_arrays.append(arrays)
             return ended
 
         others = [worker_pool(self._threads - 1).submit(share) for _ in range(1, self._threads)]

@@ -17,46 +17,46 @@ from reconstruction.registration.gauss_newton._alignment import LOST_PX, FrameDa
 from reconstruction.registration.gauss_newton._warped_sampling import Scratch, Window, new_scratch, sample_warped
 from reconstruction.runtime.compilation import compiled, inlined
 
-Ledger = NDArray[np.int64]  # numbers of items taken and finished, (2,)
+Counters = NDArray[np.int64]  # numbers of items taken and finished, (2,)
 
-_PATIENCE = 20_000  # reads of the ledger, about 0.1 ms, for which a thread spins until the others have finished
+_SPINS = 20_000  # reads of the counters, about 0.1 ms, for which a thread spins until the others have finished
 
 
-def new_ledger() -> Ledger:
+def new_counters() -> Counters:
     """No item taken, none finished."""
     return np.zeros(2, np.int64)
 
 
-def _add_in_one_step(_context: Any, ledger: Any, _entry: Any, _addend: Any) -> Any:
+def _add_in_one_step(_context: Any, counters: Any, _entry: Any, _addend: Any) -> Any:
     """Describe to Numba how to add to an entry in one indivisible step and return the value before."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, arguments[0])
         return builder.atomic_rmw("add", builder.gep(array.data, [arguments[1]]), arguments[2], "seq_cst")
 
-    return types.int64(ledger, types.int64, types.int64), generate
+    return types.int64(counters, types.int64, types.int64), generate
 
 
-_fetch_and_add = cast("Callable[[Ledger, int, int], int]", intrinsic(_add_in_one_step))
+_fetch_and_add = cast("Callable[[Counters, int, int], int]", intrinsic(_add_in_one_step))
 
 
 @compiled
-def take(ledger: Ledger) -> int:
+def take(counters: Counters) -> int:
     """Take the next item; from the number of items on, there are no more."""
-    return _fetch_and_add(ledger, 0, 1)
+    return _fetch_and_add(counters, 0, 1)
 
 
 @compiled
-def finish(ledger: Ledger) -> None:
+def finish(counters: Counters) -> None:
     """Note that an item is finished."""
-    _fetch_and_add(ledger, 1, 1)
+    _fetch_and_add(counters, 1, 1)
 
 
 @compiled
-def is_finished(ledger: Ledger, items: int) -> bool:
+def is_finished(counters: Counters, items: int) -> bool:
     """Return whether all items are finished, after a short wait for those in other threads."""
-    for _ in range(_PATIENCE):  # noqa: SIM110 - Numba compiles no generator
-        if _fetch_and_add(ledger, 1, 0) >= items:
+    for _ in range(_SPINS):  # noqa: SIM110 - Numba compiles no generator
+        if _fetch_and_add(counters, 1, 0) >= items:
             return True
     return False
 
@@ -114,7 +114,7 @@ class Propagated(NamedTuple):
         return Propagated(*arrays)
 
 
-class Workplace(NamedTuple):
+class WorkArrays(NamedTuple):
     """One thread's work arrays."""
 
     scratch: Scratch  # for warps
@@ -124,11 +124,11 @@ class Workplace(NamedTuple):
     again: Image  # parameters of another fit, (P - 2,)
 
 
-def new_workplace(grids: tuple[Grid, Grid], search: WholePixelSearch) -> Workplace:
+def new_work_arrays(grids: tuple[Grid, Grid], search: WholePixelSearch) -> WorkArrays:
     """Allocate the work arrays of one thread; see `fit_lenslets`."""
     coarse, scratch = (new_scratch(grid.window.u.size, grid.inverse.shape[1]) for grid in grids)
     patch = new_scratch(search.window.u.size, 0)
-    return Workplace(scratch, coarse, patch, np.empty(2, np.float32), np.empty(len(grids[1].basis), np.float32))
+    return WorkArrays(scratch, coarse, patch, np.empty(2, np.float32), np.empty(len(grids[1].basis), np.float32))
 
 
 @compiled
@@ -139,23 +139,23 @@ def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined on
     limits: FitLimits,
     power: Floats,
     fits: Fits,
-    workplace: Workplace,
-    ledger: Ledger,
+    arrays: WorkArrays,
+    counters: Counters,
 ) -> bool:
-    """Fit lenslets, shared with the threads that have the same ledger; False if others have not finished theirs.
+    """Fit lenslets, shared with the threads that have the same counters; False if others have not finished theirs.
 
     `grids` are the reference for translations on a coarse grid, and that for the warps. If these fail, the whole-pixel
     search gives another start. `power` (4,): see `spline.noise_power_polynomial`.
     """
     start, warp = grids
-    scratch, coarse, patch, translation, again = workplace
+    scratch, coarse, patch, translation, again = arrays
     while True:
-        lenslet = take(ledger)
+        lenslet = take(counters)
         if lenslet >= fits.gain.size:
-            return is_finished(ledger, fits.gain.size)
+            return is_finished(counters, fits.gain.size)
         if not warp.normal[lenslet, -1, -1] > 0:  # the sum of the weights
             fits.step_px[lenslet] = LOST_PX
-            finish(ledger)
+            finish(counters)
             continue
         displacement, settled = fits.displacement[lenslet], (_ITERATIONS, limits.tolerance_px[lenslet])
         state = State(np.float32(np.inf), LOST_PX, np.float32(1.0), np.float32(0.0), False)
@@ -197,7 +197,7 @@ def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined on
         _note(state, scratch, fits, lenslet)
         light, weight = warp.light[lenslet], warp.weight[lenslet]
         _interpolated_noise(weight, light, power, scratch, fits.noise_power[lenslet])
-        finish(ledger)
+        finish(counters)
 
 
 @inlined

@@ -9,7 +9,7 @@ from support.optics import FIELD, converged, sensor_of
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.quality.isoplanatism import field_positions_m, global_error_rad, isoplanatism, structure_curve
+from reconstruction.quality.isoplanatism import field_cell_middles_m, global_error_rad, isoplanatism, structure_curve
 from reconstruction.wavefront import Wavefront, without_tilt
 
 ROWS, COLUMNS = 9, 13
@@ -105,11 +105,11 @@ def test_without_tilt_ignores_unknown_lenslets() -> None:
 
 
 def test_field_positions_are_middles_of_equal_parts() -> None:
-    square_m = field_positions_m(FIELD, 3)
+    square_m = field_cell_middles_m(FIELD, 3)
     np.testing.assert_allclose(square_m[:4], np.array([[-0.4, -0.4], [0, -0.4], [0.4, -0.4], [-0.4, 0]]) * 1e-3)
     assert len(square_m) == 9
     circle = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3, shape="circle", view_rows=1, view_columns=1)
-    in_circle_m = field_positions_m(circle, 7)
+    in_circle_m = field_cell_middles_m(circle, 7)
     assert np.hypot(*in_circle_m.T).max() <= 0.6e-3
     assert len(in_circle_m) == 37  # 49 without three at each corner
 

@@ -7,29 +7,29 @@ import threading
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.registration.gauss_newton._lenslet_fits import Ledger, finish, is_finished, new_ledger, take
+from reconstruction.registration.gauss_newton._lenslet_fits import Counters, finish, is_finished, new_counters, take
 from reconstruction.runtime.compilation import compiled
 
 
 @compiled
-def count_items(times: NDArray[np.int64], ledger: Ledger) -> bool:
+def count_items(times: NDArray[np.int64], counters: Counters) -> bool:
     """Count how often each item is taken."""
     while True:
-        item = take(ledger)
+        item = take(counters)
         if item >= times.size:
-            return is_finished(ledger, times.size)
+            return is_finished(counters, times.size)
         times[item] += 1
-        finish(ledger)
+        finish(counters)
 
 
 def test_every_item_is_taken_once() -> None:
-    times, ledger = np.zeros(200_000, np.int64), new_ledger()
-    count_items(np.zeros(1, np.int64), new_ledger())  # compiled before the threads race
+    times, counters = np.zeros(200_000, np.int64), new_counters()
+    count_items(np.zeros(1, np.int64), new_counters())  # compiled before the threads race
     ready = threading.Barrier(4)
 
     def work() -> None:
         ready.wait()
-        count_items(times, ledger)
+        count_items(times, counters)
 
     threads = [threading.Thread(target=work) for _ in range(4)]
     for thread in threads:
@@ -37,12 +37,12 @@ def test_every_item_is_taken_once() -> None:
     for thread in threads:
         thread.join()
     assert (times == 1).all()
-    assert is_finished(ledger, times.size)
+    assert is_finished(counters, times.size)
 
 
 def test_item_of_another_thread_is_waited_for() -> None:
-    ledger = new_ledger()
-    assert take(ledger) == 0  # by another thread, which has not finished it
-    assert not count_items(np.zeros(3, np.int64), ledger)
-    finish(ledger)
-    assert is_finished(ledger, 3)
+    counters = new_counters()
+    assert take(counters) == 0  # by another thread, which has not finished it
+    assert not count_items(np.zeros(3, np.int64), counters)
+    finish(counters)
+    assert is_finished(counters, 3)

@@ -20,7 +20,7 @@ import svwfs
 from app.bench.imaging_model import BenchModel
 from reconstruction.layers.layer_search import find_layers
 from reconstruction.pipeline import Reconstructor
-from reconstruction.runtime.threads import one_blas_thread, short_turns
+from reconstruction.runtime.threads import one_blas_thread, short_switch_interval
 
 
 def blas_threads() -> set[int]:
@@ -56,7 +56,7 @@ def turns_s() -> float:
 @pytest.mark.parametrize("leaving", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
 def test_switch_interval_is_short_until_last_user_leaves(leaving: tuple[int, ...]) -> None:
     before_s = turns_s()
-    wanting = [short_turns() for _ in leaving]
+    wanting = [short_switch_interval() for _ in leaving]
     for each in wanting:
         each.__enter__()
         assert turns_s() < before_s
@@ -65,7 +65,7 @@ def test_switch_interval_is_short_until_last_user_leaves(leaving: tuple[int, ...
         assert turns_s() < before_s
     wanting[leaving[-1]].__exit__(None, None, None)
     assert turns_s() == before_s
-    with short_turns():  # and again
+    with short_switch_interval():  # and again
         assert turns_s() < before_s
     assert turns_s() == before_s
 
@@ -77,9 +77,9 @@ def test_concurrent_users_restore_switch_interval() -> None:
 
     def come_and_go() -> None:
         for _ in range(50):
-            with short_turns():
+            with short_switch_interval():
                 seen_s.append(turns_s())
-        with short_turns():
+        with short_switch_interval():
             all_in.wait()
 
     threads = [threading.Thread(target=come_and_go) for _ in range(8)]
