@@ -43,7 +43,7 @@ class OwnMethods:
     def named(
         self, registration: RegistrationSettings, reconstruction: ReconstructionSettings
     ) -> tuple[RegistrationSettings, ReconstructionSettings]:
-        """Settings with the names of own methods: who reads them elsewhere is told that they are unknown."""
+        """Settings with the names of own methods, which other readers report as unknown."""
 
         def name(method: object) -> Any:
             return f"own {getattr(method, '__name__', type(method).__name__)}"
@@ -150,7 +150,7 @@ class Reconstructor:
         own: OwnMethods = NO_OWN,
         lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None = None,
     ) -> None:
-        self.frame_shape = reference.shape[0], reference.shape[-1]
+        self.frame_shape = reference.shape[0], reference.shape[-1]  # `AboveDark` checks that there are no more
         self._above_dark = AboveDark(self.frame_shape, camera)
         self.sensor, self.lattice, self.field, self.camera = sensor, lattice, field, camera
         self.noise = camera.noise.of_frame
@@ -185,7 +185,7 @@ class Reconstructor:
             raise ReconstructionError(f'reconstruction.sample = "layers" is impossible with {obstacle}: change either')
         self._prepared = self._choose(light, registration)
         self.registration, at_rest = self._prepared.settings, self._prepared.at_rest
-        self._sensitivity = self._respond()
+        self._sensitivity, self.response_problem = self._respond()
         self._expected = _variance(at_rest)  # (L,), px^2; NaN where unknown
         usual = np.nanmedian(self._expected) if np.isfinite(self._expected).any() else 1.0
         self._certainty = np.where(self.noise is None, 1.0, usual / self._expected).reshape(at_rest.valid.shape)
@@ -234,8 +234,8 @@ class Reconstructor:
             if self.reconstruction.sample == "layers":
                 raise ReconstructionError(f'{error} (reconstruction.sample = "layers")', image="frame") from error
             return FREE
-        is_free = self.reconstruction.sample == "automatic"
-        return most_probable(search, free=is_free, is_blind=self.hidden > 0)
+        may_be_free = self.reconstruction.sample == "automatic"
+        return most_probable(search, may_be_free=may_be_free, is_blind=self.hidden > 0)
 
     @property
     def may_be_layered(self) -> bool:
@@ -383,17 +383,17 @@ class Reconstructor:
         except ReconstructionError as error:
             return None, str(error)
 
-    def _respond(self) -> Sensitivity:
-        """Response of the registration; mean gradients where there is none, or none is wanted."""
-        self.response_problem = ""  # why there is none although it is wanted
+    def _respond(self) -> tuple[Sensitivity, str]:
+        """Response of the registration, or mean gradients, and why there is no response although it is wanted."""
         warps = self._prepared.warps
+        problem = ""
         is_wanted = self.reconstruction.response and not self.registration.rotation  # it holds for gradients only
         if is_wanted and warps is not None:
             model, problem = self._model
             if model is not None:
-                return Response(self.sensor, linear_response(warps, model))
-            self.response_problem = problem and f"mean gradients replace the response of the registration: {problem}"
-        return MeanGradients(self.sensor, self._prepared.parameters if warps is None else warps.alike)
+                return Response(self.sensor, linear_response(warps, model)), ""
+            problem = problem and f"mean gradients replace the response of the registration: {problem}"
+        return MeanGradients(self.sensor, self._prepared.parameters if warps is None else warps.alike), problem
 
     def _solver(self, basis: PupilBasis, count: int | None) -> ModalSolver:
         """Solver with that many pupil modes; if None with all that the lattice carries, and the smoothness prior."""

@@ -84,7 +84,7 @@ class WrappedWarps:
 
     def __init__(self, reference: ReferenceSubimages, field: Field) -> None:
         modes = polynomial_modes_of_field(field, 3)
-        self._inner = GaussNewton(reference, modes, conserve_flux=False, rotation=False)
+        self._inner = GaussNewton(reference, modes, conserve_flux=False, may_rotate=False)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)

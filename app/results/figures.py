@@ -240,6 +240,6 @@ def _others(lattice: Lattice, own: tuple[int, ...], shape: tuple[int, ...]) -> t
     first = lenslet_centers(lattice.arrangement, own[0], own[1])[0, 0]
     center_x_px, center_y_px = lattice.to_camera_px(first * lattice.pitch_px)
     on_the_first = replace(lattice, center_x_px=float(center_x_px), center_y_px=float(center_y_px))
-    whole, cut = (cell_index(on_the_first, (shape[0], shape[1]), partial=partial) for partial in (False, True))
+    whole, cut = (cell_index(on_the_first, (shape[0], shape[1]), only_partial=some) for some in (False, True))
     is_own = np.all((whole >= 0) & (whole < own[::-1]), axis=1)
     return first + lattice.cell_positions(whole[~is_own]), first + lattice.cell_positions(cut)

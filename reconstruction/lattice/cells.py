@@ -52,10 +52,10 @@ class Cells:
         return np.asarray(cycles * [1.0, self.lattice.row_spacing])
 
 
-def cell_index(lattice: Lattice, shape: tuple[int, int], *, partial: bool = False) -> NDArray[np.intp]:
+def cell_index(lattice: Lattice, shape: tuple[int, int], *, only_partial: bool = False) -> NDArray[np.intp]:
     """Cells, columns and rows from the centre, that lie entirely on a frame of that shape (row, column): (N, xy).
 
-    With `partial`, those that lie on it only in part.
+    With `only_partial`, those that lie on it only in part.
     """
     last = np.array(shape[::-1]) - 1
     outline_px = np.array([[0, 0], [last[0], 0], [0, last[1]], last], np.float64)
@@ -66,7 +66,7 @@ def cell_index(lattice: Lattice, shape: tuple[int, int], *, partial: bool = Fals
     inside = np.all((corner_px > -0.5 - _BEYOND_PX) & (corner_px < last + 0.5 + _BEYOND_PX), axis=2)
     begin, end = -0.5 + _BEYOND_PX, last + 0.5 - _BEYOND_PX
     touching = np.all((corner_px.max(axis=1) > begin) & (corner_px.min(axis=1) < end), axis=1)
-    return np.asarray(index[touching & ~inside.all(axis=1) if partial else inside.all(axis=1)])
+    return np.asarray(index[touching & ~inside.all(axis=1) if only_partial else inside.all(axis=1)])
 
 
 def cut(coefficients: Image, lattice: Lattice) -> Cells:

@@ -47,8 +47,10 @@ class AssumedSample:
 FREE = AssumedSample()
 
 
-def most_probable(search: LayerSearch, *, free: bool = True, is_blind: bool = False) -> AssumedSample:
-    """One layer where it explains the displacements; else what has the highest evidence, with `free` any wavefront.
+def most_probable(search: LayerSearch, *, may_be_free: bool = True, is_blind: bool = False) -> AssumedSample:
+    """One layer where it explains the displacements; else what has the highest evidence.
+
+    That is any wavefront, too, if the sample `may_be_free`.
 
     Evidence takes all errors for independent. So systematic ones, far below 1 % of the displacements, make it prefer a
     second layer at the end of the search, or a free wavefront, which is far off if the source hides displacements
@@ -58,11 +60,11 @@ def most_probable(search: LayerSearch, *, free: bool = True, is_blind: bool = Fa
     if is_within(one) and explains(one.quality, any_wavefront, is_blind=is_blind):
         return _assumed(one)
     found = [fit for fit in (one, search.two) if fit is not None and is_within(fit)]
-    if free and not found:
+    if may_be_free and not found:
         return FREE
     best = max(found or [one], key=lambda fit: fit.quality.log_evidence)
     is_less_probable = best.quality.log_evidence < any_wavefront.log_evidence + _DECISIVE
-    return FREE if free and is_less_probable else _assumed(best)
+    return FREE if may_be_free and is_less_probable else _assumed(best)
 
 
 def _assumed(fit: LayerFit) -> AssumedSample:

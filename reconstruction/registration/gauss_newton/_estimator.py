@@ -22,7 +22,7 @@ from typing import Self
 import numpy as np
 
 from reconstruction.arrays import Booleans, Floats, Image, median
-from reconstruction.displacement import Displacement, Outcome, Transmission
+from reconstruction.displacement import TRANSMISSION_MODES, Displacement, Outcome, Transmission
 from reconstruction.frame.spline import noise_power, noise_power_polynomial
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis, polynomial_modes
@@ -121,10 +121,11 @@ class ErrorPropagation:
         weighted sum of squares of the residual minus its noise, counts^2, (L,); and the share of the information of a
         lenslet's pixels that the usable ones have, (L,).
         """
-        per_pixel, per_light, known = self._template.per_pixel, self._template.per_light, np.ones(len(fits.gain))
+        per_pixel, per_light = self._template.per_pixel, self._template.per_light
+        information_left = np.ones(len(fits.gain))
         partial = np.flatnonzero(fits.is_partial)
         if partial.size:
-            *of_partial, known[partial] = self._template.without(partial, fits.excluded[partial])
+            *of_partial, information_left[partial] = self._template.without(partial, fits.excluded[partial])
             per_pixel, per_light = (
                 whole.replaced(partial, part) for whole, part in zip((per_pixel, per_light), of_partial, strict=True)
             )
@@ -146,7 +147,7 @@ class ErrorPropagation:
                 chi_square[:] = np.nan
         variance = np.stack([of_pixels, of_light], axis=-1).reshape(*self._lattice, 2)
         covariance = FitCovariance(variance, per_pixel, per_light, self._basis)
-        return covariance, chi_square, fits.square - expected, known
+        return covariance, chi_square, fits.square - expected, information_left
 
 
 # Margin of the pixels used beyond the field's edge, in blurs. Further out there is only scattered light, which no warp
@@ -162,7 +163,7 @@ _ODD, _OUTLYING = 0.08, 2.5
 _NOISE_SHARE = 0.3  # of the noise's square, tolerated as chance
 _POOR = _ODD  # residual over contrast above which another start is tried
 _NOISE_AT_MOST = 1.5  # square of a residual's noise over its mean
-_INFORMATION_LEFT = 0.75  # of a lenslet's pixels; with less it is lost
+_LEAST_INFORMATION = 0.75  # of a lenslet's pixels; with less it is lost
 
 
 def prepare(
@@ -174,7 +175,7 @@ def prepare(
         reference,
         modes,
         conserve_flux=field.neglect_propagation,
-        rotation=settings.rotation,
+        may_rotate=settings.rotation,
         model=model,
         threads=settings.threads,
     )
@@ -189,7 +190,7 @@ class GaussNewton:
         modes: PolynomialModes,
         *,
         conserve_flux: bool,
-        rotation: bool,
+        may_rotate: bool,
         model: LensletModel | None = None,
         threads: int = THREADS,
     ) -> None:
@@ -205,7 +206,7 @@ class GaussNewton:
         )
         self._start = prepare_template(translation)
         basis, self.alike, pixels = visible_warp(
-            reference, modes, np.outer(near, near), conserve_flux=conserve_flux, rotation=rotation
+            reference, modes, np.outer(near, near), conserve_flux=conserve_flux, may_rotate=may_rotate
         )
         brightness = None
         if model is not None and reference.noise is not None and not conserve_flux:
@@ -213,7 +214,7 @@ class GaussNewton:
         images = SteepestDescent(reference, modes, pixels, basis, conserve_flux=conserve_flux, brightness=brightness)
         self._warp = prepare_template(images, reference.noise)
         self.parameters = self._warp.grid.basis.astype(np.float64)  # orthonormal rows, as the compiled fit has them
-        self.hidden = (2 * modes.count if rotation else len(gradient_basis(modes))) - len(self.parameters)
+        self.hidden = (2 * modes.count if may_rotate else len(gradient_basis(modes))) - len(self.parameters)
         self.brightness_terms = LINEAR if brightness is None else len(brightness)
         self._search = prepare_search(reference)
         self._errors = ErrorPropagation(self._warp)
@@ -234,10 +235,10 @@ class GaussNewton:
         bad = reference.bad | saturated
         fits = self._fit(coefficients, bad, start)
 
-        covariance, chi_square, unexplained, known = self._errors(fits)
+        covariance, chi_square, unexplained, information_left = self._errors(fits)
         found = (fits.step_px < CONVERGED_PX) & (unexplained < self._unexplained)
         found &= ~_stands_out(unexplained, fits.square, self._unexplained, found)
-        spoilt = known < _INFORMATION_LEFT
+        spoilt = information_left < _LEAST_INFORMATION
         fitted = (fits.displacement @ self.parameters).astype(np.float32).astype(np.float64)
         displacement = classify_lenslets(
             reference,
@@ -272,7 +273,8 @@ class GaussNewton:
             per_gain = np.where(known, 1 / fits.gain.reshape(shape), np.nan)[..., None]
         beyond = np.einsum("lkn,ln->lk", warp.brightness, fits.residual).reshape(*shape, -1)
         beyond[..., 0] += 1
-        of_noise = np.einsum("rck,krcij->rcij", variance, warp.brightness_covariance.reshape(2, *shape, 6, 6))
+        terms = TRANSMISSION_MODES.count
+        of_noise = np.einsum("rck,krcij->rcij", variance, warp.brightness_covariance.reshape(2, *shape, terms, terms))
         return Transmission(beyond * per_gain, of_noise * per_gain[..., None] ** 2)
 
     def response(self, image: Floats, changes: Floats, own: Sequence[OwnWavefront] = ()) -> Floats:

@@ -243,7 +243,9 @@ def prepare_template(images: SteepestDescent, noise: CameraNoise | None = None) 
         is_gradient=bool(np.allclose(basis @ gradients.T @ gradients, basis)),
     )
     per_pixel, per_light = [], []
-    to_brightness, covariance = np.empty((lenslets, 6, count), np.float32), np.empty((2, lenslets, 6, 6))
+    terms = TRANSMISSION_MODES.count
+    to_brightness = np.empty((lenslets, terms, count), np.float32)
+    covariance = np.empty((2, lenslets, terms, terms))
     for first in range(0, lenslets, _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         light, gradient = reference.light[some][:, of_window], reference.gradient[some][:, of_window]
@@ -343,11 +345,11 @@ def _mean_lenslet(reference: ReferenceSubimages, pixels: Booleans) -> tuple[Floa
 
 
 def visible_warp(
-    reference: ReferenceSubimages, modes: PolynomialModes, pixels: Booleans, *, conserve_flux: bool, rotation: bool
+    reference: ReferenceSubimages, modes: PolynomialModes, pixels: Booleans, *, conserve_flux: bool, may_rotate: bool
 ) -> tuple[Floats, Floats, Booleans]:
     """Find what the mean subimage shows of a warp with some field modes on some pixels (width, width).
 
-    Without `rotation` the displacement is the gradient of a potential over the field. Of displacements that look
+    Unless it `may_rotate`, the displacement is the gradient of a potential over the field. Of displacements that look
     alike, the smoothest stand for the others.
 
     Returns
@@ -359,7 +361,7 @@ def visible_warp(
     pixels : (width, width)
         Those that tell most of them.
     """
-    possible = np.eye(2 * modes.count) if rotation else gradient_basis(modes)
+    possible = np.eye(2 * modes.count) if may_rotate else gradient_basis(modes)
     images = SteepestDescent(reference, modes, pixels, possible, conserve_flux=conserve_flux)
     light, gradient, expected = _mean_lenslet(reference, pixels)
     weight = np.ones(light.shape) if reference.noise is None else _pixel_weights(expected, reference.noise)

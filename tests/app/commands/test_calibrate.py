@@ -203,8 +203,8 @@ def test_full_frame_lattice_has_no_cut_cells() -> None:
     """Rounding of the outermost edges must not matter."""
     lattice = Lattice(center_x_px=232.0, center_y_px=232.0, pitch_px=31.0 - 1e-6, rotation_rad=1e-7)
     assert len(cell_index(lattice, (465, 465))) == 15 * 15
-    assert len(cell_index(lattice, (465, 465), partial=True)) == 0
-    assert len(cell_index(lattice, (475, 465), partial=True)) == 15
+    assert len(cell_index(lattice, (465, 465), only_partial=True)) == 0
+    assert len(cell_index(lattice, (475, 465), only_partial=True)) == 15
 
 
 def test_lattice_plot_marks_lit_dark_outside_and_cut_lenslets(reference: Path) -> None:

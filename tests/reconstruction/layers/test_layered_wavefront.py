@@ -145,7 +145,7 @@ def test_most_probable_sample_is_assumed(name: str, layers: int) -> None:
     search = searched(name)
     assert len(most_probable(search).ratios) == layers
     assert (search.two is None) == (layers == 1)  # not searched where one layer suffices
-    assert len(most_probable(search, free=False).ratios) in {1, 2}
+    assert len(most_probable(search, may_be_free=False).ratios) in {1, 2}
     if not layers:
         assert most_probable(search) is FREE
 

@@ -25,7 +25,7 @@ def prepared(bench: SmallBench, peak_e: float, *, is_modelled: bool = True) -> t
     )
     model = LensletImage(bench.sensor, bench.field, bench.source, width=reference.width, pupil_samples=12)
     given = model if is_modelled else None
-    return GaussNewton(reference, LegendreModes(15), conserve_flux=False, rotation=False, model=given), model
+    return GaussNewton(reference, LegendreModes(15), conserve_flux=False, may_rotate=False, model=given), model
 
 
 @pytest.mark.parametrize("highest", [1, 2, 3])

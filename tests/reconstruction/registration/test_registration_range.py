@@ -27,7 +27,7 @@ def bench() -> SmallBench:
 
 @pytest.fixture(scope="module")
 def estimate(bench: SmallBench) -> RegistrationMethod:
-    return GaussNewton(bench.subimages(), LegendreModes(6), conserve_flux=True, rotation=True)
+    return GaussNewton(bench.subimages(), LegendreModes(6), conserve_flux=True, may_rotate=True)
 
 
 def _tilted(bench: SmallBench, x_px: float, y_px: float) -> Image:
@@ -96,7 +96,7 @@ def test_stars_displaced_by_more_than_their_size_are_recovered(
         bench.model.irradiance(source, field) * np.float32(1e14) for field in (None, phase_only(lambda _x, _y: tilt))
     )
     subimages = ReferenceSubimages(reference, sensor=bench.sensor, lattice=bench.lattice, field=FIELD)
-    method = GaussNewton(subimages, LegendreModes(3), conserve_flux=True, rotation=True)
+    method = GaussNewton(subimages, LegendreModes(3), conserve_flux=True, may_rotate=True)
     displacement = method(light, saturated=_still(bench))
     assert displacement.valid.all()
     assert np.abs(displacement.coefficients[:, :, 0] - shift_px).max() < 0.03

@@ -39,7 +39,7 @@ def registered(request: pytest.FixtureRequest) -> Registered:
     bench: SmallBench = request.getfixturevalue(request.param)
     reference = bench.subimages()
     model = model_of(bench, bench.source, reference.width)
-    method = GaussNewton(reference, MODES, conserve_flux=bench.field.neglect_propagation, rotation=False)
+    method = GaussNewton(reference, MODES, conserve_flux=bench.field.neglect_propagation, may_rotate=False)
     return Registered(bench, reference, model, method, linear_response(method, model))
 
 
@@ -50,7 +50,7 @@ def test_warp_of_the_image_is_found_as_it_is(
 ) -> None:
     reference, model = registered.reference, registered.model
     conserve_flux = registered.bench.field.neglect_propagation
-    method = GaussNewton(reference, modes, conserve_flux=conserve_flux, rotation=rotation)
+    method = GaussNewton(reference, modes, conserve_flux=conserve_flux, may_rotate=rotation)
     image = model.image()
     points = len(model.position)
     tilts = model.derivatives(1, np.ones((1, points)), np.zeros((1, points, 2)))
@@ -146,7 +146,7 @@ def test_response_is_that_of_each_lenslet(checker_bench: SmallBench, n: int, m: 
     """Their own wavefronts change it as they change complete registrations, but for effects of second order."""
     measured, expected = [], []
     for lenslets in (Lenslets(checker_bench, 0.1), Lenslets(checker_bench)):
-        method = GaussNewton(lenslets.reference, MODES, conserve_flux=False, rotation=False)
+        method = GaussNewton(lenslets.reference, MODES, conserve_flux=False, may_rotate=False)
         measured.append(measured_response(checker_bench, method, (n, m, q), own=lenslets.phase))
         expected.append(linear_response(method, lenslets.model)[:, n, m, q])
     changed = measured[0] - measured[1]
@@ -169,7 +169,7 @@ def test_response_of_a_displaced_lenslet_is_that_of_the_others(registered: Regis
     bench = registered.bench
     wrong = replace(bench.lattice, pitch_px=bench.lattice.pitch_px * 1.01)
     reference = ReferenceSubimages(bench.reference, sensor=bench.sensor, lattice=wrong, field=bench.field)
-    method = GaussNewton(reference, MODES, conserve_flux=bench.field.neglect_propagation, rotation=False)
+    method = GaussNewton(reference, MODES, conserve_flux=bench.field.neglect_propagation, may_rotate=False)
     model = model_of(bench, bench.source, reference.width)
     response = linear_response(method, model)
     largest = np.abs(registered.response).max()

@@ -24,7 +24,7 @@ from simulated_devices.optics.lenslet_image import LensletImage
 
 def registration(bench: SmallBench, warp: Warp) -> GaussNewton:
     modes = LegendreModes(FIELD_MODES[warp])
-    return GaussNewton(bench.subimages(), modes, conserve_flux=bench.field.neglect_propagation, rotation=False)
+    return GaussNewton(bench.subimages(), modes, conserve_flux=bench.field.neglect_propagation, may_rotate=False)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_pixels_left_out_raise_the_scatter_by_less_than_two_percent(
     model = LensletImage(bench.sensor, FIELD, bench.source, width=reference.width, pupil_samples=12)
 
     def prepare() -> GaussNewton:
-        return GaussNewton(reference, LegendreModes(15), conserve_flux=False, rotation=False, model=model)
+        return GaussNewton(reference, LegendreModes(15), conserve_flux=False, may_rotate=False, model=model)
 
     chosen = prepare()
     monkeypatch.setattr(template, "_informative", lambda _, weight: np.ones(weight.shape, np.bool_))
