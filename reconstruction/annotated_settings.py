@@ -1,4 +1,4 @@
-"""Settings classes: what the annotation of each field says, and the check of their values.
+"""Limits, help and units of settings, and their check.
 
 A settings class is a frozen dataclass. `Annotated` gives a field its limit (`annotated_types`) and its help (`Doc`);
 its unit is the suffix of its name. A method `faults` yields each setting that contradicts others, and why. The check,

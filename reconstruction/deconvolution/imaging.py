@@ -16,7 +16,7 @@ from reconstruction.geometry import Field, Sensor
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Imaging(Checked):
-    """How an image shows the field, through which pupil, and with which noise.
+    """Geometry of an image of the field, its pupil, and its noise.
 
     The image's columns are reversed if `is_mirrored`, and then lie along the field's +x axis turned by `rotation_rad`;
     a positive rotation turns the field's +x towards its +y in the image.

@@ -143,7 +143,7 @@ def clip_level(counts: Counts, scatter: float = 0.0, read_noise: float = 0.0) ->
 
 
 def is_piled_up(piled: int, below: int) -> bool:
-    """Return whether so many pixels within one step of the highest count are clipped, by those within the next one."""
+    """True if so many pixels within one step of the highest count are clipped, by those within the next one."""
     return bool(piled > _PILED_UP * (below + _BY_CHANCE))
 
 

@@ -99,12 +99,12 @@ class LayerSearch:
 
 
 def is_within(fit: LayerFit) -> bool:
-    """Whether found layers lie within the search, not at its end."""
+    """True if found layers lie within the search, not at its end."""
     return all(abs(layer.ratio) < FARTHEST_RATIO for layer in fit.layers)
 
 
 def explains(fit: FitQuality, any_wavefront: FitQuality, *, is_blind: bool = False) -> bool:
-    """Whether a fit explains displacements, and any wavefront no more than errors of the registration in addition."""
+    """True if a fit explains displacements, but for errors of the registration that any wavefront explains."""
     not_noise = math.sqrt(max(1 - 1 / max(any_wavefront.chi_square, 1.0), 0.0)) * any_wavefront.misfit
     systematic = max(_SYSTEMATIC_IF_BLIND if is_blind else _SYSTEMATIC, _SYSTEMATIC_SHARE * not_noise)
     return fit.misfit < _NOTHING and _beyond(fit, any_wavefront) < systematic

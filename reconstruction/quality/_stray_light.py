@@ -31,7 +31,7 @@ class StrayLight:
         is_good: Booleans,
         dark: Floats | float,
     ) -> None:
-        """Prepare.
+        """Prepare the planes of the lenslets whose gaps are dark enough.
 
         Parameters
         ----------

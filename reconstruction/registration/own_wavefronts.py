@@ -60,20 +60,20 @@ def _fitted(reference: ReferenceSubimages, images: Floats) -> tuple[Floats, Floa
     for alignment in range(_ALIGNMENTS + 1):
         mean = np.sum(light, axis=0) / np.sum(light)
         along_y, along_x = (part.ravel() for part in np.gradient(mean.reshape(reference.width, -1)))
-        known = np.stack([*mean * brightness, along_x, along_y, np.full_like(mean, mean.mean()), *own_images])
-        fit = np.linalg.pinv(known)  # (pixel, number)
+        differences = np.stack([*mean * brightness, along_x, along_y, np.full_like(mean, mean.mean()), *own_images])
+        fit = np.linalg.pinv(differences)  # (pixel, number)
         fitted = light @ fit
         gain, shift = fitted[:, :1], fitted[:, len(brightness) :][:, :2]
         if alignment < _ALIGNMENTS:
             moved_px = moved_px - shift / gain
             position_px = reference.position_px[reference.lit] + (moved_px @ reference.turn)[:, None]
             light, _ = sample(reference.spline_coefficients, np.clip(position_px, 0, edge))
-    variance = (light - fitted @ known) ** 2 @ fit**2
+    variance = (light - fitted @ differences) ** 2 @ fit**2
     return (fitted / gain)[:, -len(images) :].T, (variance / gain**2)[:, -len(images) :].T
 
 
 def shrunk(values: Floats, variance: Floats) -> Floats:
-    """Most probable true values (n,), if they scatter about 0: the less of a measured one, the larger its variance.
+    """Shrink measured values (n,), which scatter about 0, towards 0 according to their variance (n,).
 
     How much the true values scatter follows from the median of the measured squares, which bears outliers.
     """

@@ -1,6 +1,7 @@
-"""A child process at low priority for long computations, which then take no turns at Python's lock with live frames.
+"""A child process at low priority for long computations.
 
-It ends as soon as its standard input closes, however its parent ends. Messages are pickled.
+There they take no turns at Python's lock with live frames. It ends as soon as its standard input closes, however its
+parent ends. Messages are pickled.
 """
 
 import os
@@ -68,7 +69,7 @@ class BackgroundProcess:
 
 
 def _run(module: str, name: str) -> None:
-    """Be the child process: lower the priority, do the work, and end."""
+    """Entry point of the child process: lower the priority, do the work, and end."""
     if hasattr(os, "nice"):
         os.nice(NICENESS)
     answers = os.fdopen(os.dup(1), "wb")

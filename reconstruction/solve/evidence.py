@@ -20,7 +20,7 @@ _FACTORS = 16  # factors of up to 1e15, whose product does not overflow, per log
 
 
 class FitQuality(NamedTuple):
-    """How well a model explains the displacements of a frame."""
+    """Quality of the fit of a model to the displacements of a frame."""
 
     log_evidence: float  # up to a constant common to all models of a frame
     chi_square: float  # reduced, of the displacements about the fit, in units of their expected errors

@@ -252,7 +252,7 @@ class ModalSolver:
         return ModalSolution(coefficients, known, root, estimate.freedom, displacement, parameters, Deferred(fitted))
 
     def quality(self, displacement: Displacement, *, weights: Floats | None = None) -> FitQuality:
-        """How well wavefronts with the smoothness prior explain displacements; `weights` as for the fit."""
+        """Fit quality of wavefronts with the smoothness prior; `weights` as for the fit."""
         return self._components(self.errors.whitened(displacement, weights))[1].quality()
 
     def _components(self, frame: Whitened) -> tuple["_Equations", Components]:

@@ -59,7 +59,7 @@ class RayMap:
 def view_positions_m(
     ray_map: RayMap, sensor: Sensor, field: Field, shift_m: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[Floats, Floats]:
-    """Where the rays of each view to the lenslet centres meet a plane moved by `shift_m`: x and y, m.
+    """Positions at which rays of each view to the lenslet centres meet a plane moved by `shift_m`: x and y, m.
 
     Both broadcast to (view_row, view_column, lenslet_row, lenslet_column).
     """

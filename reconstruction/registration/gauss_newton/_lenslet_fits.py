@@ -1,7 +1,7 @@
 """Compiled loop over the lenslets: the starts of their fits, and the noise left by interpolation.
 
 Threads share the lenslets without the interpreter lock: each takes the next until none is left. One that starts late,
-because others hold the lock or the processor is busy, delays nobody.
+because others hold the lock or the processor is busy, does not delay the others.
 """
 
 from collections.abc import Callable
@@ -54,7 +54,7 @@ def finish(counters: Counters) -> None:
 
 @compiled
 def is_finished(counters: Counters, items: int) -> bool:
-    """Return whether all items are finished, after a short wait for those in other threads."""
+    """True if all items are finished, after a short wait for those in other threads."""
     for _ in range(_SPINS):  # noqa: SIM110 - Numba compiles no generator
         if _fetch_and_add(counters, 1, 0) >= items:
             return True
