@@ -195,20 +195,17 @@ class ImageCache:
             return None
         return image
 
-    def save(self, mask: str, state: int | str, image: NDArray[np.float32]) -> bool:
-        """Write the image (row, column) atomically; return False if that fails."""
+    def save(self, mask: str, state: int | str, image: NDArray[np.float32]) -> None:
+        """Write the image (row, column) atomically; `OSError` if the folder is read-only or full."""
         path = self.path(mask, state)
         part = path.with_name(f"{path.stem}-{uuid.uuid4().hex}.part")
         try:
             with part.open("wb") as file:
                 np.save(file, image)
             part.replace(path)
-        except OSError:  # read-only, or full
-            return False
         finally:
             with suppress(OSError):
                 part.unlink()  # remains after an error
-        return True
 
 
 def _keep_newest(cache_folder: Path) -> None:
@@ -233,9 +230,12 @@ def rendering_ahead(scene: Scene, mask: str, cache_folder: Path) -> BackgroundPr
 
 
 def render_missing(messages: Iterator[Any], _answer: Callable[[object], None] = lambda _: None) -> None:
-    """Be the process of `rendering_ahead`; stop if the cache cannot be written."""
+    """Entry point of the process of `rendering_ahead`; stop if the cache cannot be written."""
     scene, mask, cache_folder = next(messages)
     cache, renderer = ImageCache(cache_folder, scene), Renderer(scene, threads=1)
     for state in range(scene.states):
-        if cache.load(mask, state) is None and not cache.save(mask, state, renderer.state(mask, state)):
-            return
+        if cache.load(mask, state) is None:
+            try:
+                cache.save(mask, state, renderer.state(mask, state))
+            except OSError:  # the others would be rendered in vain
+                return

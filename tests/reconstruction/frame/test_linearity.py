@@ -105,7 +105,7 @@ def test_frames_are_corrected_above_the_dark(kind: Any, has_dark: bool) -> None:
         ({"flicker": 2e-3}, 0.05),
     ],
 )
-def test_curve_is_found_whatever_scales_all_pixels_alike(conditions: Any, loss: float) -> None:
+def test_common_scale_does_not_change_curve(conditions: Any, loss: float) -> None:
     found = exposures(loss, **conditions).fit()
     truncated = 2e-4  # a cubic instead of a root
     assert abs(off(found, loss or 1e-12)) < 4 * found.sigma + truncated

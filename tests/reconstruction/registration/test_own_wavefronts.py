@@ -66,7 +66,7 @@ def test_shrunk_values_are_the_best_that_are_proportional(scatter: float) -> Non
     assert left == pytest.approx(scatter**2 / (scatter**2 + 1), rel=0.03, abs=0.01)
 
 
-def test_outliers_are_not_what_is_usual() -> None:
+def test_outliers_do_not_change_scatter() -> None:
     values, variance = np.ones(50), np.full(50, 0.1)
     values[:3], variance[:3] = 100.0, 1e4
     values = shrunk(values, variance)

@@ -1,4 +1,4 @@
-"""What a mask shows of a warp: the displacements left out, what stands for them, and their error bars."""
+"""Displacements that a mask shows: those left out, those that stand for them, and their error bars."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_hidden_displacements_leave_the_edges_of_a_square_still(small_bench: Sma
     assert np.abs([along_x, along_y]).max() < 0.25 * np.linalg.norm(inside, axis=1).min()
 
 
-def test_parameters_are_those_of_what_looks_alike(small_bench: SmallBench) -> None:
+def test_similar_displacements_share_parameters(small_bench: SmallBench) -> None:
     """Any displacement of the modelled image, hidden or not, is found as the smoothest one that looks like it."""
     method, reference = registration(small_bench, "quadratic"), small_bench.subimages()
     model = LensletImage(small_bench.sensor, FIELD, small_bench.source, width=reference.width, pupil_samples=12)
