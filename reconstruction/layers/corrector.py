@@ -57,7 +57,7 @@ class Corrector:
         return np.asarray((along_y[:, None] * along_x).reshape(side**2, *x.shape))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Correction:
     """Best command of a corrector at one ratio, and what it leaves."""
 
@@ -129,10 +129,10 @@ def best_correction(
     phase = np.where(known, left / np.sqrt(np.where(known, share, 1.0)), 0.0)
     is_known = lenslets.ravel() > 0
     return Correction(
-        corrector,
-        ratio,
-        half_width_m,
-        -fitted,
-        np.where(is_known, np.sqrt(np.sum(left**2, axis=(1, 2))), np.nan),
-        np.where(is_known, np.abs(np.sum(np.exp(1j * phase) * share, axis=(1, 2))) ** 2, np.nan),
+        corrector=corrector,
+        ratio=ratio,
+        half_width_m=half_width_m,
+        command=-fitted,
+        residual_rad=np.where(is_known, np.sqrt(np.sum(left**2, axis=(1, 2))), np.nan),
+        strehl=np.where(is_known, np.abs(np.sum(np.exp(1j * phase) * share, axis=(1, 2))) ** 2, np.nan),
     )
