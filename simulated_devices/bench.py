@@ -6,6 +6,7 @@ import dataclasses
 import math
 import threading
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,7 +50,7 @@ class Condition:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Exposed:
+class ReceivedLight:
     """Light that the camera received during an exposure."""
 
     parts: tuple[tuple[NDArray[np.float32], np.float32], ...]  # irradiances (row, column), m^2, and their doses, m^-2
@@ -64,7 +65,7 @@ class Exposed:
             photons += image * dose
         return photons
 
-    def is_same_light(self, other: Exposed) -> bool:
+    def is_same_light(self, other: ReceivedLight) -> bool:
         """True if the other exposure received exactly the same light."""
         return len(self.parts) == len(other.parts) and all(
             image is other_image and dose == other_dose
@@ -126,7 +127,7 @@ class SimulatedBench:
             condition = dataclasses.replace(self.condition, **changes)  # type: ignore[arg-type] # fields by name
             self._history.append((self.clock.now(), condition))
 
-    def expose(self, start_s: float, end_s: float) -> Exposed:
+    def expose(self, start_s: float, end_s: float) -> ReceivedLight:
         """Photons on the camera from `start_s` to `end_s`; a change in between counts from its moment."""
         self._load_rendered()
         parts, state = [], None
@@ -134,7 +135,7 @@ class SimulatedBench:
             image, state = self._image(condition, (begin_s + finish_s) / 2)
             current_a = condition.current_a if condition.is_light_on else 0.0
             parts.append((image, np.float32(PHOTONS_PER_S_M2_A * current_a * max(finish_s - begin_s, 0.0))))
-        return Exposed(parts=tuple(parts), state=state)
+        return ReceivedLight(parts=tuple(parts), state=state)
 
     def close(self) -> None:
         """End the rendering ahead; closing twice is allowed."""
@@ -170,10 +171,12 @@ class SimulatedBench:
                 self.renderer.check_rays()
             if reference is None:
                 reference = self.renderer.reference(mask, _part(progress, 0.0, _REFERENCE_SHARE))
-                self._cache.save(mask, "reference", reference)
+                with suppress(OSError):  # then the next start renders it again
+                    self._cache.save(mask, "reference", reference)
             if first is None:
                 first = self.renderer.state(mask, 0, _part(progress, _REFERENCE_SHARE, 1.0))
-                self._cache.save(mask, 0, first)
+                with suppress(OSError):
+                    self._cache.save(mask, 0, first)
             self.references[mask], self._films[mask] = reference, [first]
             self._load_states(mask, self._scene.states)
         if progress is not None:

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interface import Camera, CameraCapabilities, DeviceTimeout, Frame, Range, Region
-from simulated_devices.detector import Detector, Exposure
+from simulated_devices.detector import Detector, ExposureSettings
 from simulated_devices.settings import exposure_range_s
 
 if TYPE_CHECKING:
-    from simulated_devices.bench import Exposed, SimulatedBench
+    from simulated_devices.bench import ReceivedLight, SimulatedBench
     from simulated_devices.settings import Amplifier
 
 _RING_FRAMES = 8
@@ -45,8 +45,8 @@ class _Run:
 class _Shot:
     """Everything on which the pixels of a frame depend."""
 
-    exposed: Exposed
-    exposure: Exposure
+    exposed: ReceivedLight
+    exposure: ExposureSettings
     part: Region
 
     def photons(self) -> NDArray[np.float32]:
@@ -209,7 +209,7 @@ class SimulatedCamera(Camera):
         self._states[index] = exposed.state
         while len(self._states) > _STATES_REMEMBERED:
             self._states.popitem(last=False)
-        exposure = Exposure(
+        exposure = ExposureSettings(
             index=(self._starts << 40) + index,  # each start has its own noise
             exposure_s=run.exposure_s,
             amplifier=self._chosen_amplifier,

@@ -197,7 +197,7 @@ def expose_rows(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Exposure:
+class ExposureSettings:
     """Settings of one frame."""
 
     index: int
@@ -219,7 +219,7 @@ class Detector:
         """End the threads."""
         self._pool.shutdown()
 
-    def counts(self, photons: NDArray[np.float32], exposure: Exposure) -> NDArray[np.uint16]:
+    def counts(self, photons: NDArray[np.float32], exposure: ExposureSettings) -> NDArray[np.uint16]:
         """Counts of one frame, (row, column), from the mean photons on each pixel during the exposure."""
         edges = [len(photons) * part // THREADS for part in range(THREADS + 1)]
         counts = np.empty(photons.shape, np.uint16)
@@ -230,7 +230,9 @@ class Detector:
             job.result()
         return counts
 
-    def begin(self, photons: Callable[[], NDArray[np.float32]], exposure: Exposure) -> Future[NDArray[np.uint16]]:
+    def begin(
+        self, photons: Callable[[], NDArray[np.float32]], exposure: ExposureSettings
+    ) -> Future[NDArray[np.uint16]]:
         """Begin to compute the counts of a frame in one thread; `photons` is called there."""
 
         def work() -> NDArray[np.uint16]:
@@ -242,7 +244,7 @@ class Detector:
         return self._pool.submit(work)
 
     def _expose(
-        self, photons: NDArray[np.float32], exposure: Exposure, start: int, end: int, counts: NDArray[np.uint16]
+        self, photons: NDArray[np.float32], exposure: ExposureSettings, start: int, end: int, counts: NDArray[np.uint16]
     ) -> None:
         """Fill rows start ... end of the counts."""
         settings, is_em = self._settings, exposure.amplifier == "em"
@@ -273,7 +275,7 @@ def compile_ahead() -> None:
 
     def expose() -> None:
         detector = Detector(SimulatedCameraSettings(), seed=0)
-        exposure = Exposure(index=0, exposure_s=1.0, amplifier="normal", em_gain=1.0, readout_speed=1)
+        exposure = ExposureSettings(index=0, exposure_s=1.0, amplifier="normal", em_gain=1.0, readout_speed=1)
         detector.begin(lambda: np.zeros((1, 1), np.float32), exposure).result()
         detector.close()
 

@@ -146,7 +146,7 @@ class Lamp(LightSource):
         """Change nothing."""
 
 
-class Table(Stage):
+class DrawnStage(Stage):
     """A stage without masks to choose from."""
 
     def __init__(self) -> None:
@@ -166,4 +166,4 @@ def exposure_bench(
     """The devices of a scene, then its camera and its lamp under their own types."""
     lamp = Lamp(scene.current_range_a, current_a, is_on=is_on)
     camera = ManyFramesCamera(scene, lamp, exposure_s)
-    return Devices(camera, lamp, Table()), camera, lamp
+    return Devices(camera, lamp, DrawnStage()), camera, lamp

@@ -45,7 +45,7 @@ def test_lamp_keeps_the_contract(check: Callable[[LightSource], None]) -> None:
     check(exposure_bench(SCENE, exposure_s=0.1)[2])
 
 
-class TestTable(StageContract):
+class TestDrawnStage(StageContract):
     @pytest.fixture
     def stage(self) -> Stage:
         return exposure_bench(SCENE, exposure_s=0.1)[0].stage

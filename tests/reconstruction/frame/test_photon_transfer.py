@@ -18,7 +18,7 @@ from app.bench.config import load_bench
 from reconstruction.arrays import Floats, Image
 from reconstruction.frame.noise import CameraNoise, TransferCurve, image_transfer, photon_transfer
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel
-from simulated_devices.detector import Detector, Exposure
+from simulated_devices.detector import Detector, ExposureSettings
 from simulated_devices.settings import SimulatedCameraSettings
 
 ROWS = COLUMNS = 256
@@ -34,7 +34,7 @@ def test_photon_transfer_recovers_noise_of_simulated_camera(em_gain: float, fram
 
     def stack(photons: np.ndarray, first: int) -> np.ndarray:
         exposures = (
-            Exposure(index=i, exposure_s=0.02, amplifier="em", readout_speed=3, em_gain=em_gain)
+            ExposureSettings(index=i, exposure_s=0.02, amplifier="em", readout_speed=3, em_gain=em_gain)
             for i in range(first, first + frames)
         )
         return np.array([detector.counts(photons, exposure) for exposure in exposures], np.float64)
@@ -152,7 +152,7 @@ def test_difference_of_scattered_curves_is_no_difference() -> None:
     assert bent(0.1, scatter=0.005).difference(bent(-0.5), 1) == pytest.approx(0.6, abs=0.1)
 
 
-def test_noise_of_a_single_image_is_that_of_the_camera_despite_stray_light_and_hot_pixels() -> None:
+def test_stray_light_and_hot_pixels_do_not_bias_image_noise() -> None:
     generator = np.random.default_rng(4)
     light = LIGHT * 2000 + 500.0
     image = (generator.poisson(light) + generator.normal(0, 3, light.shape)).astype(np.float32)
