@@ -35,7 +35,7 @@ class Region:
     columns: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Frame:
     """One exposure with its metadata."""
 

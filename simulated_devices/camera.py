@@ -225,7 +225,14 @@ class SimulatedCamera(Camera):
         following = replace(shot, exposure=replace(exposure, index=exposure.index + 1))
         self._expected = following, self._detector.begin(following.photons, following.exposure)
         pixels.setflags(write=False)
-        return Frame(pixels, index, end_s, self._bench.clock.now(), run.exposure_s, run.em_gain)
+        return Frame(
+            pixels=pixels,
+            index=index,
+            camera_time_s=end_s,
+            host_time_s=self._bench.clock.now(),
+            exposure_s=run.exposure_s,
+            em_gain=run.em_gain,
+        )
 
 
 def _rounded(exposure_s: float) -> float:

@@ -114,7 +114,14 @@ class ManyFramesCamera(Camera):
         self._frames = index + 1
         self.exposed_s.append(exposure_s)
         self._time_s += exposure_s
-        return Frame(pixels, index, self._time_s, self._time_s, exposure_s, 1.0)
+        return Frame(
+            pixels=pixels,
+            index=index,
+            camera_time_s=self._time_s,
+            host_time_s=self._time_s,
+            exposure_s=exposure_s,
+            em_gain=1.0,
+        )
 
 
 class Lamp(LightSource):

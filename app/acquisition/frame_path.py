@@ -152,4 +152,11 @@ def read_frame(path: Path, camera: Camera) -> Frame:
     if not (np.isfinite(image).all() and image.min() >= 0 and image.max() <= np.iinfo(np.uint16).max):
         raise InputError(f"{path}: holds values that are no counts from 0 to 65535")
     now_s = time.perf_counter()
-    return Frame(np.rint(image).astype(np.uint16), 0, now_s, now_s, camera.exposure_s, camera.em_gain)
+    return Frame(
+        pixels=np.rint(image).astype(np.uint16),
+        index=0,
+        camera_time_s=now_s,
+        host_time_s=now_s,
+        exposure_s=camera.exposure_s,
+        em_gain=camera.em_gain,
+    )

@@ -171,7 +171,14 @@ class RecordedCamera(Camera):
     def _show(self, average: Average) -> Frame:
         pixels = self._averaged(average, self.capabilities.full_scale).pixels(self._count)
         index, due_s = self._advance(average.exposure_s, lost=0)
-        return Frame(pixels, index, due_s, self._now(), average.exposure_s, average.em_gain)
+        return Frame(
+            pixels=pixels,
+            index=index,
+            camera_time_s=due_s,
+            host_time_s=self._now(),
+            exposure_s=average.exposure_s,
+            em_gain=average.em_gain,
+        )
 
     def _advance(self, gap_s: float, *, lost: int) -> tuple[int, float]:
         """Schedule the next frame after a gap and some lost frames; return index and time of the present one."""

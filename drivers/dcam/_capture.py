@@ -183,7 +183,15 @@ class Capture:
         self._count_lost(number, copied.framestamp)
         index = number + self._lost
         camera_time_s = copied.timestamp.sec + 1e-6 * copied.timestamp.microsec  # 0 without time stamps
-        return Frame(pixels, index, camera_time_s or host_time_s, host_time_s, *self._in_force.of_frame(index))
+        exposure_s, em_gain = self._in_force.of_frame(index)
+        return Frame(
+            pixels=pixels,
+            index=index,
+            camera_time_s=camera_time_s or host_time_s,
+            host_time_s=host_time_s,
+            exposure_s=exposure_s,
+            em_gain=em_gain,
+        )
 
     def _count_lost(self, number: int, stamp: int) -> None:
         """Count the frames that the camera took but the library never received."""

@@ -262,4 +262,12 @@ class MicroManagerCamera(Camera):
             raise FrameLost(f"a frame of {pixels.shape} pixels came, unlike the region")
         pixels = pixels.astype(np.uint16, copy=False)
         pixels.setflags(write=False)
-        return Frame(pixels, number, camera_time_s, host_time_s, *self._in_force.of_frame(number))
+        exposure_s, em_gain = self._in_force.of_frame(number)
+        return Frame(
+            pixels=pixels,
+            index=number,
+            camera_time_s=camera_time_s,
+            host_time_s=host_time_s,
+            exposure_s=exposure_s,
+            em_gain=em_gain,
+        )

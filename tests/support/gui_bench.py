@@ -203,7 +203,7 @@ def opener(camera: FakeCamera) -> Callable[[Bench, Callable[[float], None]], Dev
 
 def make_frame(pixels: NDArray[np.uint16], *, index: int = 0) -> Frame:
     now_s = time.perf_counter()
-    return Frame(pixels, index, now_s, now_s, 0.02, 1.0)
+    return Frame(pixels=pixels, index=index, camera_time_s=now_s, host_time_s=now_s, exposure_s=0.02, em_gain=1.0)
 
 
 def make_measurement(

@@ -27,7 +27,14 @@ FACTS = {"command": "live", "bench": "", "devices": {"camera": {"name": "none"}}
 
 def make_frame(index: int, shape: tuple[int, int] = SHAPE) -> Frame:
     pixels = RANDOM.integers(0, 65536, shape).astype(np.uint16)
-    return Frame(pixels, index, 100 + index / 70, 200 + index / 70, 0.0139, 8.0)
+    return Frame(
+        pixels=pixels,
+        index=index,
+        camera_time_s=100 + index / 70,
+        host_time_s=200 + index / 70,
+        exposure_s=0.0139,
+        em_gain=8.0,
+    )
 
 
 def make_record(index: int, calibration: Calibration | None = None, **changes: Any) -> Record:

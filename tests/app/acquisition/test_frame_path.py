@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,7 +14,7 @@ from app.measurement.measurement import Measurement
 from app.timing import Timings
 from drivers.interface import DeviceTimeout, Frame
 
-EXPOSED = np.zeros((2, 2), np.uint16)
+_frame = partial(Frame, pixels=np.zeros((2, 2), np.uint16), em_gain=1.0)
 
 
 @pytest.mark.parametrize("drift", [-50e-6, 0.0, 50e-6, 200e-6])
@@ -24,8 +25,8 @@ def test_exposure_end_follows_a_drifting_clock(drift: float) -> None:
     for index in range(7200):
         end_s = 100.0 + index
         arrived_s = end_s + rng.uniform(0.01, 0.03)
-        path._count(Frame(EXPOSED, index, (1 - drift) * index, arrived_s, 0.1, 1.0))
-    frame = Frame(EXPOSED, 7200, (1 - drift) * 7200, 7300.02, 0.1, 1.0)
+        path._count(_frame(index=index, camera_time_s=(1 - drift) * index, host_time_s=arrived_s, exposure_s=0.1))
+    frame = _frame(index=7200, camera_time_s=(1 - drift) * 7200, host_time_s=7300.02, exposure_s=0.1)
     measured = path._completed(Measurement(frame, None, ""), None)
     # The fastest transfer, 10 ms, counts as none.
     assert measured.exposure_end_s == pytest.approx(100.0 + 7200 + 0.01, abs=0.011)
@@ -34,7 +35,7 @@ def test_exposure_end_follows_a_drifting_clock(drift: float) -> None:
 def test_lost_frames_are_counted_and_noted_with_the_next() -> None:
     path, made = FramePath((), Timings(), lambda _: False), list[Measurement]()
     for index in (0, 1, 4, 5, 2):  # the camera was restarted before the last
-        frame = Frame(EXPOSED, index, float(index), 100.0 + index, 0.1, 1.0)
+        frame = _frame(index=index, camera_time_s=float(index), host_time_s=100.0 + index, exposure_s=0.1)
         path._count(frame)
         made.append(path._completed(Measurement(frame, None, ""), None))
     assert [each.lost for each in made] == [0, 0, 2, 0, 2]
@@ -46,7 +47,7 @@ def test_gap_before_a_restart_is_the_time_without_exposure() -> None:
     """The frame that arrives 3 s after the one before was itself exposed for 0.5 s."""
     path = FramePath((), Timings(), lambda _: False)
     for index, arrived_s in ((0, 100.0), (1, 101.0), (0, 104.0)):
-        frame = Frame(EXPOSED, index, arrived_s, arrived_s, 0.5, 1.0)
+        frame = _frame(index=index, camera_time_s=arrived_s, host_time_s=arrived_s, exposure_s=0.5)
         path._count(frame)
     gap = path._completed(Measurement(frame, None, ""), None).gap
     assert gap is not None
@@ -61,7 +62,10 @@ def test_newest_frame_is_taken_if_the_next_is_old(
     monkeypatch: pytest.MonkeyPatch, age_s: float, exposure_s: float, taken: int
 ) -> None:
     monkeypatch.setattr("app.acquisition.frame_path.time", SimpleNamespace(perf_counter=lambda: 200.0))
-    waiting = [Frame(EXPOSED, index, float(index), 200.0 - age_s, exposure_s, 1.0) for index in range(3)]
+    waiting = [
+        _frame(index=index, camera_time_s=float(index), host_time_s=200.0 - age_s, exposure_s=exposure_s)
+        for index in range(3)
+    ]
     skipped = list[Measurement]()
 
     def read(_timeout_s: float) -> Frame:
@@ -83,5 +87,7 @@ def test_single_frame_before_the_first_of_the_camera_has_a_latency(monkeypatch: 
     made, timings = list[Measurement](), Timings()
     instrument: Any = SimpleNamespace(measure=lambda frame: Measurement(frame, None, ""))
     path = FramePath((made.append,), timings, lambda _: False)
-    path.process_single(Frame(EXPOSED, 0, 7.0, 199.5, 0.1, 1.0), instrument, None, "dark.tif")
+    path.process_single(
+        _frame(index=0, camera_time_s=7.0, host_time_s=199.5, exposure_s=0.1), instrument, None, "dark.tif"
+    )
     assert made[0].latency_s == timings.summary()["to_result"].max_s == pytest.approx(0.5)

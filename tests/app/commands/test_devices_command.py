@@ -177,7 +177,14 @@ def test_trace_notes_last_calls_and_answers() -> None:
             return exposure_s
 
         def read(self, _: float) -> Frame:
-            return Frame(np.arange(6, dtype=np.uint16).reshape(2, 3), 7, 0.0, 0.0, 0.5, 1.0)
+            return Frame(
+                pixels=np.arange(6, dtype=np.uint16).reshape(2, 3),
+                index=7,
+                camera_time_s=0.0,
+                host_time_s=0.0,
+                exposure_s=0.5,
+                em_gain=1.0,
+            )
 
         def properties(self) -> dict[str, Property]:
             return {"name": "device"}

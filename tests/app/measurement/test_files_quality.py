@@ -78,7 +78,11 @@ def test_reference_itself_as_frame_is_flagged(form: type[np.number[Any]]) -> Non
 def test_image_is_judged_alike_in_a_measurement() -> None:
     reference = exposed(light()[0], 1)
     estimator = Estimator(Calibration.of_images(load_bench("small_demo", SQUARE), reference, dark=dark()))
-    made = estimator.measure(Frame(reference, 0, 0.0, 0.0, 0.0, 1.0), estimator.solve, Timings(1))
+    made = estimator.measure(
+        Frame(pixels=reference, index=0, camera_time_s=0.0, host_time_s=0.0, exposure_s=0.0, em_gain=1.0),
+        estimator.solve,
+        Timings(1),
+    )
     assert made.quality.faults == Fault.FROZEN, made.problem
 
 

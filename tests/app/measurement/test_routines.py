@@ -354,7 +354,9 @@ class Played:
     stop = start
 
     def read(self, _timeout_s: float) -> Frame:
-        return Frame(next(self._frames), 0, 0.0, 0.0, 0.1, 1.0)
+        return Frame(
+            pixels=next(self._frames), index=0, camera_time_s=0.0, host_time_s=0.0, exposure_s=0.1, em_gain=1.0
+        )
 
 
 @pytest.mark.parametrize("frames", [1, 2, 50])

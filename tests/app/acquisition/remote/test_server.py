@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -247,9 +248,7 @@ def test_larger_frames_get_a_larger_ring(server: Server) -> None:
         assert before is not None
         assert connection.status is not None
         assert found.frame.pixels.nbytes < before._stride
-        server._publish(
-            Measurement(found.frame.__class__(np.zeros((900, 900), np.uint16), 7, 0.0, 0.0, 0.1, 1.0), None, "large"),
-            is_shown_only=True,
-        )
+        larger = replace(found.frame, pixels=np.zeros((900, 900), np.uint16))
+        server._publish(Measurement(larger, None, "large"), is_shown_only=True)
         wait_until(lambda: server._ring is not before)
         newest(connection)  # goes on in the new one
