@@ -20,7 +20,10 @@ from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
 CameraState = Literal["stopped", "running", "lost", "closed"]
 Mode = TypeVar("Mode", int, str)
 
+INTERNAL = "internal"  # the trigger of a camera that runs freely
 NOT_STARTED = "the camera must be started before a frame can be read"
+CLOSING = "the camera is being closed"
+NO_FRAME = "no frame came in time"
 STOPPED = "the camera has stopped taking frames on its own; start it again"
 NO_MEMORY = "the computer lacks memory for the frames: lower camera.ring_frames"
 
@@ -85,7 +88,7 @@ class CameraCapabilities:
     amplifiers: tuple[str, ...] = ("normal",)
     readout_speeds: tuple[int, ...] = (1,)  # slowest first
     binnings: tuple[int, ...] = (1,)
-    triggers: tuple[str, ...] = ("internal",)
+    triggers: tuple[str, ...] = (INTERNAL,)
     sensor: Region | None = None  # the whole sensor; None if no region can be chosen
     region_step_px: int = 1
 

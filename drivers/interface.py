@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Self
 
-from drivers.camera import Camera, CameraCapabilities, CameraState, Frame, Region
+from drivers.camera import NO_FRAME, Camera, CameraCapabilities, CameraState, Frame, Region
 from drivers.device import Device, Property, Range
 from drivers.errors import (
     REFUSALS,
@@ -26,6 +26,7 @@ from drivers.light_source import LightSource
 from drivers.stage import Stage
 
 __all__ = [
+    "NO_FRAME",
     "REFUSALS",
     "BadValue",
     "Busy",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interface import Camera, CameraCapabilities, DeviceTimeout, Frame, Range, Region
+from drivers.interface import NO_FRAME, Camera, CameraCapabilities, DeviceTimeout, Frame, Range, Region
 from simulated_devices.detector import Detector, ExposureSettings
 from simulated_devices.settings import exposure_range_s
 
@@ -177,7 +177,7 @@ class SimulatedCamera(Camera):
                 self._next_index = index + 1
                 return self._frame(index)
             if now_s >= deadline_s:
-                raise DeviceTimeout("no frame came in time")
+                raise DeviceTimeout(NO_FRAME)
             clock.sleep(max(1e-5, min(self._end_s(self._next_index) - now_s, deadline_s - now_s, _SLICE_S)))
 
     def _close(self) -> None:

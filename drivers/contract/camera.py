@@ -6,7 +6,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from drivers.camera import Camera, Frame, Region
+from drivers.camera import INTERNAL, Camera, Frame, Region
 from drivers.contract import Calls, ContractBroken, calls, check_properties, require, require_all_raise, require_raises
 from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, WrongState
 
@@ -186,8 +186,11 @@ def check_region(camera: Camera) -> None:
         _check_one_frame(camera)
     for bad in (
         Region(0, 0, whole.rows + step_px, whole.columns),
+        Region(0, 0, whole.rows, whole.columns + step_px),
         Region(-step_px, 0, rows, columns),
+        Region(0, -step_px, rows, columns),
         Region(0, 0, 0, columns),
+        Region(0, 0, rows, 0),
     ):
         require_raises(BadValue, f"{bad}", camera.set_region, bad)
     camera.set_region(before)
@@ -241,7 +244,7 @@ def calls_of(camera: Camera) -> Calls:
         "set_amplifier": ("normal",),
         "set_readout_speed": (1,),
         "set_binning": (1,),
-        "set_trigger": ("internal",),
+        "set_trigger": (INTERNAL,),
         "set_region": (Region(0, 0, 16, 16),),
     }
     queries = ("capabilities", "exposure_s", "em_gain", *_MODES, "region", "is_running")

@@ -7,7 +7,7 @@ from ctypes import Structure, byref, c_int32
 
 import numpy as np
 
-from drivers.camera import STOPPED, Frame, SettingsInForce
+from drivers.camera import CLOSING, INTERNAL, NO_FRAME, STOPPED, Frame, SettingsInForce
 from drivers.dcam._library import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
 from drivers.dcam._properties import Properties
 from drivers.dcam._property_ids import PRODUCER_NONE, Id
@@ -29,22 +29,22 @@ class Capture:
 
     def __init__(
         self,
-        values: Properties,
+        properties: Properties,
+        *,
         shape: tuple[int, int],
         ring_frames: int,
         in_force: tuple[float, float],
         clock: Callable[[], float],
-        *,
         trigger: str,
     ) -> None:
-        self._library = values.library
-        self._handle = values.handle
-        self._values = values
+        self._library = properties.library
+        self._handle = properties.handle
+        self._properties = properties
         self._shape = shape
         self._ring_frames = ring_frames
         self._clock = clock
         self._is_fired_here = trigger == "software"
-        self._is_exposing = trigger == "internal"  # as far as known
+        self._is_exposing = trigger == INTERNAL  # as far as known
         self._fire_due_s = -math.inf
         self._in_force = SettingsInForce(*in_force)
         self._next = 0  # library's number of the next frame
@@ -52,7 +52,7 @@ class Capture:
         self._last: tuple[int, int] | None = None  # library's and camera's number of the last frame
         self._is_loss_reported = False
         self._is_aborted = False
-        self._has_stamps = self._values.get_or(Id.FRAMESTAMP_PRODUCER, PRODUCER_NONE) != PRODUCER_NONE
+        self._has_stamps = self._properties.get_or(Id.FRAMESTAMP_PRODUCER, PRODUCER_NONE) != PRODUCER_NONE
         self._seen_alive_s = clock()
         self._wait_handle = 0
         self._to_undo: list[Callable[[], None]] = []
@@ -105,9 +105,9 @@ class Capture:
             remaining_s = deadline_s - self._clock()
             if remaining_s <= 0:
                 self._check_alive()
-                raise DeviceTimeout("no frame came in time")
+                raise DeviceTimeout(NO_FRAME)
             self._wait(min(remaining_s, _SLICE_S))
-        raise WrongState("the camera is being closed")
+        raise WrongState(CLOSING)
 
     def _fire(self) -> None:
         """Fire the software trigger; if the camera is not ready, again after its next event or 0.1 s."""
@@ -149,7 +149,7 @@ class Capture:
             self._seen_alive_s = -math.inf
         if now_s - self._seen_alive_s < 0.9 * _SLICE_S:
             return
-        self._values.check_online()
+        self._properties.check_online()
         status = c_int32()
         self._library.call("dcamcap_status", self._handle, byref(status))
         if status.value != _BUSY:

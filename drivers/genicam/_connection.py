@@ -15,7 +15,7 @@ from drivers.errors import Busy, DeviceError, Disconnected, Unsupported, attempt
 from drivers.genicam import GenicamSettings
 from drivers.genicam._library import PACKET_SOCKET_DISABLED, READ_WRITE, SOCKET_BUFFER_FIXED, Aravis, load_aravis
 
-PATIENCE_S: Final = 1.1  # three attempts of Aravis: one lost packet is no disconnection
+TIMEOUT_S: Final = 1.1  # three attempts of Aravis: one lost packet is no disconnection
 _DISCOVERY_S: Final = 2.0  # cameras in the network have one second to answer
 _OPENING_S: Final = 10.0  # loads the camera's XML description, some 100 kB in packets of 500 bytes
 _SIGN_INTERVAL_S: Final = 0.3
@@ -25,7 +25,7 @@ _SAFE_PACKET_BYTES: Final = 1400  # passes through every network
 T = TypeVar("T")
 
 
-class PatientCalls:
+class CallThread:
     """A daemon thread that makes calls in order, so that callers can give up waiting.
 
     Aravis tries for 2.5 s to reach a missing camera, at every register access.
@@ -41,11 +41,11 @@ class PatientCalls:
         self._waiting.put((future, call))
         return future
 
-    def make(self, call: Callable[[], T], patience_s: float) -> T:
+    def make(self, call: Callable[[], T], timeout_s: float) -> T:
         """Make a call and return its result; raise `Disconnected` if that takes too long."""
         future = self.submit(call)
-        if wait((future,), patience_s).not_done and not _comes_now(future):
-            raise Disconnected(f"the camera did not answer for {patience_s:.1f} s: is it connected and on?")
+        if wait((future,), timeout_s).not_done and not _comes_now(future):
+            raise Disconnected(f"the camera did not answer for {timeout_s:.1f} s: is it connected and on?")
         return future.result()
 
     def end(self) -> None:
@@ -72,7 +72,7 @@ class GenicamConnection:
     def __init__(self, aravis: Aravis, device: str, settings: GenicamSettings) -> None:
         self._aravis = aravis
         self._settings = settings
-        self._calls = PatientCalls(f"genicam {device}")
+        self._calls = CallThread(f"genicam {device}")
         self._camera = 0  # created and released in the call thread only, as is the stream
         self._stream = 0
         self.is_gige = False
@@ -89,10 +89,10 @@ class GenicamConnection:
             self.close()
             raise
 
-    def call(self, name: str, *arguments: Any, patience_s: float = PATIENCE_S) -> Any:
+    def call(self, name: str, *arguments: Any, timeout_s: float = TIMEOUT_S) -> Any:
         """Call an Aravis function with the camera as first argument."""
         self._check_control()
-        return self._calls.make(lambda: self._aravis.call(name, self._camera, *arguments), patience_s)
+        return self._calls.make(lambda: self._aravis.call(name, self._camera, *arguments), timeout_s)
 
     def has(self, feature: str) -> bool:
         """True if the feature is implemented and available now."""
@@ -113,7 +113,7 @@ class GenicamConnection:
         if not self.has(feature):
             return ()
         self._check_control()
-        return self._calls.make(lambda: self._aravis.choices(self._camera, feature), PATIENCE_S)
+        return self._calls.make(lambda: self._aravis.choices(self._camera, feature), TIMEOUT_S)
 
     def text(self, feature: str) -> str:
         """Return the value of a feature of any type as text."""
@@ -157,7 +157,7 @@ class GenicamConnection:
 
     def start_stream(self, payload_bytes: int) -> None:
         """Allocate buffers of this size and start the acquisition."""
-        self._calls.make(self._create_stream, PATIENCE_S)
+        self._calls.make(self._create_stream, TIMEOUT_S)
         if self.is_gige:
             self._aravis.set_property(self._stream, "socket-buffer", SOCKET_BUFFER_FIXED)
             self._aravis.set_property(self._stream, "socket-buffer-size", self._settings.socket_buffer_bytes)
@@ -173,9 +173,9 @@ class GenicamConnection:
     def stop_stream(self, exposure_s: float) -> None:
         """Stop the acquisition; the camera may finish the exposure before it answers."""
         self.call("arv_camera_get_integer", b"Width")  # notices a missing camera sooner
-        self.call("arv_camera_stop_acquisition", patience_s=PATIENCE_S + exposure_s)
+        self.call("arv_camera_stop_acquisition", timeout_s=TIMEOUT_S + exposure_s)
         self.is_streaming = False
-        self._calls.make(self._release_stream, PATIENCE_S)
+        self._calls.make(self._release_stream, TIMEOUT_S)
 
     def next_buffer(self, timeout_s: float) -> int:
         """Return the oldest filled buffer, or 0 after the timeout; it must be given back."""
@@ -199,8 +199,8 @@ class GenicamConnection:
         elif self._sign_of_life.done():
             self._sign_of_life.result()  # raises the library's error
             self._sign_of_life = None
-        elif now_s - self._asked_s > PATIENCE_S and not _comes_now(self._sign_of_life):
-            raise Disconnected(f"no frames, and no answer for {PATIENCE_S} s: is the camera connected and on?")
+        elif now_s - self._asked_s > TIMEOUT_S and not _comes_now(self._sign_of_life):
+            raise Disconnected(f"no frames, and no answer for {TIMEOUT_S} s: is the camera connected and on?")
 
     def close(self) -> None:
         """Release the camera, with a short wait for a missing one."""
@@ -213,7 +213,7 @@ class GenicamConnection:
         if not (node := self._aravis.call("arv_device_get_feature", self._handle, feature.encode())):
             raise Unsupported(f"the camera has no feature {feature}")
         self._check_control()
-        return self._calls.make(lambda: self._aravis.call(name, node, *arguments), PATIENCE_S)
+        return self._calls.make(lambda: self._aravis.call(name, node, *arguments), TIMEOUT_S)
 
     def _open(self, device: str) -> None:
         self._camera = self._aravis.call("arv_camera_new", device.encode())
@@ -242,7 +242,7 @@ class GenicamConnection:
             self._aravis.call("arv_camera_gv_set_stream_options", self._camera, PACKET_SOCKET_DISABLED)
         self.call("arv_camera_gv_set_packet_size", self._settings.packet_size or _SAFE_PACKET_BYTES)
         if self._settings.packet_size is None:  # tries larger ones, if the camera sends test packets
-            self.call("arv_camera_gv_auto_packet_size", patience_s=_OPENING_S)
+            self.call("arv_camera_gv_auto_packet_size", timeout_s=_OPENING_S)
 
     def _check_control(self) -> None:
         """Raise `Disconnected` if another program took the camera, or it restarted."""
@@ -264,7 +264,7 @@ def chosen(wanted: str) -> str:
 
 def update_list(aravis: Aravis) -> None:
     """Search for cameras."""
-    calls = PatientCalls("genicam discovery")
+    calls = CallThread("genicam discovery")
     try:
         calls.make(lambda: aravis.call("arv_update_device_list"), _DISCOVERY_S)
     finally:

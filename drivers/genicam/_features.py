@@ -4,7 +4,7 @@ import math
 import re
 from typing import Final
 
-from drivers.camera import Region
+from drivers.camera import INTERNAL, Region
 from drivers.device import Range
 from drivers.errors import BadValue, Unsupported, attempt
 from drivers.genicam._connection import GenicamConnection
@@ -61,34 +61,34 @@ RESETS: Final[dict[str, tuple[str, ...]]] = {
 }
 
 
-def reset(line: GenicamConnection, features: dict[str, tuple[str, ...]]) -> None:
+def reset(connection: GenicamConnection, features: dict[str, tuple[str, ...]]) -> None:
     """Reset features where they are writable; what the camera refuses stays, and shows in its properties."""
     for feature, values in features.items():
-        before = line.optional_text(feature)
-        if before is None or before in values or not line.is_writable(feature):
+        before = connection.optional_text(feature)
+        if before is None or before in values or not connection.is_writable(feature):
             continue
-        choices = attempt(line.choices, feature)  # None if it is no enumeration
+        choices = attempt(connection.choices, feature)  # None if it is no enumeration
         fitting = [value for value in values if choices is None or value in choices]
         if fitting:
-            attempt(line.set_text, feature, fitting[0])
+            attempt(connection.set_text, feature, fitting[0])
 
 
 DIGITISERS: Final = ("AdcBitDepth", "SensorBitDepth", "BslSensorBitDepth", "SensorBits")  # "Bit12", "Bpp12" or "12"
 
 
-def set_digitiser(line: GenicamConnection, wanted_bits: int) -> int | None:
+def set_digitiser(connection: GenicamConnection, wanted_bits: int) -> int | None:
     """Set the digitiser to the smallest depth that suffices, or to its deepest; return the depth, if it is reported.
 
     A leftover depth of 8 bits would leave the others of a deeper pixel format empty.
     """
     for feature in DIGITISERS:
-        choices = attempt(line.choices, feature) or ()
+        choices = attempt(connection.choices, feature) or ()
         depths = {bits: choice for choice in choices if (bits := trailing_number(choice))}
-        if depths and line.is_writable(feature):
+        if depths and connection.is_writable(feature):
             best = depths[min((bits for bits in depths if bits >= wanted_bits), default=max(depths))]
-            if line.optional_text(feature) != best:
-                attempt(line.set_text, feature, best)
-        if bits := trailing_number(line.optional_text(feature) or ""):
+            if connection.optional_text(feature) != best:
+                attempt(connection.set_text, feature, best)
+        if bits := trailing_number(connection.optional_text(feature) or ""):
             return bits
     return None
 
@@ -105,78 +105,77 @@ _IN_MICROSECONDS: Final = ("ExposureTime", "ExposureTimeAbs")
 class ExposureTime:
     """Exposure time through Aravis, which knows the models, or through an integer feature, which it refuses."""
 
-    def __init__(self, line: GenicamConnection) -> None:
-        self._line = line
+    def __init__(self, connection: GenicamConnection) -> None:
+        self._connection = connection
         self._integer = ""
-        if attempt(line.outputs, "arv_camera_get_exposure_time_bounds") is None:
-            self._integer = next(filter(line.has, _IN_MICROSECONDS), "")
+        if attempt(connection.outputs, "arv_camera_get_exposure_time_bounds") is None:
+            self._integer = next(filter(connection.has, _IN_MICROSECONDS), "")
             if not self._integer:
                 raise Unsupported(f"the camera offers no exposure time: neither {' nor '.join(_IN_MICROSECONDS)}")
 
     def range_s(self) -> Range:
         """Return the allowed exposures."""
         if self._integer:
-            shortest_us, longest_us, _ = map(float, self._line.integer_bounds(self._integer))
+            shortest_us, longest_us, _ = map(float, self._connection.integer_bounds(self._integer))
         else:
-            shortest_us, longest_us = self._line.outputs("arv_camera_get_exposure_time_bounds")
+            shortest_us, longest_us = self._connection.outputs("arv_camera_get_exposure_time_bounds")
         return Range(shortest_us / 1e6, longest_us / 1e6)
 
     def read_s(self) -> float:
         """Return the exposure in force."""
         if self._integer:
-            return self._line.integer(self._integer) / 1e6
-        return float(self._line.call("arv_camera_get_exposure_time")) / 1e6
+            return self._connection.integer(self._integer) / 1e6
+        return float(self._connection.call("arv_camera_get_exposure_time")) / 1e6
 
     def set_s(self, exposure_s: float) -> None:
         """Change the exposure."""
         allowed = self.range_s()
         exposure_us = min(max(round(exposure_s * 1e6, 3), allowed.minimum * 1e6), allowed.maximum * 1e6)
         if self._integer:
-            self._line.set_text(self._integer, str(round(exposure_us)))
+            self._connection.set_text(self._integer, str(round(exposure_us)))
         else:
-            self._line.call("arv_camera_set_exposure_time", exposure_us)
+            self._connection.call("arv_camera_set_exposure_time", exposure_us)
 
 
-INTERNAL: Final = "internal"
 _OF_FRAMES: Final = ("FrameStart", "FrameBurstStart", "AcquisitionStart", "ExposureStart")  # the first offered is used
 
 
-def sources(line: GenicamConnection) -> tuple[str, ...]:
+def sources(connection: GenicamConnection) -> tuple[str, ...]:
     """Return what can start an exposure."""
-    return (INTERNAL, *(source for source in line.choices("TriggerSource") if source != "Software"))
+    return (INTERNAL, *(source for source in connection.choices("TriggerSource") if source != "Software"))
 
 
-def trigger(line: GenicamConnection) -> str:
+def trigger(connection: GenicamConnection) -> str:
     """Return what starts an exposure now."""
-    return line.text("TriggerSource") if line.optional_text("TriggerMode") == "On" else INTERNAL
+    return connection.text("TriggerSource") if connection.optional_text("TriggerMode") == "On" else INTERNAL
 
 
-def set_trigger(line: GenicamConnection, source: str) -> None:
+def set_trigger(connection: GenicamConnection, source: str) -> None:
     """Switch off all triggers, and on the one of frames unless they start by themselves.
 
     Aravis has such a function, too, but that fails if `TriggerSelector` is read-only, as on older Blackfly and Flea3.
     """
-    selectors = line.choices("TriggerSelector") if line.is_writable("TriggerSelector") else ()
+    selectors = connection.choices("TriggerSelector") if connection.is_writable("TriggerSelector") else ()
     for selector in selectors:
-        line.set_text("TriggerSelector", selector)
-        _switch(line, "Off")
+        connection.set_text("TriggerSelector", selector)
+        _switch(connection, "Off")
     if not selectors:
-        _switch(line, "Off")
+        _switch(connection, "Off")
     if source == INTERNAL:
         return
     if selectors:
         if not (fitting := [selector for selector in _OF_FRAMES if selector in selectors]):
             raise Unsupported(f"the camera has no trigger for frames, only for {', '.join(selectors)}")
-        line.set_text("TriggerSelector", fitting[0])
-    line.set_text("TriggerSource", source)  # some lock it once the trigger is on
-    if "RisingEdge" in line.choices("TriggerActivation"):
-        line.set_text("TriggerActivation", "RisingEdge")
-    _switch(line, "On")
+        connection.set_text("TriggerSelector", fitting[0])
+    connection.set_text("TriggerSource", source)  # some lock it once the trigger is on
+    if "RisingEdge" in connection.choices("TriggerActivation"):
+        connection.set_text("TriggerActivation", "RisingEdge")
+    _switch(connection, "On")
 
 
-def _switch(line: GenicamConnection, mode: str) -> None:
-    if line.optional_text("TriggerMode") not in {None, mode}:
-        line.set_text("TriggerMode", mode)
+def _switch(connection: GenicamConnection, mode: str) -> None:
+    if connection.optional_text("TriggerMode") not in {None, mode}:
+        connection.set_text("TriggerMode", mode)
 
 
 _LARGEST_BINNING: Final = 64
@@ -189,16 +188,16 @@ class Geometry:
     Regions are in pixels of the sensor, region features in binned pixels.
     """
 
-    def __init__(self, line: GenicamConnection) -> None:
-        self._line = line
-        axes = [axis for axis in _AXES if line.has(axis)]
+    def __init__(self, connection: GenicamConnection) -> None:
+        self._connection = connection
+        axes = [axis for axis in _AXES if connection.has(axis)]
         is_complete = len(axes) == len(_AXES)
-        self._free = [axis for axis in axes if is_complete and line.is_writable(axis) and self._values(axis)]
-        self.has_offsets = line.has("OffsetX") and line.has("OffsetY")
+        self._free = [axis for axis in axes if is_complete and connection.is_writable(axis) and self._values(axis)]
+        self.has_offsets = connection.has("OffsetX") and connection.has("OffsetY")
 
     def binning(self) -> int:
         """Return the binning in force."""
-        down, across = (trailing_number(self._line.optional_text(axis) or "") or 1 for axis in _AXES)
+        down, across = (trailing_number(self._connection.optional_text(axis) or "") or 1 for axis in _AXES)
         if down != across:
             raise Unsupported(f"the camera bins {down} rows and {across} columns: square pixels are needed")
         return down
@@ -213,7 +212,7 @@ class Geometry:
     def set_binning(self, binning: int) -> None:
         """Change the binning of both axes; the camera may change its region."""
         for axis in self._free:
-            self._line.set_text(axis, self._values(axis)[binning])
+            self._connection.set_text(axis, self._values(axis)[binning])
         if (taken := self.binning()) != binning:
             raise Unsupported(f"the camera set a binning of {taken} instead of {binning}")
 
@@ -231,19 +230,19 @@ class Geometry:
     def region(self) -> Region:
         """Return the region in force."""
         binning = self.binning()
-        left, top, columns, rows = (number * binning for number in self._line.region())
+        left, top, columns, rows = (number * binning for number in self._connection.region())
         return Region(top, left, rows, columns)
 
     def set_region(self, region: Region) -> None:
         """Change the region."""
         binning = self.binning()
         rows, columns = region.rows // binning, region.columns // binning
-        fewest_rows, fewest_columns = (self._line.integer_bounds(side)[0] for side in ("Height", "Width"))
+        fewest_rows, fewest_columns = (self._connection.integer_bounds(side)[0] for side in ("Height", "Width"))
         if rows < fewest_rows or columns < fewest_columns:
             raise BadValue(
                 f"the camera reads out at least {fewest_rows * binning} rows and {fewest_columns * binning} columns"
             )
-        self._line.call("arv_camera_set_region", region.left // binning, region.top // binning, columns, rows)
+        self._connection.call("arv_camera_set_region", region.left // binning, region.top // binning, columns, rows)
 
     def nearest(self, region: Region) -> Region:
         """Return the largest region in whole steps within this one."""
@@ -258,23 +257,23 @@ class Geometry:
 
     def _values(self, axis: str) -> dict[int, str]:
         """Binnings of an axis with their text: numbers, or choices such as X2."""
-        choices = attempt(self._line.choices, axis)
+        choices = attempt(self._connection.choices, axis)
         if choices is not None:
             return {number: choice for choice in choices if (number := trailing_number(choice))}
-        low, high, step = self._line.integer_bounds(axis)
+        low, high, step = self._connection.integer_bounds(axis)
         return {number: str(number) for number in range(max(low, 1), min(high, _LARGEST_BINNING) + 1, step)}
 
     def _length(self, side: str, longest: str, sensor: str, binning: int) -> int:
         """Longest side in whole steps; 2064 pixels in steps of 16 give 2048 with a binning of 2."""
-        line = self._line
-        binned, whole = (attempt(line.integer, name) for name in (longest, sensor))
+        connection = self._connection
+        binned, whole = (attempt(connection.integer, name) for name in (longest, sensor))
         most = min(length for length in (binned and binned * binning, whole, math.inf) if length)
         if most == math.inf:  # the limit of the side itself may shrink with the offset
-            most = line.integer_bounds(side)[1] * binning
+            most = connection.integer_bounds(side)[1] * binning
         step = self._step(side) * binning
         return int(most - most % step)
 
     def _step(self, side: str) -> int:
         if side.startswith("Offset") and not self.has_offsets:
             return 1
-        return self._line.integer_bounds(side)[2]
+        return self._connection.integer_bounds(side)[2]

@@ -138,7 +138,7 @@ class Saturation:
 
 
 def copied_pixels(
-    address: int, rows: int, columns: int, row_padding_bytes: int, pixel_format: PixelFormat, byte_order: ByteOrder
+    address: int, *, rows: int, columns: int, row_padding_bytes: int, pixel_format: PixelFormat, byte_order: ByteOrder
 ) -> NDArray[np.uint16]:
     """Return a read-only copy of the pixels at the address, (rows, columns) in counts."""
     if row_padding_bytes:

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera import Camera, CameraCapabilities, Frame, Region, SettingsInForce
+from drivers.camera import INTERNAL, NO_FRAME, Camera, CameraCapabilities, Frame, Region, SettingsInForce
 from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, attempt, undone_if_refused
 from drivers.genicam import GenicamSettings
@@ -52,7 +52,7 @@ class GenicamCamera(Camera):
         self._settings = settings = settings or GenicamSettings()
         self._aravis = load_aravis()
         device = chosen(settings.device)
-        self._line = GenicamConnection(self._aravis, device, settings)
+        self._connection = GenicamConnection(self._aravis, device, settings)
         self._count = frames.FrameCount()
         self._in_force = SettingsInForce(0.0, 1.0)  # of frames that end at some time
         self._incomplete = 0
@@ -60,23 +60,25 @@ class GenicamCamera(Camera):
         self._asked_region: Region | None = None  # may be no multiple of the binning
         try:
             details = ("vendor_name", "model_name", "device_serial_number")
-            self._name = " ".join(filter(None, (self._line.call(f"arv_camera_get_{detail}") for detail in details)))
-            attempt(self._line.call, "arv_camera_execute_command", b"AcquisitionStop")
-            features.reset(self._line, features.RESETS)
-            self._geometry = features.Geometry(self._line)
+            self._name = " ".join(
+                filter(None, (self._connection.call(f"arv_camera_get_{detail}") for detail in details))
+            )
+            attempt(self._connection.call, "arv_camera_execute_command", b"AcquisitionStop")
+            features.reset(self._connection, features.RESETS)
+            self._geometry = features.Geometry(self._connection)
             self._prepare_pixels()
-            self._exposure = features.ExposureTime(self._line)
+            self._exposure = features.ExposureTime(self._connection)
             self._prepare()
         except BaseException:
-            self._line.close()
+            self._connection.close()
             raise
 
     def properties(self) -> dict[str, Property]:
         """All settings in force and further details for the record."""
-        line = self._line
+        connection = self._connection
         details = super().properties()
         with self._access():
-            details["protocol"] = "GigE Vision" if line.is_gige else "USB3 Vision"
+            details["protocol"] = "GigE Vision" if connection.is_gige else "USB3 Vision"
             details["Aravis"] = ".".join(
                 str(self._aravis.call(f"arv_get_{part}_version")) for part in ("major", "minor")
             )
@@ -84,25 +86,25 @@ class GenicamCamera(Camera):
             details["byte_order"] = self._byte_order
             details["full_scale"] = self.capabilities.full_scale
             readings = {"gain": "arv_camera_get_gain", "frame_rate_hz": "arv_camera_get_frame_rate"}
-            if line.is_gige:
+            if connection.is_gige:
                 readings["packet_size"] = "arv_camera_gv_get_packet_size"
-            found: dict[str, Property | None] = {key: attempt(line.call, name) for key, name in readings.items()}
-            found |= {name: line.optional_text(name) for name in _PROPERTIES_AS_TEXT}
-            found |= {name: attempt(line.number, name) for name in _PROPERTIES_AS_NUMBER}
+            found: dict[str, Property | None] = {key: attempt(connection.call, name) for key, name in readings.items()}
+            found |= {name: connection.optional_text(name) for name in _PROPERTIES_AS_TEXT}
+            found |= {name: attempt(connection.number, name) for name in _PROPERTIES_AS_NUMBER}
         details |= {key: value for key, value in found.items() if value is not None}
         return details | {"incomplete_frames": self._incomplete}
 
     def _close(self) -> None:
         try:
-            if self._line.is_streaming and not self._loss:
+            if self._connection.is_streaming and not self._loss:
                 self._stop()
         finally:
-            self._line.close()
+            self._connection.close()
 
     def _prepare_pixels(self) -> None:
         """Set the format of the settings, or the one that suits the digitiser best."""
-        line, settings = self._line, self._settings
-        offered = line.choices("PixelFormat")
+        connection, settings = self._connection, self._settings
+        offered = connection.choices("PixelFormat")
         asked = frames.PIXEL_FORMATS.get(settings.pixel_format)
         deepest = frames.preferred_format(offered, None)
         if deepest is None:
@@ -110,17 +112,17 @@ class GenicamCamera(Camera):
         if asked and asked.name not in offered:
             usable = ", ".join(name for name in frames.PIXEL_FORMATS if name in offered)
             raise BadValue(f"pixel_format = {asked.name} is not one of {usable}, which {self.name} sends")
-        line.set_text("PixelFormat", (asked or deepest).name)  # some digitisers follow it, as of the Basler ace 2
-        digitiser_bits = features.set_digitiser(line, asked.bits if asked else 16)
+        connection.set_text("PixelFormat", (asked or deepest).name)  # some digitisers follow it, as of the Basler ace 2
+        digitiser_bits = features.set_digitiser(connection, asked.bits if asked else 16)
         self._format: frames.PixelFormat = asked or frames.preferred_format(offered, digitiser_bits) or deepest
-        line.set_text("PixelFormat", self._format.name)
+        connection.set_text("PixelFormat", self._format.name)
         self._saturation = frames.Saturation(self._format, digitiser_bits)
-        is_big = line.optional_text("GevSCPSBigEndian") == "true"
+        is_big = connection.optional_text("GevSCPSBigEndian") == "true"
         self._byte_order = settings.byte_order or frames.byte_order_of(self.name, is_reported_big=is_big)
 
     def _prepare(self) -> None:
         """Set the camera to a defined mode."""
-        line, settings = self._line, self._settings
+        connection, settings = self._connection, self._settings
         if settings.binning != 1 or self._read_binning() != 1:
             self.set_binning(settings.binning)
         sensor = self.capabilities.sensor
@@ -132,14 +134,14 @@ class GenicamCamera(Camera):
             attempt(lambda: self._geometry.set_region(self._geometry.sensor()))
         self.set_trigger(settings.trigger)
         if settings.gain is not None:
-            gains = Range(*line.outputs("arv_camera_get_gain_bounds"))
-            line.call("arv_camera_set_gain", gains.check(settings.gain, "gain"))
+            gains = Range(*connection.outputs("arv_camera_get_gain_bounds"))
+            connection.call("arv_camera_set_gain", gains.check(settings.gain, "gain"))
         self._apply(exposure=settings.exposure_s)
 
     def _read_capabilities(self) -> CameraCapabilities:
-        line, geometry, settings = self._line, self._geometry, self._settings
-        _, _, columns, rows = line.region()
-        self._saturation.reported = attempt(line.integer, "PixelDynamicRangeMax")
+        connection, geometry, settings = self._connection, self._geometry, self._settings
+        _, _, columns, rows = connection.region()
+        self._saturation.reported = attempt(connection.integer, "PixelDynamicRangeMax")
         return CameraCapabilities(
             rows=rows,
             columns=columns,
@@ -147,48 +149,48 @@ class GenicamCamera(Camera):
             full_scale=settings.full_scale or self._saturation.counts,
             exposure_range_s=self._exposure.range_s(),
             binnings=geometry.binnings(),
-            triggers=features.sources(line),
+            triggers=features.sources(connection),
             sensor=geometry.sensor() if geometry.has_offsets else None,
             region_step_px=geometry.region_step_px(),
         )
 
     def _pixel_pitch_m(self) -> float | None:
         pitch_m = self._settings.pixel_pitch_m
-        if pitch_m is None and (reported_um := attempt(self._line.number, "SensorPixelWidth")):
+        if pitch_m is None and (reported_um := attempt(self._connection.number, "SensorPixelWidth")):
             pitch_m = reported_um * 1e-6
         return None if pitch_m is None else pitch_m * self._read_binning()
 
     def _is_running(self) -> bool:
-        return self._line.is_streaming
+        return self._connection.is_streaming
 
     def _start(self) -> None:
         allowed = self.capabilities
         expected = self._format.size_bytes(allowed.rows * allowed.columns)
-        payload = self._line.call("arv_camera_get_payload")
+        payload = self._connection.call("arv_camera_get_payload")
         if payload < expected:
             raise Unsupported(f"{self.name} sends {payload} bytes per frame instead of {expected} or more")
         self._count = frames.FrameCount()
         self._in_force = SettingsInForce(self._read_exposure(), 1.0)
-        self._line.start_stream(payload)
+        self._connection.start_stream(payload)
         self._heard_s = time.perf_counter()
 
     def _stop(self) -> None:
-        self._line.stop_stream(self._read_exposure())
+        self._connection.stop_stream(self._read_exposure())
 
     def _read(self, timeout_s: float) -> Frame:
         deadline_s = time.perf_counter() + timeout_s
         while True:
             left_s = max(0.0, deadline_s - time.perf_counter())
-            if buffer := self._line.next_buffer(min(left_s, _SLICE_S)):
+            if buffer := self._connection.next_buffer(min(left_s, _SLICE_S)):
                 self._heard_s = time.perf_counter()
                 try:
                     return self._frame(buffer)
                 finally:
-                    self._line.give_back(buffer)
+                    self._connection.give_back(buffer)
             if time.perf_counter() > self._heard_s + _SLICE_S:
-                self._line.watch()
+                self._connection.watch()
             if left_s <= _SLICE_S:
-                raise DeviceTimeout("no frame came in time")
+                raise DeviceTimeout(NO_FRAME)
 
     def _frame(self, buffer: int) -> Frame:
         """Copy a frame out of its buffer; raise `FrameLost` if packets are missing."""
@@ -203,7 +205,14 @@ class GenicamCamera(Camera):
             self._incomplete += 1
             raise FrameLost(f"a frame arrived incomplete, the {self._incomplete}. so far: packets were lost")
         sent_s = self._aravis.call("arv_buffer_get_system_timestamp", buffer) / 1e9
-        pixels = frames.copied_pixels(address, rows, columns, padding.value, self._format, self._byte_order)
+        pixels = frames.copied_pixels(
+            address,
+            rows=rows,
+            columns=columns,
+            row_padding_bytes=padding.value,
+            pixel_format=self._format,
+            byte_order=self._byte_order,
+        )
         self._observe_saturation(pixels)
         host_time_s = time.perf_counter()
         exposure_s, em_gain = self._in_force.of_frame(sent_s)
@@ -224,7 +233,7 @@ class GenicamCamera(Camera):
             self._cached_capabilities = replace(self.capabilities, full_scale=counts)
 
     def _read_temperature(self) -> float | None:
-        return attempt(self._line.number, "DeviceTemperature")
+        return attempt(self._connection.number, "DeviceTemperature")
 
     def _read_exposure(self) -> float:
         return self._exposure.read_s()
@@ -251,7 +260,7 @@ class GenicamCamera(Camera):
             self._geometry.set_region(self._geometry.nearest(asked))
 
     def _read_trigger(self) -> str:
-        return features.trigger(self._line)
+        return features.trigger(self._connection)
 
     def _set_trigger(self, source: str) -> None:
         before = self._read_trigger()
@@ -259,10 +268,10 @@ class GenicamCamera(Camera):
             self._write_trigger(source)
 
     def _write_trigger(self, source: str) -> None:
-        features.reset(self._line, features.FRAME_RATE)
-        features.set_trigger(self._line, source)
-        if source == features.INTERNAL and self._settings.frame_rate_hz is not None:
-            self._line.call("arv_camera_set_frame_rate", self._settings.frame_rate_hz)
+        features.reset(self._connection, features.FRAME_RATE)
+        features.set_trigger(self._connection, source)
+        if source == INTERNAL and self._settings.frame_rate_hz is not None:
+            self._connection.call("arv_camera_set_frame_rate", self._settings.frame_rate_hz)
 
     def _read_region(self) -> Region:
         return self._geometry.region()

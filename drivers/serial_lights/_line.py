@@ -136,8 +136,8 @@ class SerialLine:
 
     def _await(self, pattern: re.Pattern[str], what: str) -> re.Match[str]:
         other = ""
-        for patience_s in (self._dialect.timeout_s - _GRACE_S, _GRACE_S):
-            until = self._clock() + patience_s
+        for wait_s in (self._dialect.timeout_s - _GRACE_S, _GRACE_S):
+            until = self._clock() + wait_s
             while (line := self._read_line(until)) is not None:
                 if line and (match := pattern.fullmatch(line)):
                     return match

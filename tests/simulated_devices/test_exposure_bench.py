@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from support.light_contract import StageContract
+from support.stage_contract import StageContract
 
 from drivers.contract import camera as of_cameras
 from drivers.contract import light as of_lights

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.camera_contract import CameraFaultContract
-from support.light_contract import LightFaultContract, StageContract
+from support.light_contract import LightFaultContract
 from support.simulated_faults import stall
 from support.simulated_scene import CAMERA, STILL, SimulatedCameraFaults, SimulatedLightFaults, open_bench
+from support.stage_contract import StageContract
 
 from drivers.interface import BadValue, DeviceTimeout, Range, Region
 from simulated_devices.bench import PHOTONS_PER_S_M2_A, SimulatedBench, SimulatedLight, SimulatedStage

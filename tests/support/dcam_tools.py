@@ -52,4 +52,4 @@ def library(stand_in: StandIn) -> DcamLibrary:
 
 def open_camera(stand_in: StandIn, **settings: Any) -> DcamCamera:
     """Open the driver over the stand-in, on its clock."""
-    return DcamCamera(DcamSettings(**settings), library(stand_in), stand_in.now)
+    return DcamCamera(DcamSettings(**settings), library=library(stand_in), clock=stand_in.now)

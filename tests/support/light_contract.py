@@ -1,7 +1,7 @@
-"""Contract tests for every light and stage, simulated or real over its stand-in.
+"""Contract tests for every light, simulated or real over its stand-in.
 
 Subclass and supply the fixtures: `light`, open and off; `reopen`, which opens the same one again; and `faults` for the
-fault contract; or `stage`. `drivers/contract/` holds the checks of lights.
+fault contract. `drivers/contract/` holds the checks of lights.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ from typing import Protocol
 
 import pytest
 
-from drivers.contract import calls, check_properties, require, require_all_raise, require_raises
 from drivers.contract import light as light_contract
 from drivers.contract.light import LIGHT_CHECKS
-from drivers.interface import BadValue, DeviceError, Disconnected, LightSource, Stage, WrongState
+from drivers.interface import DeviceError, Disconnected, LightSource
 from support.light_log import LightLog
 from support.patience import own_time
 from support.timed_faults import AT_ONCE_S, after_pause, expect_within, repeat
@@ -162,34 +161,3 @@ class LightFaultContract(LightContract):
         assert faults.log.is_lit
         assert faults.log.lightings == 1
         assert light.current_a == before_a
-
-
-def check_masks(stage: Stage) -> None:
-    """It accepts every mask that it offers, and no other."""
-    check_properties(stage)
-    require(stage.mask in stage.masks, f"its mask {stage.mask} is none of {stage.masks}")
-    before = stage.mask
-    for mask in (*stage.masks, before):
-        stage.set_mask(mask)
-        require(stage.mask == mask, f"the mask is not {mask}")
-    require_raises(BadValue, "an unknown mask", lambda: stage.set_mask("no such mask"))
-    require(stage.mask == before, "a refused mask changed the one in use")
-
-
-def check_sample(stage: Stage) -> None:
-    """It moves the sample in and out."""
-    for sample_in in (True, False, True, False):
-        stage.set_sample_in(sample_in)
-        require(stage.is_sample_in is sample_in, f"the sample is not {'in' if sample_in else 'out'}")
-
-
-class StageContract:
-    @pytest.mark.parametrize("check", [check_masks, check_sample])
-    def test_stage_keeps_the_contract(self, stage: Stage, check: Callable[[Stage], None]) -> None:
-        check(stage)
-
-    def test_closes_and_refuses_further_calls(self, stage: Stage) -> None:
-        stage.close()
-        stage.close()
-        commands = {"set_mask": ("square",), "set_sample_in": (True,), "properties": ()}
-        require_all_raise(WrongState, calls(stage, ("masks", "mask", "is_sample_in"), commands))

@@ -67,7 +67,7 @@ class DemoCamera:
         core.is_unplugged = self.faulty.is_unplugged
         self.faulty = core
         values = {"adapter": "DemoCamera", "device": "DCam", "adapter_folder": FOLDER} | settings
-        return MicroManagerCamera(MicroManagerSettings(properties=PROPERTIES | (properties or {}), **values), core)
+        return MicroManagerCamera(MicroManagerSettings(properties=PROPERTIES | (properties or {}), **values), core=core)
 
     def unplug(self) -> None:
         self.faulty.is_unplugged = True

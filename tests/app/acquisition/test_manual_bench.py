@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.gui_bench import BENCH, FakeCamera, opener
-from support.light_contract import StageContract
 from support.manual_bench import MANUAL, Person
 from support.patience import HANG_S
+from support.stage_contract import StageContract
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.start_up import start_up

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 from support.camera_contract import CameraContract, CameraFaultContract, CameraFaults
-from support.light_contract import LightContract, StageContract
+from support.light_contract import LightContract
 from support.recordings import edit_line, record
+from support.stage_contract import StageContract
 
 from app.recording.reader import Recording
 from app.recording.recorded_devices import RecordedCamera, RecordedLight, RecordedStage
@@ -32,7 +33,7 @@ class YieldingClock(ManualClock):
 
 def opened(folder: Path, *, is_lit: bool = True, is_sample_in: bool = True) -> RecordedCamera:
     clock = YieldingClock()
-    camera = RecordedCamera(Recording(folder), range(FRAMES), now=clock.now, sleep=clock.sleep)
+    camera = RecordedCamera(Recording(folder), range(FRAMES), pace="own", repeat=True, now=clock.now, sleep=clock.sleep)
     camera.see(is_lit=is_lit, is_sample_in=is_sample_in)
     return camera
 

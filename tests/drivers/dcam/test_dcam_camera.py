@@ -57,7 +57,7 @@ class TestDcamCamera(CameraFaultContract):
 
     @pytest.fixture
     def reopen(self, stand_in: StandIn) -> Callable[[], DcamCamera]:
-        return lambda: DcamCamera(DcamSettings(), library(stand_in))
+        return lambda: DcamCamera(DcamSettings(), library=library(stand_in))
 
     @pytest.fixture
     def camera(self, reopen: Callable[[], DcamCamera]) -> Iterator[DcamCamera]:
@@ -78,7 +78,7 @@ class TestDcamCameraAtLeisure(CameraContract):
             yield camera
 
 
-class TestDcamCameraTriggeredByWhoReads(CameraContract):
+class TestDcamCameraSoftwareTriggered(CameraContract):
     """With the software trigger, which only the driver fires."""
 
     @pytest.fixture
@@ -238,7 +238,7 @@ def test_region_step_is_common_multiple(stand_in: StandIn, changed: Id) -> None:
 def test_modes_stay_known_while_running(stand_in: StandIn) -> None:
     region = Region(32, 48, 64, 80)
     with open_camera(stand_in, binning=2, region=region, readout_speed=2, trigger="software") as camera:
-        camera._values.set(Id.RECURSIVEFILTER, 2)
+        camera._properties.set(Id.RECURSIVEFILTER, 2)
         warnings = camera.warnings()
         before = camera.properties()
         camera.start()

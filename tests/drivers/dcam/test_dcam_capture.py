@@ -264,7 +264,7 @@ def in_real_time() -> Iterator[StandIn]:
 
 @pytest.fixture
 def long_exposure(in_real_time: StandIn) -> Iterator[DcamCamera]:
-    with DcamCamera(DcamSettings(readout_speed=1, exposure_s=600.0), library(in_real_time)) as camera:
+    with DcamCamera(DcamSettings(readout_speed=1, exposure_s=600.0), library=library(in_real_time)) as camera:
         camera.start()
         yield camera
 

@@ -120,7 +120,9 @@ def test_frames_keep_pace_with_running_clock(speed: float) -> None:
     tally = Tally()
     with (
         dcam_stand_in(speed) as stand_in,
-        DcamCamera(DcamSettings(exposure_s=PERIOD_S, ring_frames=RING, region=REGION), library(stand_in)) as camera,
+        DcamCamera(
+            DcamSettings(exposure_s=PERIOD_S, ring_frames=RING, region=REGION), library=library(stand_in)
+        ) as camera,
     ):
         camera.start()
         while tally.read < 3000:

@@ -136,7 +136,7 @@ def test_every_readable_property_is_reported(camera: DcamCamera) -> None:
 )
 def test_camera_filters_warn(camera: DcamCamera, identifier: Id, value: float, word: str) -> None:
     assert camera.warnings() == ()
-    camera._values.set(identifier, value)
+    camera._properties.set(identifier, value)
     (warning,) = camera.warnings()
     assert word in warning
     assert camera.properties()["warnings"] == warning
@@ -159,7 +159,7 @@ def test_modes_of_an_orca_warn(
     camera: DcamCamera, identifier: Id, harmless: float, value: float, word: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The stand-in has none of them."""
-    values, found = camera._values, harmless
+    values, found = camera._properties, harmless
     get_or = values.get_or
     monkeypatch.setattr(values, "get_or", lambda each, default: found if each == identifier else get_or(each, default))
     assert camera.warnings() == ()

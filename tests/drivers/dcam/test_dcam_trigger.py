@@ -43,8 +43,8 @@ def test_change_before_trigger_holds_for_its_frame(stand_in: StandIn) -> None:
 
 def test_leftover_trigger_settings_are_reset(camera: DcamCamera) -> None:
     """START would wait for a first pulse, several TIMES for several pulses per frame."""
-    camera._values.set(0x00100210, 6)
-    camera._values.set(0x00100240, 3)
+    camera._properties.set(0x00100210, 6)
+    camera._properties.set(0x00100240, 3)
     camera._set_up(camera._settings)
     properties = camera.properties()
     assert (properties["TRIGGER MODE"], properties["TRIGGER TIMES"]) == ("NORMAL", 1)
@@ -73,7 +73,7 @@ def with_property(
     camera: DcamCamera, identifier: Id, value: float, monkeypatch: pytest.MonkeyPatch, *, can_change: bool = True
 ) -> Callable[[], float]:
     """Give the camera a property of an ORCA, which the stand-in lacks; return what reads it."""
-    values, held = camera._values, value
+    values, held = camera._properties, value
     get_or, set_value = values.get_or, values.set
 
     def change(each: int, wanted: float) -> float:

@@ -203,7 +203,7 @@ def test_camera_is_not_asked_for_signs_of_life_while_frames_come(
     """However short the waits for a frame are."""
     camera.start()
     asked, frames, deadline_s = list[None](), [camera.read(HANG_S)], time.monotonic() + HANG_S
-    monkeypatch.setattr(camera._line, "watch", lambda: asked.append(None))
+    monkeypatch.setattr(camera._connection, "watch", lambda: asked.append(None))
     while len(frames) < 30 and time.monotonic() < deadline_s:
         with suppress(DeviceTimeout):
             frames.append(camera.read(0.005))
@@ -517,6 +517,6 @@ def open_when_free() -> GenicamCamera:
 
 def test_library_errors_become_device_errors(camera: GenicamCamera) -> None:
     with pytest.raises(DeviceError, match="the camera refuses the request"):
-        camera._line.integer("NoSuchFeature")
+        camera._connection.integer("NoSuchFeature")
     with pytest.raises(Unsupported):
-        camera._line.call("arv_camera_execute_command", b"Width")  # an integer, no command
+        camera._connection.call("arv_camera_execute_command", b"Width")  # an integer, no command

@@ -17,7 +17,7 @@ from support.patience import HANG_S, wait_until
 from drivers.camera import SettingsInForce
 from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
 from drivers.genicam import GenicamSettings
-from drivers.genicam._connection import PatientCalls
+from drivers.genicam._connection import CallThread
 from drivers.genicam._frames import FrameCount
 from drivers.genicam._library import Aravis, kinds_of_errors, load_aravis, load_library
 from drivers.genicam.camera import discover
@@ -92,7 +92,7 @@ def test_short_exposure_replaces_long_one() -> None:
 
 
 def test_hanging_call_is_given_up() -> None:
-    calls, ending = PatientCalls("test"), threading.Event()
+    calls, ending = CallThread("test"), threading.Event()
     with pytest.raises(Disconnected, match=r"did not answer for 0\.1 s"):
         calls.make(lambda: ending.wait(HANG_S), 0.1)
     with pytest.raises(Disconnected):
@@ -105,7 +105,7 @@ def test_hanging_call_is_given_up() -> None:
 def test_overdue_answer_is_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Both the answer and the timeout fall into a stall of this computer."""
     monkeypatch.setattr("drivers.genicam._connection._GRACE_S", HANG_S)
-    calls, coming = PatientCalls("test"), threading.Timer(0.05, lambda: None)
+    calls, coming = CallThread("test"), threading.Timer(0.05, lambda: None)
     coming.start()
     assert calls.make(coming.join, 0.0) is None
     calls.end()
@@ -115,7 +115,7 @@ def test_call_passes_on_exception() -> None:
     def fails() -> None:
         raise Unsupported("no")
 
-    calls = PatientCalls("test")
+    calls = CallThread("test")
     with pytest.raises(Unsupported, match="no"):
         calls.make(fails, 10)
     assert calls.make(lambda: "goes on", 10) == "goes on"
@@ -123,7 +123,7 @@ def test_call_passes_on_exception() -> None:
 
 
 def test_call_thread_ends() -> None:
-    calls = PatientCalls("test that ends")
+    calls = CallThread("test that ends")
     calls.end()
     wait_until(lambda: not any(thread.name == "test that ends" for thread in threading.enumerate()))
 

@@ -41,7 +41,14 @@ def arrived(
     sent: bytes, shape: tuple[int, int], name: str, order: ByteOrder = "little", padding: int = 0
 ) -> NDArray[np.uint16]:
     memory = ctypes.create_string_buffer(sent, len(sent))
-    pixels = copied_pixels(ctypes.addressof(memory), *shape, padding, PIXEL_FORMATS[name], order)
+    pixels = copied_pixels(
+        ctypes.addressof(memory),
+        rows=shape[0],
+        columns=shape[1],
+        row_padding_bytes=padding,
+        pixel_format=PIXEL_FORMATS[name],
+        byte_order=order,
+    )
     memory.raw = bytes(len(sent))
     assert pixels.dtype == np.uint16
     assert not pixels.flags.writeable

@@ -162,7 +162,7 @@ def test_unread_frames_are_overwritten_and_show_as_gap(faults: DemoCamera) -> No
         camera.read(5.0)
         capacity = faults.faulty.core.getBufferTotalCapacity()
         deadline_s = time.monotonic() + 30.0
-        while (camera._line.newest() or 0) <= 5 * capacity and time.monotonic() < deadline_s:
+        while (camera._loaded.newest() or 0) <= 5 * capacity and time.monotonic() < deadline_s:
             time.sleep(0.01)
         assert camera.read(5.0).index > capacity
 
@@ -174,8 +174,8 @@ def test_buffer_emptied_between_two_calls_is_no_error(faults: DemoCamera, camera
     faults.faulty.getRemainingImageCount = lambda: 1  # type: ignore[method-assign] # as it was just before
     with pytest.raises(IndexError):
         faults.faulty.core.popNextImage()
-    assert camera._line.pop() is None
-    assert camera._line.newest() is None
+    assert camera._loaded.pop() is None
+    assert camera._loaded.newest() is None
 
 
 def test_silent_camera_is_lost_after_exposure_and_two_seconds(faults: DemoCamera) -> None:
@@ -372,9 +372,9 @@ def test_binning_texts(camera: MicroManagerCamera, texts: tuple[str, ...], binni
     def answer(name: str, *_: str) -> tuple[str, ...]:
         return {"getDevicePropertyNames": ("Binning",), "getAllowedPropertyValues": texts}[name]
 
-    camera._line.call = answer  # type: ignore[method-assign] # stands in for the camera
+    camera._loaded.call = answer  # type: ignore[method-assign] # stands in for the camera
     found = camera._find_binnings()
-    del camera._line.call
+    del camera._loaded.call
     assert found == binnings
 
 
