@@ -1,4 +1,4 @@
-"""What window, commands and scripts need of a running instrument, in this process or in another."""
+"""Interface of a running instrument, in this process or in another, to window, commands and scripts."""
 
 from collections.abc import Callable
 from concurrent.futures import Future

@@ -18,7 +18,7 @@ _HOPELESS_FRAMES = 20  # without a wavefront, when the bench is calibrated
 class Course:
     """Steps of one instrument, each of which raises `RunError` or `InputError` if the run cannot go on.
 
-    `progress` is told what they wait for.
+    `progress` receives what they wait for.
     """
 
     def __init__(self, acquisition: Carrier, progress: Progress = lambda *_: None) -> None:
@@ -64,7 +64,7 @@ class Course:
             yield
 
     def is_recorded(self) -> bool:
-        """Return whether the recording is over; True without one."""
+        """True if the recording is over, or there is none."""
         state = self.acquisition.recording
         return state is None or state.is_over
 

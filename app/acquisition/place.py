@@ -1,4 +1,4 @@
-"""Where the clients of an instrument find it: a folder of this user alone, with its address and the key to it."""
+"""Address of a running instrument and the key to it, in a folder of this user alone."""
 
 import json
 import os

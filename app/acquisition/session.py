@@ -19,7 +19,6 @@ from app.acquisition.remote.connection import reach
 from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, knows_sample, start_up, without_sample
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
-from app.bench.device_kinds import RecordingSettings
 from app.errors import RunError
 from app.measurement.averages import FRAMES
 from app.measurement.bench_reconstructor import whole_number
@@ -115,7 +114,7 @@ class LiveBench:
     """The devices of one bench, opened and closed by a `with` block; iterate over it for measurements."""
 
     def __init__(self, bench: Bench, *, average: int = FRAMES, progress: Progress = lambda *_: None) -> None:
-        """Take no dark and reference on entering if `average` is 0; `progress` is told what a method waits for."""
+        """Take no dark and reference on entering if `average` is 0; `progress` receives what a method waits for."""
         self._bench, self._average, self._progress = bench, average, progress
         self._arrived = threading.Condition()
         self._newest: Measurement | None = None
@@ -179,13 +178,13 @@ class LiveBench:
 
     @property
     def warning(self) -> str:
-        """Why wavefronts are missing or doubtful, such as a stale reference; empty when they are good."""
+        """Reason why wavefronts are missing or doubtful, such as a stale reference; empty when they are good."""
         status = self._acquisition.status
         return "" if status is None else status.warning
 
     @property
     def failure(self) -> str:
-        """Why the devices were closed without being asked to; empty if they were not."""
+        """Reason why the devices were closed without a request; empty if they were not."""
         return self._acquisition.failure
 
     @property
@@ -263,7 +262,7 @@ class LiveBench:
         """Measure the camera's nonlinearity without the sample; nothing is changed.
 
         Exposures of `frames` frames each are taken with rising and falling length, twice; `.linearity` of the result is
-        the section `[linearity]` of a bench. `RoutineError` says why it cannot be told.
+        the section `[linearity]` of a bench. `RoutineError` says why it cannot be measured.
         """
         return self._result(self._acquisition.submit(Instrument.measure_linearity, frames))
 
@@ -284,7 +283,7 @@ class LiveBench:
         limit = RecordingLimit(frames=whole_number(frames, "frames"))
         begin = partial(acquisition.start_recording, Path(folder), command=command, limit=limit)
         course = Course(acquisition, self._progress)
-        is_played = isinstance(self._bench.camera, RecordingSettings)  # each of its frames counts
+        is_played = self._bench.is_recording  # each of its frames counts
         if not status.is_running and (is_played or not status.has_finder):
             self._result(begin())
             self._start_camera()
@@ -435,7 +434,7 @@ class ConnectedBench(LiveBench):
         return self._connection.clients
 
     def take_control(self) -> None:
-        """Take control from whoever has it."""
+        """Take control from the client that has it."""
         self._result(self._connection.take_control())
 
     def require_ready(self) -> None:

@@ -115,6 +115,11 @@ class Bench(Checked):
         return isinstance(self.camera, SimulatedCameraSettings)
 
     @property
+    def is_recording(self) -> bool:
+        """True if a recording takes the place of the devices."""
+        return isinstance(self.camera, RecordingSettings)
+
+    @property
     def files(self) -> tuple[Path, ...]:
         """Files and folders that the settings name as inputs, such as a phase screen, a mask image or a recording."""
         played = (Path(self.camera.folder),) if isinstance(self.camera, RecordingSettings) else ()

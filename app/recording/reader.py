@@ -102,7 +102,7 @@ class Recording:
 
     @property
     def ended_early(self) -> str:
-        """Why the recording ended early; empty if it did not."""
+        """Reason why the recording ended early; empty if it did not."""
         return str(self.run.get("ended_early", ""))
 
     @property

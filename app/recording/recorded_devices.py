@@ -36,7 +36,7 @@ _FULL_SCALE = 65535  # without a calibration
 _ROUNDING = 1 / 6  # variance of the difference of two rounded numbers, counts^2
 
 
-def recorded_devices(recording: Recording, frames: range, *, pace: Pace = "own", repeat: bool = True) -> Devices:
+def recorded_devices(recording: Recording, frames: range, *, pace: Pace, repeat: bool) -> Devices:
     """Open the devices that play some frames of a recording while the light is on and the sample in."""
     with ExitStack() as stack:
         camera = stack.enter_context(RecordedCamera(recording, frames, pace=pace, repeat=repeat))
@@ -59,8 +59,8 @@ class RecordedCamera(Camera):
         recording: Recording,
         frames: range,
         *,
-        pace: Pace = "own",
-        repeat: bool = True,
+        pace: Pace,
+        repeat: bool,
         now: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:

@@ -33,7 +33,7 @@ RecordingStage = Literal["recording", "finishing", "finished", "ended early"]
 
 @dataclass(frozen=True, slots=True)
 class RecordingLimit:
-    """When a recording ends by itself: after some frames, or this long after its first; None: not."""
+    """Limits that end a recording: its number of frames, or the time after its first; None: no limit."""
 
     frames: int | None = None
     seconds: float | None = None

@@ -46,7 +46,7 @@ class Player:
     def open_devices(self, _bench: Bench, _progress: Callable[[float], None]) -> Devices:
         """Open the devices, at the first frame."""
         self.position = None
-        devices = recorded_devices(self._recording, self.frames)
+        devices = recorded_devices(self._recording, self.frames, pace="own", repeat=True)
         self._camera = devices.camera if isinstance(devices.camera, RecordedCamera) else None
         self.set_speed(self._speed)
         return devices

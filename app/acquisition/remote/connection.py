@@ -161,12 +161,12 @@ class Connection:
 
     @property
     def error(self) -> Exception | None:
-        """Why the instrument ended, or was lost."""
+        """Reason why the instrument ended, or was lost."""
         return None if self._closing.is_set() else self._ended
 
     @property
     def loss(self) -> str:
-        """Why the instrument ended, or was lost; also after this connection was closed. Empty if it goes on."""
+        """Reason why the instrument ended, or was lost; also after this connection was closed. Empty if it goes on."""
         return str(self._ended or "")
 
     @property
@@ -209,7 +209,7 @@ class Connection:
     free_minutes = _sent(Carrier.free_minutes)
 
     def take_control(self) -> Future[None]:
-        """Take control from whoever has it."""
+        """Take control from the client that has it."""
         return self._send("take_control")
 
     def shut_down(self) -> Future[None]:

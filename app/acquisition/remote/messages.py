@@ -1,4 +1,4 @@
-"""What an instrument and its clients say to each other, and the number of each object that travels by itself."""
+"""Messages between an instrument and its clients, and the number of each object that travels by itself."""
 
 import math
 import threading

@@ -1,7 +1,7 @@
 """The instrument's end: serves frames, state and commands to any number of clients, and waits for none of them.
 
 Frames go into a shared ring, everything else through one ZeroMQ socket, whose messages keep their order. One client has
-control; the others watch. Whoever falls silent loses it; the measurement goes on.
+control; the others watch. A client that falls silent loses it; the measurement goes on.
 """
 
 import inspect
@@ -383,7 +383,7 @@ class Server:
         return Notice("", 0) if (ring := self._ring) is None else Notice(ring.place, ring.count)
 
     def _tell(self, identity: bytes, message: object) -> None:
-        """Send a message; only states, and records of which is told, refer to objects that travel by themselves."""
+        """Send a message; only states and notices refer to objects that travel by themselves."""
         packed = Packed(message, self._travellers.number) if isinstance(message, State) else Packed(message)
         if isinstance(message, State | Notice):
             self._tell_objects(identity)

@@ -46,7 +46,7 @@ class _Allowance:
         self.open_from_s = 0.0  # no new connections before
 
     def spend(self, count: int) -> bool:
-        """Whether so many bytes are allowed; pauses otherwise."""
+        """True if so many bytes are allowed; pauses otherwise."""
         now_s = time.monotonic()
         refilled = self._left + self._times * _BYTES_PER_S * (now_s - self._at_s)
         left = min(refilled, self._times * BURST_BYTES) - count

@@ -196,7 +196,7 @@ def test_dark_and_reference_have_the_recorded_averages(recording: Recording) -> 
     """Reading them does not advance the recording."""
     kept = recording.calibration(0)
     assert kept.dark is not None
-    with recorded_devices(recording, range(FRAMES), pace="fastest") as devices:
+    with recorded_devices(recording, range(FRAMES), pace="fastest", repeat=True) as devices:
         assert not devices.light.is_on
         assert not devices.stage.is_sample_in
         taken = {"dark": take_dark(devices, kept.dark.frames, UNWATCHED)}
