@@ -53,6 +53,5 @@ for command in (live, measure, serve, recover, replay, batch):
     cli.command(cls=OnceCommand)(command)
 for name, (_, sentence) in ANALYSES.items():
     cli.command(name, cls=AnalysisCommand, help=sentence)(lambda: None)
-for other in (calibrate, simulate, mask, devices, light_off, desktop, selftest, study, benchmark, reconstruct):
+for other in (calibrate, simulate, mask, devices, light_off, desktop, selftest, study, paper, benchmark, reconstruct):
     cli.command(cls=OnceCommand)(other)
-cli.add_typer(paper, name="paper")

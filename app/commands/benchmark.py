@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from app.bench.presets import DEFAULT
+from app.bench.presets import DEFAULT, PAPER
 from app.commands import options, terminal
 from app.errors import InputError, RunError
 from app.progress import Progress, between, named
@@ -80,7 +80,7 @@ def benchmark(
     else:
         from app.evaluation.benchmark import load_baseline, run_benchmark, worsened
 
-        loaded = options.load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"])
+        loaded = options.load(PAPER, ["simulation.screen.correlation_length_m=1.6e-3"])
         with terminal.progress_bar() as progress:
             numbers = run_benchmark(loaded, progress)
         print_benchmark(numbers)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from app.bench.presets import PAPER
 from app.commands import options, terminal
 from app.errors import InputError
 from app.files import require_suffix
@@ -24,7 +25,7 @@ def mask(
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="File to write: SVG, DXF, GDS (GDSII) or PNG.")],
-    bench: options.Bench = "paper_simulation",
+    bench: options.Bench = PAPER,
     setting: options.Set = None,
     overwrite: options.Overwrite = False,
 ) -> None:

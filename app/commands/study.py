@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from app.bench.presets import PAPER
 from app.commands import options, terminal
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def study(
             metavar="DIR", help="With calibration: add the *_reference.tif in DIR, taken with its bench.toml."
         ),
     ] = None,
-    bench: options.Bench = "paper_simulation",
+    bench: options.Bench = PAPER,
     workers: options.Workers = None,
     scheduler: options.Scheduler = None,
     dashboard: options.Dashboard = False,
