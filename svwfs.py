@@ -109,6 +109,8 @@ def psf(wavefront: Wavefront, x_m: float, y_m: float) -> xr.DataArray:
 
     Parameters
     ----------
+    wavefront
+        A reconstructed wavefront.
     x_m, y_m
         Field position, m.
 
@@ -145,6 +147,11 @@ def psf(wavefront: Wavefront, x_m: float, y_m: float) -> xr.DataArray:
 def to_dataset(wavefront: Wavefront) -> xr.Dataset:
     """Turn a wavefront into a dataset with names and units (docs/results.md).
 
+    Parameters
+    ----------
+    wavefront
+        A reconstructed wavefront.
+
     Returns
     -------
     xarray.Dataset
@@ -169,6 +176,8 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     ----------
     path
         The file, ending in .nc; it appears under its name only when it is complete.
+    wavefront
+        A reconstructed wavefront.
     bench
         The bench it was reconstructed with; `reconstructor.bench` includes the lattice.
 
