@@ -46,35 +46,35 @@ def check_and_print(name: str, bench: Bench | None = None, *, serial_numbers: bo
     published: serial numbers are hidden unless asked for.
     """
     section, settings = _connected(name) if bench is None else (name, _configured(bench, name))
-    report = _Report(settings, is_open=serial_numbers)
-    report.print_versions()
+    log = _CheckLog(settings, is_open=serial_numbers)
+    log.print_versions()
     try:
-        (_check_camera if section == "camera" else _check_light)(settings, report)
+        (_check_camera if section == "camera" else _check_light)(settings, log)
     except DeviceError as error:
-        raise RunError(report.public(str(error))) from error
-    if report.failed:
-        raise RunError(report.public(f"{name} fails {report.failed} of {report.checks} checks"))
-    report.print(f"{name} passes all {report.checks} checks")
+        raise RunError(log.public(str(error))) from error
+    if log.failed:
+        raise RunError(log.public(f"{name} fails {log.failed} of {log.checks} checks"))
+    log.print(f"{name} passes all {log.checks} checks")
 
 
-def _check_camera(settings: Any, report: _Report) -> None:
+def _check_camera(settings: Any, log: _CheckLog) -> None:
     reopen = partial(open_camera, settings)
     start_s = time.perf_counter()
     with reopen() as camera:
-        report.print_device(camera, start_s)
+        log.print_device(camera, start_s)
         for check in camera_contract.CAMERA_CHECKS:
-            report.check(check, camera)
+            log.check(check, camera)
             camera.stop()
-        report.check(camera_contract.check_closes, camera)
+        log.check(camera_contract.check_closes, camera)
     with reopen() as camera:
-        report.check(camera_contract.check_reopens, camera, reopen)
+        log.check(camera_contract.check_reopens, camera, reopen)
 
 
-def _check_light(settings: Any, report: _Report) -> None:
+def _check_light(settings: Any, log: _CheckLog) -> None:
     """Check a light with a small share of its current, after a warning, on a terminal when Enter is pressed."""
     start_s = time.perf_counter()
     with open_light(settings) as light:
-        report.print_device(light, start_s)
+        log.print_device(light, start_s)
         allowed = light.current_range_a
     limit_a = allowed.minimum + _LIGHT_SHARE * (allowed.maximum - allowed.minimum)
     warning = f"the light will shine with up to {limit_a * 1e3:.3g} mA, {_LIGHT_SHARE:.0%} of its range"
@@ -85,14 +85,14 @@ def _check_light(settings: Any, report: _Report) -> None:
     reopen = partial(open_light, dataclasses.replace(settings, current_a=None, limit_a=limit_a))
     with reopen() as light:
         for check in light_contract.LIGHT_CHECKS:
-            report.check(check, light)
+            log.check(check, light)
             light.set_on(False)
-        report.check(light_contract.check_closes, light)
+        log.check(light_contract.check_closes, light)
     with reopen() as light:
-        report.check(light_contract.check_reopens, light, reopen)
+        log.check(light_contract.check_reopens, light, reopen)
 
 
-class _Report:
+class _CheckLog:
     """Checks a device and prints a report that can be published."""
 
     def __init__(self, settings: DeviceSettings, *, is_open: bool) -> None:
