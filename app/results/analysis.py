@@ -67,6 +67,8 @@ class Analysis:
     picture_dpi: ClassVar[int] = 150  # 0: it has no picture
     closing: ClassVar[str] = ""  # after the sentences on the terminal, of the file `out`
     reconstructs: bool = True  # frames with their bench
+    frame: int | None = None  # its only frame
+    setting: list[str] | None = None  # changes of the bench
 
     def run(self, source: Path, out: Path, progress: Progress) -> Any:
         """Compute the results and write them; return what was found."""
@@ -97,7 +99,7 @@ class Analysis:
         """Write the results."""
         from app.results.result_file import write_results
 
-        of_frame = {"frame": str(self.frame)} if hasattr(self, "frame") else {}
+        of_frame = {} if self.frame is None else {"frame": str(self.frame)}
         write_results(out, found, bench=bench, inputs={"source": source.name, **of_frame})
 
     def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:  # noqa: ARG002 - for analyses that have them
@@ -106,7 +108,7 @@ class Analysis:
 
     def sources(self, source: Path) -> dict[Path, Iterable[str]]:
         """Return recordings and results that it works on, each with the changed settings of its bench."""
-        return {source: getattr(self, "setting", None) or ()}
+        return {source: self.setting or ()}
 
 
 class RecordingAnalysis(Analysis):

@@ -242,7 +242,7 @@ def field_dataset(
 
 
 def coefficient_maps(found: FieldCoefficients, field: Field, x: Floats, y: Floats) -> xr.Dataset:
-    """Return the coefficients, without the piston, on a grid x (x,), y (y,) over half the width of the field."""
+    """Return the coefficients, without the piston, on a grid x (column,), y (row,) over half the field's width."""
     import xarray as xr
 
     y = y[:, None]
@@ -267,7 +267,7 @@ def coefficient_maps(found: FieldCoefficients, field: Field, x: Floats, y: Float
 
 
 def evenly_spread(positions: int) -> Floats:
-    """Return positions across the field, over half its width."""
+    """Return positions (N,) across the field, over half its width."""
     return np.linspace(-1, 1, positions) if positions > 1 else np.zeros(1)
 
 

@@ -23,9 +23,9 @@ class Report(RecordingAnalysis):
     """Summarise a recording on three pages.
 
     They show conditions, wavefronts, their uncertainty, lost frames and lenslets, and with the modal method the
-    strongest Zernike coefficients over the field. At most 200 frames, evenly
-    spread, are reconstructed again; --set tries another method on them. --beside adds a page with the difference of the
-    mean wavefronts to another recording, view by view, as in the paper's comparison of the square with the stars.
+    strongest Zernike coefficients over the field. At most 200 frames, evenly spread, are reconstructed again; --set
+    tries another method on them. --beside adds a page with the difference of the mean wavefronts to another recording,
+    view by view, as in the paper's comparison of the square with the stars.
 
     Example: svwfs report square --out square.pdf
 
