@@ -16,7 +16,7 @@ from app.errors import InputError
 from app.files import atomic_write, check_readable, in_words
 from reconstruction.arrays import Floats, reading_npy
 
-FORMATS = "TIFF, NPY, FITS, PNG, BMP or PGM"
+IMAGE_FORMATS = "TIFF, NPY, FITS, PNG, BMP or PGM"
 SUFFIXES = frozenset({".tif", ".tiff", ".npy", ".fits", ".fit", ".fts", ".png", ".bmp", ".pgm"})
 MOST_COUNTS = 1e12  # of a pixel; beyond, single precision overflows soon
 _MOST_PIXELS = 2**28  # a small file can claim to hold more than the memory
@@ -39,7 +39,7 @@ def read_image(path: Path) -> NDArray[Any]:
     try:
         image = _read(path)
     except Exception as error:
-        raise InputError(f"{path}: cannot be read as {FORMATS}: {in_words(error)}") from error
+        raise InputError(f"{path}: cannot be read as {IMAGE_FORMATS}: {in_words(error)}") from error
     if np.ndim(image) == 3 and image.shape[2] in {3, 4}:
         if not np.array_equal(image[..., :2], image[..., 1:3], equal_nan=image.dtype.kind == "f"):
             raise InputError(f"{path}: is a colour image; save one of its channels as a grey image")

@@ -140,6 +140,12 @@ class Bench(Checked):
         """Settings of the camera for simulations; a typical EMCCD in place of a real one."""
         return self.camera if isinstance(self.camera, SimulatedCameraSettings) else SimulatedCameraSettings()
 
+    @property
+    def frame_shape(self) -> tuple[int, int] | None:
+        """Rows and columns of a frame, px; None if only the camera knows them, or if they are the simulated default."""
+        shape, usual = (self.camera_model.rows, self.camera_model.columns), SimulatedCameraSettings()
+        return None if shape == (usual.rows, usual.columns) else shape
+
     def design_lattice(self, rows: int, columns: int) -> Lattice:
         """The configured lattice, or else the designed one in the middle of a frame of rows x columns pixels."""
         return self.lattice or nominal_lattice(self.sensor, rows, columns)

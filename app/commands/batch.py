@@ -24,7 +24,10 @@ def batch(
     setting: options.Set = None,
     frames: options.Frames = None,
     refine: Annotated[
-        int, typer.Option(min=0, max=100, help="Maximum rounds of refinement of each frame, instead of the recorded.")
+        int,
+        typer.Option(
+            min=0, max=options.MOST_ROUNDS, help="Maximum rounds of refinement of each frame, instead of the recorded."
+        ),
     ] = 0,
     workers: options.Workers = None,
     scheduler: options.Scheduler = None,

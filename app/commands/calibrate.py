@@ -15,7 +15,7 @@ import typer
 from app.commands import options, terminal
 from app.errors import InputError, RunError
 from app.files import write_whole
-from app.images import FORMATS
+from app.images import IMAGE_FORMATS
 from app.progress import Progress
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _NOTEWORTHY = 0.005  # relative deviation of the pitch from the design that is r
 
 
 def calibrate(
-    reference: Annotated[Path | None, typer.Argument(help=f"Frame without the sample: {FORMATS}.")] = None,
+    reference: Annotated[Path | None, typer.Argument(help=f"Frame without the sample: {IMAGE_FORMATS}.")] = None,
     *,
     bench: options.Bench,
     out: Annotated[Path | None, typer.Option(help="Bench TOML file to write, with what was found.")] = None,

@@ -46,6 +46,8 @@ RecordingFolder = analysis.RecordingFolder
 Plot = Annotated[Path | None, typer.Option(help="Picture of the result: PNG, PDF or SVG.")]
 Seeds = Annotated[int, typer.Option(min=1, max=1000, help="Number of screens, starting at the bench's seed.")]
 
+MOST_ROUNDS = 100  # of refinement
+
 Workers = Annotated[
     int | None, typer.Option(min=1, max=1024, help="Number of worker processes on this computer (extra: batch).")
 ]

@@ -10,20 +10,20 @@ import typer
 
 from app.commands import options, terminal
 from app.errors import InputError
-from app.images import FORMATS
+from app.images import IMAGE_FORMATS
 from app.progress import counted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from app.bench.device_kinds import DeviceSettings
+    from app.bench.config import Bench
     from reconstruction.arrays import Floats
     from reconstruction.refinement import Round
     from reconstruction.wavefront import Wavefront
 
 
 def reconstruct(
-    frame: Annotated[Path, typer.Argument(help=f"Frame with the sample: {FORMATS}.")],
+    frame: Annotated[Path, typer.Argument(help=f"Frame with the sample: {IMAGE_FORMATS}.")],
     *,
     reference: Annotated[Path, typer.Option(help="Frame without the sample.")],
     bench: options.Bench,
@@ -31,7 +31,7 @@ def reconstruct(
     dark: Annotated[Path | None, typer.Option(help="Frame with the light off.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture of the views: PNG, PDF or SVG.")] = None,
     refine: Annotated[
-        int, typer.Option(min=0, max=100, help="Maximum rounds of refinement with the forward model.")
+        int, typer.Option(min=0, max=options.MOST_ROUNDS, help="Maximum rounds of refinement with the forward model.")
     ] = 0,
     overwrite: options.Overwrite = False,
     setting: options.Set = None,
@@ -64,7 +64,7 @@ def reconstruct(
             progress("modelling the bench", 0.0)
             wavefront = reconstructor.refined(image, refine, note_round)
         quality = reconstructor.quality(image, wavefront)
-        notes = (reconstructor.mask_sentence(wavefront), _size_note(loaded.camera, image))
+        notes = (reconstructor.mask_sentence(wavefront), _size_note(loaded, image))
     except ReconstructionError as error:
         paths = {"frame": frame, "dark": dark}
         raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
@@ -118,15 +118,12 @@ def _check_scale(image: NDArray[Any], path: Path, other: NDArray[Any], other_pat
         )
 
 
-def _size_note(camera: DeviceSettings, frame: NDArray[Any]) -> str:
-    """Say if a frame has another size than the bench's simulated camera, unless that has the size it has by default."""
-    from simulated_devices.settings import SimulatedCameraSettings
-
-    usual = SimulatedCameraSettings()
-    size = (camera.rows, camera.columns) if isinstance(camera, SimulatedCameraSettings) else frame.shape
-    if size in {frame.shape, (usual.rows, usual.columns)}:
+def _size_note(bench: Bench, frame: NDArray[Any]) -> str:
+    """Say if a frame has another size than the bench sets for its simulated camera."""
+    shape = bench.frame_shape
+    if shape is None or shape == frame.shape:
         return ""
-    return f"the frame has {_size(frame)} pixels, the bench's camera {size[0]} x {size[1]}: is this its bench?"
+    return f"the frame has {_size(frame)} pixels, the bench's camera {shape[0]} x {shape[1]}: is this its bench?"
 
 
 def _size(image: NDArray[Any]) -> str:

@@ -88,13 +88,13 @@ class Measurement:
     index: int = -1  # of the frame in the recording that it was read from; -1: none
 
 
-def sample_sentence(sample: AssumedSample, of: Field) -> str:
+def sample_sentence(sample: AssumedSample, field: Field) -> str:
     """Say what was assumed, as "one layer 195 +- 1 mm in front of the lenslets"."""
-    neglected = ", and no propagation of light (the paper's simulation)" if of.neglect_propagation else ""
+    neglected = ", and no propagation of light (the paper's simulation)" if field.neglect_propagation else ""
     if not sample.ratios:
         return f"any wavefront{neglected}"
     places = [
-        _place(-ratio * of.collimator_focal_length_m, sigma * of.collimator_focal_length_m)
+        _place(-ratio * field.collimator_focal_length_m, sigma * field.collimator_focal_length_m)
         for ratio, sigma in zip(sample.ratios, sample.sigma.tolist(), strict=True)
     ]
     return f"{_COUNTS[len(places)]} {' and '.join(places)}{neglected}"

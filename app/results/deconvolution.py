@@ -19,7 +19,7 @@ from app.bench.bench_files import BenchError, read_bench_text
 from app.bench.config import Bench, as_bench
 from app.errors import InputError
 from app.files import atomic_write, check_readable, in_words
-from app.images import FORMATS, read_image
+from app.images import IMAGE_FORMATS, read_image
 from app.measurement.bench_reconstructor import as_image
 from app.progress import Progress, between, counted
 from app.results.analysis import Analysis, Frames, Set
@@ -56,7 +56,7 @@ class Deconvolution(Analysis):
     picture_dpi: ClassVar = 0
     closing: ClassVar = "; the image is in {out}"
 
-    image: Annotated[Path, typer.Argument(help=f"Image of the sample, grey: {FORMATS}.")]
+    image: Annotated[Path, typer.Argument(help=f"Image of the sample, grey: {IMAGE_FORMATS}.")]
     scale: Annotated[
         float | None, typer.Option(metavar="METRES", help="Size of a pixel in the field; same as imaging.pixel_m.")
     ] = None

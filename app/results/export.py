@@ -13,7 +13,7 @@ from app.results.analysis import Frames, RecordingAnalysis
 
 Format = Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"]
 
-FORMATS: dict[Format, tuple[str, tuple[str, ...]]] = {  # what is written, and the suffixes of its file
+EXPORT_FORMATS: dict[Format, tuple[str, tuple[str, ...]]] = {  # what is written, and the suffixes of its file
     "tiff": ("Frames as TIFF", (".tif", ".tiff")),
     "csv": ("RMS and coefficients as CSV", (".csv",)),
     "netcdf": ("All results as NetCDF", (".nc",)),
@@ -40,7 +40,9 @@ class Export(RecordingAnalysis):
     file_help: ClassVar = "File to write."
     picture_dpi: ClassVar = 0
 
-    to: Annotated[Format, typer.Option(help="; ".join(f"{to}: {what}" for to, (what, _) in FORMATS.items()) + ".")]
+    to: Annotated[
+        Format, typer.Option(help="; ".join(f"{to}: {what}" for to, (what, _) in EXPORT_FORMATS.items()) + ".")
+    ]
     frames: Frames = None
 
     @property
@@ -51,18 +53,18 @@ class Export(RecordingAnalysis):
     @property
     def suffixes(self) -> tuple[str, ...]:  # type: ignore[override] # those of the format
         """Suffixes of the format."""
-        return FORMATS[self.to][1]
+        return EXPORT_FORMATS[self.to][1]
 
     def run(self, source: Path, out: Path, progress: Progress) -> str:
         """Write the frames of a recording, or their results, one after the other."""
         from app.recording.reader import Recording
-        from app.results.export_writers import WRITERS
+        from app.results.export_writers import EXPORT_WRITERS
         from reconstruction.runtime.threads import one_blas_thread
 
         recording = Recording(source)
         chosen = recording.select(self.frames)
         with one_blas_thread():
-            WRITERS[self.to](recording, chosen, out, progress)
+            EXPORT_WRITERS[self.to](recording, chosen, out, progress)
         return f"{out} holds {counted(len(chosen))} of {source}"
 
     def sentences(self, found: str) -> list[str]:

@@ -235,7 +235,7 @@ def _reconstructed(
     return counting(reprocess(recording, chosen), len(chosen), progress, text)
 
 
-WRITERS: dict[str, Callable[[Recording, range, Path, Progress], None]] = {
+EXPORT_WRITERS: dict[str, Callable[[Recording, range, Path, Progress], None]] = {
     "tiff": _write_tiff,
     "csv": _write_csv,
     "netcdf": _write_results,

@@ -27,7 +27,7 @@ from app.gui.widgets.texts import ElidedLabel, label, mark_refused
 from app.progress import counted
 from app.recording.folder import describe, name_problem, read_run
 from app.recording.recorder import RECENT_S, RecordingLimit, RecordingState
-from app.results.export import FORMATS, Format
+from app.results.export import EXPORT_FORMATS, Format
 from drivers.interface import Range
 
 _WIDEST = "000000 frames   00:00   disk space for 000 min"  # of more, only the tool tip has the disk space
@@ -139,7 +139,7 @@ class RecordingBar(QFrame):
         self.report = Button("Report", "Write report.pdf into the folder and open it", self._report)
         self.export = Button("Export", "Write it for other programs")
         self.exports = QMenu(self)
-        for to, (text, _) in FORMATS.items():
+        for to, (text, _) in EXPORT_FORMATS.items():
             self.exports.addAction(text, lambda _=False, to=to: self._export(to))
         self.export.setMenu(self.exports)
         self.done = Button("Close", "Hide this bar", self.hide)
@@ -344,7 +344,7 @@ class RecordingBar(QFrame):
     def _export(self, to: Format) -> None:
         if self.folder is None:
             return
-        what, (suffix, *_) = FORMATS[to]
+        what, (suffix, *_) = EXPORT_FORMATS[to]
         proposed = self.folder.with_name(f"{self.folder.name}{suffix}")
         name = ask_file(self, what, str(proposed), f"*{suffix}")
         if name is not None:  # the dialog has asked whether to replace it
