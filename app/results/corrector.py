@@ -272,7 +272,7 @@ def find_shown_correctors(measurement: Measurement, origin: Origin, corrector: C
     """Compare correctors at every distance; return the problem if there are none."""
     calibration, wavefront = measurement.calibration, measurement.wavefront
     if calibration is None or wavefront is None:
-        return layers.NO_WAVEFRONT
+        return layers.WITHOUT_WAVEFRONT
     try:
         return compare_correctors(wavefront.at, calibration.bench, corrector, None, origin)[0]
     except ValueError as error:

@@ -354,7 +354,7 @@ def _draw_curve(axes: Axes, found: xr.Dataset) -> None:
 
 
 _SHOWN_POINTS = 65  # along each side of a map in the window
-NO_WAVEFRONT = "there is no wavefront"
+WITHOUT_WAVEFRONT = "there is no wavefront"
 
 
 def find_shown_layers(
@@ -367,7 +367,7 @@ def find_shown_layers(
     """
     calibration, wavefront = measurement.calibration, measurement.wavefront
     if calibration is None or wavefront is None:
-        return NO_WAVEFRONT
+        return WITHOUT_WAVEFRONT
     try:
         layers = _reconstructor(calibration).layers(wavefront.displacement)
         found = search_layers(layers, count, check=check) if count else layers.fit(ratio)
