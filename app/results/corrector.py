@@ -204,18 +204,7 @@ def compare_correctors(
     def made_at(ratio: float) -> Correction:
         return best_correction(wavefronts, positions_m, bench.sensor, bench.field, ratio, corrector)
 
-    def at_share(share: float) -> Correction:
-        return made_at(float(share / (1 - abs(share))))
-
-    curve = [at_share(share) for share in _SHARES]
-    if ratio is None:
-        best = _SHARES[int(np.argmin([made.mean_residual_rad for made in curve]))]
-        curve += [at_share(share) for share in best + np.linspace(-_REFINED, _REFINED, 21) if abs(share) < _SHARES[-1]]
-        made = min(curve, key=lambda made: made.mean_residual_rad)
-    else:
-        made = made_at(ratio)
-        curve.append(made)
-    curve = list({made.ratio: made for made in sorted(curve, key=lambda made: made.ratio)}.values())
+    curve, made = _corrections(made_at, ratio)
     uncorrected_rad = float(np.sqrt(np.nanmean(rms(wavefronts) ** 2)))
     origin = layers.possible_origin(origin, [made.ratio])
     distances_m, order = layers.tried_distances_m(np.array([each.ratio for each in curve]), origin, bench)
@@ -249,6 +238,23 @@ def compare_correctors(
         },
     )
     return found, made
+
+
+def _corrections(made_at: Callable[[float], Correction], ratio: float | None) -> tuple[list[Correction], Correction]:
+    """Corrections in the order of their ratios, and the best of them, or that at the given `ratio`."""
+
+    def at_share(share: float) -> Correction:
+        return made_at(float(share / (1 - abs(share))))
+
+    curve = [at_share(share) for share in _SHARES]
+    if ratio is None:
+        best = _SHARES[int(np.argmin([made.mean_residual_rad for made in curve]))]
+        curve += [at_share(share) for share in best + np.linspace(-_REFINED, _REFINED, 21) if abs(share) < _SHARES[-1]]
+        chosen = min(curve, key=lambda made: made.mean_residual_rad)
+    else:
+        chosen = made_at(ratio)
+        curve.append(chosen)
+    return list({made.ratio: made for made in sorted(curve, key=lambda made: made.ratio)}.values()), chosen
 
 
 def write_phase(path: Path, phase_rad: Floats) -> None:
