@@ -199,6 +199,7 @@ def stack_frames(
 
 
 def _wavefront_variables(views: Floats, sensor: Sensor) -> dict[str, Variable]:
+    """Describe wavefronts, rad, (view_row, view_column, lenslet_row, lenslet_column)."""
     strehl = psf(views, sensor, angle_rad=np.zeros(1))[..., 0, 0]
     return {
         "wavefront": ((*VIEW, *LENSLET), views, about("rad", "phase at the lenslet centres, piston removed")),

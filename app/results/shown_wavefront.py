@@ -74,7 +74,10 @@ class StoredWavefront:
         return stored
 
     def at(self, field: Field) -> Floats:
-        """Return the wavefront at the views of a field, rad; NaN outside the stored one."""
+        """Return the wavefronts at the views of a field; NaN outside the stored one.
+
+        They are in rad, (view_row, view_column, lenslet_row, lenslet_column).
+        """
         x, y = (view_m / self.field.half_width_m for view_m in (field.view_x_m, field.view_y_m[:, None]))
         views = np.tensordot(np.moveaxis(self.modes.values(x, y), 0, -1), self.by_mode, axes=1)
         views[~self.field.contains(x, y)] = np.nan

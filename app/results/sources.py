@@ -198,7 +198,7 @@ def _recorded_frames(source: Path, frames: str | None, progress: Progress) -> It
 
 
 def _of_modes(bench: Bench, coefficients: Floats, views: Floats) -> PhaseAt:
-    """Evaluate e_pq; lenslets that are unknown at every view stay unknown."""
+    """Evaluate e_pq, rad, (p, q); lenslets that are unknown in all `views`, see `_between_views`, stay unknown."""
     pupil, modes = modes_of(bench, coefficients)
     known, half_m = np.isfinite(views).any(axis=(0, 1)), bench.field.half_width_m
 
@@ -210,6 +210,7 @@ def _of_modes(bench: Bench, coefficients: Floats, views: Floats) -> PhaseAt:
 
 
 def _between_views(source: Path, bench: Bench, views: Floats) -> PhaseAt:
+    """Interpolate wavefronts, rad, (view_row, view_column, lenslet_row, lenslet_column)."""
     field = bench.field
     if min(views.shape[:2]) < 2:
         raise InputError(
