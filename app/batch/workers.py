@@ -36,10 +36,10 @@ _NO_PAGES: dict[str, list[str]] = {f"distributed.{each}.http.routes": [] for eac
 class Workers:
     """Evaluates tasks on the workers of a scheduler; see `app.progress.Evaluate`."""
 
-    def __init__(self, client: Client, *, dashboard: bool = False) -> None:
-        """Without `dashboard`, its address is not told."""
+    def __init__(self, client: Client, *, has_dashboard: bool = False) -> None:
+        """Without `has_dashboard`, its address stays empty."""
         self._client = client
-        self.dashboard = str(client.dashboard_link or "") if dashboard else ""  # address in a browser; "": none
+        self.dashboard = str(client.dashboard_link or "") if has_dashboard else ""  # address in a browser; "": none
 
     def __call__(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R | Exception]]:
         """Yield each item with its result or error, as they finish.
@@ -87,12 +87,12 @@ def _outcome(future: Any) -> Any:
 
 
 @contextmanager
-def workers(count: int | None, scheduler: str | None, *, dashboard: bool = False) -> Iterator[Workers]:
+def workers(count: int | None, scheduler: str | None, *, has_dashboard: bool = False) -> Iterator[Workers]:
     """Start `count` worker processes, by default one for each core, or connect to the scheduler at an address.
 
     Processes started here accept only connections with a certificate of this run (TLS), and serve a dashboard on this
-    computer only if `dashboard` asks for it. `InputError` if Dask is not installed, or both are given, `RunError` if
-    there is no scheduler at the address.
+    computer only with `has_dashboard`. `InputError` if Dask is not installed, or both are given, `RunError` if there is
+    no scheduler at the address.
     """
     if count is not None and scheduler is not None:
         raise InputError("--workers starts processes here, --scheduler uses those of a cluster: give one of them")
@@ -108,13 +108,13 @@ def workers(count: int | None, scheduler: str | None, *, dashboard: bool = False
         raise InputError("workers need Dask: install the extra svwfs[batch]") from error
     with ExitStack() as stack:
         if scheduler is None:
-            stack.enter_context(dask.config.set(_CONFIGURATION if dashboard else _CONFIGURATION | _NO_PAGES))
+            stack.enter_context(dask.config.set(_CONFIGURATION if has_dashboard else _CONFIGURATION | _NO_PAGES))
             cluster = LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,
                 security=security,
                 dashboard_address="127.0.0.1:0",
-                scheduler_kwargs={"dashboard": dashboard},
+                scheduler_kwargs={"dashboard": has_dashboard},
                 silence_logs=logging.CRITICAL,
                 preload="app.batch.run",
             )
@@ -124,7 +124,7 @@ def workers(count: int | None, scheduler: str | None, *, dashboard: bool = False
         except (OSError, TimeoutError, ValueError) as error:
             raise RunError(f"{scheduler}: no scheduler can be reached there: {in_words(error)}") from error
         stack.callback(_close, client)
-        yield Workers(client, dashboard=dashboard)
+        yield Workers(client, has_dashboard=has_dashboard)
 
 
 def _check_address(scheduler: str) -> None:

@@ -38,7 +38,7 @@ class AnalysisCommand(options.OnceCommand):
 
 
 def command_of(kind: type[Analysis]) -> Callable[..., None]:
-    """Return a function with the options of an analysis, which computes, writes, draws and tells it."""
+    """Return a function with the options of an analysis, which computes, writes, draws and prints it."""
 
     def run(source: Path, out: Path, plot: Path | None = None, *, overwrite: bool, **chosen: Any) -> None:
         from reconstruction.errors import ReconstructionError
@@ -64,7 +64,7 @@ def command_of(kind: type[Analysis]) -> Callable[..., None]:
             terminal.print_by_view(*table)
         typer.echo("\n".join(analysis.sentences(found)) + kind.closing.format(out=out))
         for each, settings in sources.items():
-            if analysis.reconstructs:
+            if analysis.is_reconstructed:
                 terminal.print_version_notice(each, settings=settings)
             terminal.print_missing_lines(each)
 

@@ -54,7 +54,7 @@ def batch(
     other = "" if bench is None else write_bench(load_bench(bench, settings))
     job = BatchJob(bench=other, settings=() if other else settings, rounds=refine, frames=frames or "")
     check_batch(recordings, out, job)
-    with start(workers, scheduler, dashboard=dashboard) as evaluate, terminal.progress_bar() as progress:
+    with start(workers, scheduler, has_dashboard=dashboard) as evaluate, terminal.progress_bar() as progress:
         if evaluate.dashboard:
             typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
         done = run_batch(recordings, out, job, evaluate, progress)

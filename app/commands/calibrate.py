@@ -67,7 +67,7 @@ def calibrate(
         if not all(given is None for given in (reference, dark, plot)):
             raise InputError("--linearity takes its own exposures: leave reference, --dark and --plot out")
         options.check_files(out, reads=options.files_of_bench(bench, loaded), suffixes=(".toml",), overwrite=overwrite)
-        terminal.confirm_libraries(loaded, trust=trust_library)
+        terminal.confirm_libraries(loaded, is_trusted=trust_library)
         with terminal.progress_bar() as progress:
             measured = find_linearity(loaded, average, progress)
         if out is not None:
@@ -138,7 +138,7 @@ def find_lattice(
 
 
 def find_linearity(bench: Bench, frames: int | None, progress: Progress) -> MeasuredLinearity:
-    """Measure the nonlinearity of a bench's camera with its devices; `RunError` says why it cannot be told."""
+    """Measure the nonlinearity of a bench's camera with its devices; `RunError` says why it cannot."""
     from app.acquisition.session import LiveBench
     from app.acquisition.start_up import without_sample
     from app.measurement.linearity import EXPOSURE_FRAMES

@@ -47,7 +47,7 @@ def devices(
     else:
         loaded = None if bench is None else options.load(bench, setting)
         if loaded is not None:
-            terminal.confirm_libraries(loaded, trust=trust_library)
+            terminal.confirm_libraries(loaded, is_trusted=trust_library)
         check_and_print(check, loaded, serial_numbers=serial_numbers)
 
 

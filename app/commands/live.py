@@ -88,7 +88,7 @@ def live(
         from app.acquisition.worker import Acquisition
 
         loaded = options.load(bench or DEFAULT, setting)
-        terminal.confirm_libraries(loaded, trust=trust_library)
+        terminal.confirm_libraries(loaded, is_trusted=trust_library)
         access = Access(partial(Acquisition, loaded))
     else:
         from app.results.player import Player

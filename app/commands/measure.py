@@ -78,7 +78,7 @@ def measure(
     else:
         mask_setting = [] if mask is None else [f"simulation.source.mask={mask}"]
         loaded = options.load(bench, [*(setting or []), *mask_setting])
-        terminal.confirm_libraries(loaded, trust=trust_library)
+        terminal.confirm_libraries(loaded, is_trusted=trust_library)
         _check_files(out, loaded.files, overwrite=overwrite)
         with terminal.progress_bar() as progress:
             measured = measure_bench(loaded, frames, out, progress, average=average, auto_expose=auto_expose)
@@ -209,7 +209,7 @@ def print_measurement(measured: Measured, out: Path) -> None:
     failed = measured.frames - measured.reconstructed
     why = f", {failed} not reconstructed ({measured.problem})" if failed else ""
     if measured.rotation is not None:
-        terminal.print_rotation(measured.rotation, rotates=2 * measured.rotating > measured.reconstructed)
+        terminal.print_rotation(measured.rotation, is_rotating=2 * measured.rotating > measured.reconstructed)
     terminal.print_quality(measured.quality)
     counts = f"{counted(measured.frames)}{why}, {measured.lost} lost by the camera; all is in {out}"
     terminal.print_sentence(counts)

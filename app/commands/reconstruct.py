@@ -154,4 +154,4 @@ def print_views(wavefront: Wavefront) -> None:
     terminal.print_sentence(f"assumed: {sample_sentence(wavefront.sample, wavefront.field)}")
     rotation = rotation_of(wavefront)
     if rotation is not None:
-        terminal.print_rotation(rotation, rotates=rotation.contradicts_layers)
+        terminal.print_rotation(rotation, is_rotating=rotation.contradicts_layers)

@@ -50,7 +50,7 @@ def replay(
     options.check_files(out, reads=reads, sources=[recording], suffixes=(".nc",), overwrite=overwrite)
     with terminal.progress_bar() as progress:
         change = change_of(other, settings)
-        made = run(recording, change, frames=frames, out=out, verify=verify, progress=progress)
+        made = run(recording, change, frames=frames, out=out, must_match=verify, progress=progress)
     print_replay(made)
     if bench is None:
         terminal.print_version_notice(recording, settings=settings)

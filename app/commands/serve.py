@@ -54,7 +54,7 @@ def serve(
     if not faulthandler.is_enabled():
         faulthandler.enable()  # a crash, as in a vendor's library, tells where
     loaded = options.load(bench, setting)
-    terminal.confirm_libraries(loaded, trust=trust_library)
+    terminal.confirm_libraries(loaded, is_trusted=trust_library)
     with taken_place(name) as place:
         server = Server(loaded, place)
         which = "" if name == NAME else f" --name {name}"

@@ -68,7 +68,9 @@ def study(
     loaded = options.load(bench, setting)
     inputs = [*options.files_of_bench(bench, loaded), *(Path(name) for name in names or [])]
     options.check_files(*files_of(studies, out), reads=inputs, overwrite=overwrite)
-    shared = nullcontext() if workers is None and scheduler is None else start(workers, scheduler, dashboard=dashboard)
+    shared = (
+        nullcontext() if workers is None and scheduler is None else start(workers, scheduler, has_dashboard=dashboard)
+    )
     with shared as evaluate:
         if evaluate is not None and evaluate.dashboard:
             typer.echo(f"dashboard: {evaluate.dashboard}", err=True)

@@ -1,4 +1,4 @@
-"""The terminal: progress bar, tables, sentences, warnings, and questions to whoever sits there."""
+"""The terminal: progress bar, tables, sentences, warnings, and questions to the user."""
 
 from __future__ import annotations
 
@@ -105,12 +105,12 @@ def print_by_view(field: Field, title: str, cells: Iterable[Iterable[str]]) -> N
         console.print("outside: these views lie outside the circular field")
 
 
-def print_rotation(rotation: Circulation, *, rotates: bool) -> None:
+def print_rotation(rotation: Circulation, *, is_rotating: bool) -> None:
     """Print the rotation of the subimages, and a warning if it contradicts layers."""
     from app.results.frame_tallies import ROTATES, rotation_sentence
 
     print_sentence(rotation_sentence(rotation))
-    if rotates:
+    if is_rotating:
         print_warning(ROTATES)
 
 
@@ -155,8 +155,8 @@ def ask(request: str) -> None:
         raise InputError(f"the terminal was closed before this was done: {request}")
 
 
-def confirm_libraries(bench: Bench, *, trust: bool) -> None:
-    """Ask once for each library that a bench names whether it may be loaded; with `trust`, remember it without asking.
+def confirm_libraries(bench: Bench, *, is_trusted: bool) -> None:
+    """Ask for each library of a bench whether it may be loaded; if `is_trusted`, remember it without asking.
 
     A changed library is asked for again. `InputError` if it is refused, or no terminal is attached.
     """
@@ -164,7 +164,7 @@ def confirm_libraries(bench: Bench, *, trust: bool) -> None:
 
     for library in unconfirmed(bench):
         setting = f"{library.key} = {library.named}"
-        if not trust:
+        if not is_trusted:
             if not sys.stdin.isatty():
                 raise InputError(
                     f"{setting} would run code: add --trust-library once if you trust it, or start the command in a"

@@ -46,7 +46,7 @@ class Export(RecordingAnalysis):
     frames: Frames = None
 
     @property
-    def reconstructs(self) -> bool:  # type: ignore[override] # of frames alone
+    def is_reconstructed(self) -> bool:  # type: ignore[override] # of frames alone
         """False for frames as they are."""
         return self.to != "tiff"
 

@@ -142,16 +142,16 @@ class Replay(FrameTally):
 
 
 def replay(
-    folder: Path, change: Change | None, *, frames: str | None, out: Path | None, verify: bool, progress: Progress
+    folder: Path, change: Change | None, *, frames: str | None, out: Path | None, must_match: bool, progress: Progress
 ) -> Replay:
     """Reconstruct the recorded frames FIRST:END again and write the results to `out`, if given.
 
     With a `change` of the bench, see `change_of`, both are made and compared, unless the recorded registration method
-    is no longer offered. With `verify`, raise `RunError` if a result differs from the recorded one in any bit.
+    is no longer offered. With `must_match`, raise `RunError` if a result differs from the recorded one in any bit.
     """
     recording = Recording(folder)
     chosen = recording.select(frames)
-    if verify and change is not None:
+    if must_match and change is not None:
         raise InputError("--verify compares with the recorded bench: leave --bench and --set out")
     is_known = recording.bench.registration.method in get_args(Method)  # earlier versions had others
     comparison = Comparison() if change is not None and is_known else None
@@ -163,7 +163,7 @@ def replay(
             write_pieces(out, results_in_pieces(stream), bench=used, inputs=inputs)
         for _ in stream:
             pass
-    if verify and made.verification is not None and not made.verification.passes:
+    if must_match and made.verification is not None and not made.verification.passes:
         raise RunError(f"{folder}: {made.verification.sentence}")
     return made
 

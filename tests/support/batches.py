@@ -67,7 +67,7 @@ def assert_equals_replay(out: Path, recording: Recording, folder: Path, *setting
     """Compare the results of a recording in a store, bit by bit, with the file that `svwfs replay --out` writes."""
     file = folder / f"{recording.folder.name}.nc"
     change = change_of(None, settings)
-    replay(recording.folder, change, frames=None, out=file, verify=False, progress=lambda *_: None)
+    replay(recording.folder, change, frames=None, out=file, must_match=False, progress=lambda *_: None)
     added = {"recording_index", "recorded_rms", "difference_rms"}
     with xr.open_dataset(file) as replayed, xr.open_zarr(out) as stored:
         mine = stored.sel(recording=recording.folder.name).isel(frame=replayed["recording_index"].to_numpy())

@@ -135,7 +135,7 @@ def test_dashboard_answers_only_if_asked(two_workers: Workers) -> None:
     (port,) = _http_ports(two_workers)
     with pytest.raises(HTTPError, match="404"):
         urlopen(f"http://127.0.0.1:{port}/info/main/workers.html", timeout=HANG_S)
-    with workers(1, None, dashboard=True) as started:
+    with workers(1, None, has_dashboard=True) as started:
         assert started.dashboard.startswith("http://127.0.0.1:")
         with urlopen(started.dashboard, timeout=HANG_S) as page:  # noqa: S310 - of this computer, see above
             assert b"Dask" in page.read()

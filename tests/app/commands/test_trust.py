@@ -50,14 +50,14 @@ def answer(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
 def test_library_is_refused_without_terminal(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n"))
     with pytest.raises(InputError, match=r"camera\.library = .*libevil\.so would run code: add --trust-library once"):
-        confirm_libraries(bench, trust=False)
+        confirm_libraries(bench, is_trusted=False)
 
 
 def test_folder_of_adapters_is_confirmed_too(bench: Bench, library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     camera = MicroManagerSettings(adapter="DemoCamera", device="DCam", adapter_folder=str(library.parent))
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     with pytest.raises(InputError, match=r"camera\.adapter_folder = .* would run code"):
-        confirm_libraries(replace(bench, camera=camera), trust=False)
+        confirm_libraries(replace(bench, camera=camera), is_trusted=False)
 
 
 @pytest.mark.parametrize("text", ["no\n", "\n", "", "y\n"])
@@ -65,7 +65,7 @@ def test_refused_library_is_asked_for_again(bench: Bench, monkeypatch: pytest.Mo
     for _ in range(2):
         answer(monkeypatch, text)
         with pytest.raises(InputError, match="is not trusted"):
-            confirm_libraries(bench, trust=False)
+            confirm_libraries(bench, is_trusted=False)
 
 
 @pytest.mark.parametrize("trust", [True, False])
@@ -73,12 +73,12 @@ def test_confirmed_library_is_remembered_until_it_changes(
     bench: Bench, library: Path, monkeypatch: pytest.MonkeyPatch, trust: bool
 ) -> None:
     answer(monkeypatch, "yes\n")
-    confirm_libraries(bench, trust=trust)
+    confirm_libraries(bench, is_trusted=trust)
     monkeypatch.setattr(sys, "stdin", io.StringIO())
-    confirm_libraries(bench, trust=False)
+    confirm_libraries(bench, is_trusted=False)
     library.write_bytes(b"other code")
     with pytest.raises(InputError, match="would run code"):
-        confirm_libraries(bench, trust=False)
+        confirm_libraries(bench, is_trusted=False)
 
 
 @pytest.mark.parametrize(
@@ -91,15 +91,15 @@ def test_folder_whose_code_changes_is_asked_for_again(
     camera = MicroManagerSettings(adapter="DemoCamera", device="DCam", adapter_folder=str(library.parent))
     adapter, is_of = library.with_name(name), replace(bench, camera=camera)
     adapter.write_bytes(b"code")
-    confirm_libraries(is_of, trust=True)
+    confirm_libraries(is_of, is_trusted=True)
     library.with_name("MMConfig.cfg").write_text("other settings")
     monkeypatch.setattr(sys, "stdin", io.StringIO())
-    confirm_libraries(is_of, trust=False)
+    confirm_libraries(is_of, is_trusted=False)
     before = adapter.stat()
     adapter.write_bytes(b"evil")
     os.utime(adapter, ns=(before.st_atime_ns, before.st_mtime_ns))
     with pytest.raises(InputError, match="would run code"):
-        confirm_libraries(is_of, trust=False)
+        confirm_libraries(is_of, is_trusted=False)
 
 
 def test_library_that_changes_before_it_is_loaded_is_refused(
@@ -107,7 +107,7 @@ def test_library_that_changes_before_it_is_loaded_is_refused(
 ) -> None:
     with pytest.raises(Unsupported, match="cannot be loaded"):  # from Python nothing is asked
         open_camera(bench.camera)
-    confirm_libraries(bench, trust=True)
+    confirm_libraries(bench, is_trusted=True)
     with pytest.raises(Unsupported, match="cannot be loaded"):
         open_camera(bench.camera)
     library.write_bytes(b"other code")
@@ -118,7 +118,7 @@ def test_library_that_changes_before_it_is_loaded_is_refused(
 
 def test_bench_without_library_needs_no_confirmation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", None)
-    confirm_libraries(load_bench("small_demo"), trust=False)
+    confirm_libraries(load_bench("small_demo"), is_trusted=False)
 
 
 @pytest.mark.parametrize("command", ["measure --frames 3 --out r", "live", "devices --check camera"])

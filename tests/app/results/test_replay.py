@@ -67,7 +67,7 @@ def mine(plain: Recording, tmp_path: Path) -> Recording:
 
 
 def replayed(folder: Path, *settings: str, **options: Any) -> Replay:
-    given: dict[str, Any] = {"frames": None, "out": None, "verify": False, "progress": lambda *_: None}
+    given: dict[str, Any] = {"frames": None, "out": None, "must_match": False, "progress": lambda *_: None}
     return replay(folder, change_of(None, settings), **{**given, **options})
 
 
@@ -81,7 +81,7 @@ def test_replay_is_bit_identical(recording: Recording, tmp_path: Path, frames: s
     sample = recording.line(5).sample
     assert sample is not None
     assert bool(sample.ratios) == ("layered" in recording.folder.name)
-    made = replayed(recording.folder, verify=True, frames=frames, out=tmp_path / "r.nc")
+    made = replayed(recording.folder, must_match=True, frames=frames, out=tmp_path / "r.nc")
     assert made.verification is not None
     first = int(frames.partition(":")[0] or 0)
     assert (made.verification.frames, made.verification.different) == (FRAMES - first, 0)
@@ -121,7 +121,7 @@ def test_other_settings_search_in_the_first_frame_of_a_block(plain: Recording, m
     assert samples[0] is samples[1] is not samples[2] is samples[3] is not samples[4]
     assert all(sample.ratios for sample in samples)
     searched.clear()
-    assert replayed(plain.folder, verify=True).assumed
+    assert replayed(plain.folder, must_match=True).assumed
     assert not searched  # with the recorded settings
 
 
@@ -172,7 +172,7 @@ def test_other_software_version_is_named(mine: Recording) -> None:
     path.write_text(json.dumps(fields))
     edit_line(mine, 5, rms_rad=1.0)
     with pytest.raises(RunError, match=r"frame 5: the RMS by up to .* rad \(recorded by svwfs 0.0.7, replayed by"):
-        replayed(mine.folder, verify=True)
+        replayed(mine.folder, must_match=True)
 
 
 DAMAGES: dict[str, tuple[Callable[[Recording], object], str]] = {
@@ -194,7 +194,7 @@ def test_kind_of_difference_is_named(mine: Recording, name: str) -> None:
     damage, sentence = DAMAGES[name]
     damage(mine)
     with pytest.raises(RunError, match=f"1 of 8 frames differ .*{re.escape(sentence)}"):
-        replayed(mine.folder, verify=True)
+        replayed(mine.folder, must_match=True)
 
 
 @pytest.mark.slow
@@ -327,7 +327,7 @@ def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Reco
 @pytest.mark.long
 def test_calibration_changes_are_replayed(eventful: Recording) -> None:
     assert "is the light on?" in eventful.line(DARK).problem
-    made = replayed(eventful.folder, verify=True)
+    made = replayed(eventful.folder, must_match=True)
     assert made.verification is not None
     assert (made.verification.frames, made.verification.different) == (6, 0)  # the others have no recorded results
     told = "6 frames, each bit-identical to what was recorded; 2 more were not reconstructed then"
@@ -340,7 +340,7 @@ def test_replay_starts_as_recorded_after_skipped_frames(quick_toml: Path, tmp_pa
     sentence_of_version_0_2 = "passed over: the computer was behind, and a newer frame was there"
     assert [recording.start(index) is None for index in range(4)] == [True, True, False, False]
     edit_line(recording, 1, problem=sentence_of_version_0_2)
-    made = replayed(recording.folder, verify=True)
+    made = replayed(recording.folder, must_match=True)
     assert made.verification is not None
     assert (made.verification.frames, made.verification.different) == (2, 0)
 
@@ -348,7 +348,7 @@ def test_replay_starts_as_recorded_after_skipped_frames(quick_toml: Path, tmp_pa
 @pytest.mark.parametrize("frame", [UNCALIBRATED, PASSED])
 def test_verification_without_results_fails(eventful: Recording, frame: int) -> None:
     with pytest.raises(RunError, match="there is nothing to compare"):
-        replayed(eventful.folder, verify=True, frames=f"{frame}:{frame + 1}")
+        replayed(eventful.folder, must_match=True, frames=f"{frame}:{frame + 1}")
 
 
 @pytest.mark.slow
