@@ -62,7 +62,7 @@ def _drop_output() -> None:
 
 
 def _exit(error: BaseException, status: int) -> NoReturn:
-    with suppress(OSError):  # a full disk: the status tells
+    with suppress(OSError):  # a full disk: the exit status remains
         if sys.stderr is not None:
             sys.stderr.write(f"svwfs: {shortened(printable(str(error)))}\n")
     _drop_output()

@@ -152,7 +152,7 @@ class OnceCommand(TyperCommand):
 
 
 def _is_finite(text: object) -> bool:
-    """True unless a text is infinite or NaN; of what is no number, the parser tells more."""
+    """True unless a text is infinite or NaN; the parser refuses other texts."""
     try:
         return math.isfinite(float(str(text)))
     except ValueError:

@@ -116,11 +116,11 @@ class FrameTally:
     @property
     def assumed(self) -> str:
         """Assumed samples in words, with the newest distances, and of how many frames if not alike of all."""
-        told = []
+        sentences = []
         for layers, count in self._layers.most_common():
             text, last = self._newest[layers], "last of " * bool(layers and count > 1)
-            told.append(text if len(self._layers) == 1 and not last else f"{text} ({last}{counted(count)})")
-        return "; ".join(told)
+            sentences.append(text if len(self._layers) == 1 and not last else f"{text} ({last}{counted(count)})")
+        return "; ".join(sentences)
 
 
 @dataclass(slots=True, kw_only=True)
