@@ -14,7 +14,7 @@ from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, Ou
 from reconstruction.errors import ReconstructionError, TooManyModes
 from reconstruction.frame.pixels import TOO_BRIGHT, AboveDark, KnownCamera, find_bad_pixels
 from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.layers.layer_search import find_layers
+from reconstruction.layers.layer_search import search_layers
 from reconstruction.layers.layer_solver import FrameEquations, LayerModes, LayerSolver
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample, LayeredWavefronts, most_probable
 from reconstruction.modes.layered_modes import layered_wavefronts
@@ -229,7 +229,7 @@ class Reconstructor:
             return FREE
         try:
             with one_blas_thread():
-                search = find_layers(self.layers(displacement), None)
+                search = search_layers(self.layers(displacement), None)
         except ReconstructionError as error:  # too few lenslets, or nothing moves
             if self.reconstruction.sample == "layers":
                 raise ReconstructionError(f'{error} (reconstruction.sample = "layers")', image="frame") from error

@@ -21,8 +21,7 @@ from app.results.result_file import about
 from app.results.sources import measured, measured_frame
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
-from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch
-from reconstruction.layers.layer_search import find_layers as search_layers
+from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch, search_layers
 from reconstruction.layers.layer_solver import Layer, LayerFit
 
 if TYPE_CHECKING:

@@ -110,7 +110,7 @@ def explains(fit: FitQuality, any_wavefront: FitQuality, *, is_blind: bool = Fal
     return fit.misfit < _NOTHING and _beyond(fit, any_wavefront) < systematic
 
 
-def find_layers(
+def search_layers(
     equations: FrameEquations,
     count: int | None = 1,
     *,

@@ -137,15 +137,15 @@ def test_setting_decides_what_is_assumed(checker_bench: SmallBench, monkeypatch:
     one = LayerFit((Layer(-0.7, 0.1, np.ones(2), np.zeros(2), np.zeros((2, 2)), 1),), worse, np.full((1, 1), 0.01))
     none = np.zeros(0)
     search = LayerSearch(none, none, none, one, None, None, better)
-    find_layers = Mock(return_value=search)
-    monkeypatch.setattr("reconstruction.pipeline.find_layers", find_layers)
+    search_layers = Mock(return_value=search)
+    monkeypatch.setattr("reconstruction.pipeline.search_layers", search_layers)
     samples = {}
     for setting in ("automatic", "layers", "free"):
         prepared = checker_bench.reconstructor("quadratic", pupil_modes=None, sample=setting)
         samples[setting] = prepared.find_sample(prepared.register(seen(checker_bench)))
     assert samples["automatic"] is samples["free"] is FREE
     assert samples["layers"].ratios == (-0.7,)
-    assert find_layers.call_count == 2  # not for any wavefront
+    assert search_layers.call_count == 2  # not for any wavefront
     fixed = checker_bench.reconstructor("quadratic", pupil_modes=21, sample="automatic")
     assert not fixed.may_be_layered
 

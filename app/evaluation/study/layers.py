@@ -16,7 +16,7 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import centered_steps
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
-from reconstruction.layers.layer_search import find_layers
+from reconstruction.layers.layer_search import search_layers
 from reconstruction.wavefront import Wavefront, rms
 from simulated_devices.optics.layered_light import LayeredLight, PlacedScreen
 from simulated_devices.optics.phase_screen import PhaseScreen
@@ -48,7 +48,7 @@ def _of_mask(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseRes
         problem, found_m, sigma_m = "", math.nan, math.nan
         try:
             displacement = reconstructor.register(em_camera.exposed(frame.photons * scale, seed, 0))
-            search = find_layers(reconstructor.layers(displacement))
+            search = search_layers(reconstructor.layers(displacement))
             (layer,), focal_length_m = search.one.layers, bench.field.collimator_focal_length_m
             found_m, sigma_m = -layer.ratio * focal_length_m, layer.ratio_sigma * focal_length_m
         except ReconstructionError as error:

@@ -12,7 +12,7 @@ from app.acquisition.devices import scene_of
 from app.bench.config import load_bench
 from app.measurement.calibration import Calibration
 from reconstruction.arrays import Floats
-from reconstruction.layers.layer_search import find_layers
+from reconstruction.layers.layer_search import search_layers
 from reconstruction.layers.layer_solver import FrameEquations
 from simulated_devices.optics.layered_light import LayeredLight
 from simulated_devices.optics.phase_screen import PhaseScreen
@@ -54,7 +54,7 @@ def slopes(phase_rad: Floats) -> Floats:
 @pytest.mark.long
 def test_ten_layers_are_not_a_single_layer() -> None:
     displacements, _ = rendered("small_demo", tuple(np.linspace(0.03, 0.3, 10)), rms_rad=0.7, correlation_length_m=1e-3)
-    assert find_layers(displacements).verdict == "not a single layer"
+    assert search_layers(displacements).verdict == "not a single layer"
 
 
 @pytest.mark.slow
@@ -62,7 +62,7 @@ def test_ten_layers_are_not_a_single_layer() -> None:
 def test_two_layers_at_known_distances_are_told_apart() -> None:
     distances_m = (0.1, 0.2)
     displacements, screens = rendered("paper_simulation", distances_m, rms_rad=3.0)
-    found = find_layers(displacements, 2, at=tuple(-at_m / 0.2 for at_m in distances_m)).fit.layers
+    found = search_layers(displacements, 2, at=tuple(-at_m / 0.2 for at_m in distances_m)).fit.layers
     for layer, screen in zip(found, screens[::-1], strict=True):  # the farthest first
         x_m, y_m = (np.linspace(-0.85 * half_m, 0.85 * half_m, 61) for half_m in layer.half_width_m)
         true = slopes(screen.at(x_m, y_m[:, None]))

@@ -31,7 +31,7 @@ from app.results.layers import (
     shown_range_m,
 )
 from reconstruction.layers.corrector import Corrector
-from reconstruction.layers.layer_search import find_layers
+from reconstruction.layers.layer_search import search_layers
 from reconstruction.layers.layer_solver import Layer
 from simulated_devices.sample import make_sample
 
@@ -142,7 +142,7 @@ def test_layer_behind_the_lenslets_has_no_distance_from_the_mask() -> None:
     images = simulate(bench)
     reconstruct = BenchReconstructor(bench, images.reference, dark=images.dark)
     wavefront = reconstruct(images.frames[0])
-    found = layers_dataset(find_layers(reconstruct.layers(wavefront)), bench, "mask")
+    found = layers_dataset(search_layers(reconstruct.layers(wavefront)), bench, "mask")
     assert found.attrs["distances_from"] == "lenslets"
     assert found["distance_m"].item() == pytest.approx(-0.1, rel=0.1)
     assert Layers().sentences(found)[0].endswith(" mm behind the lenslets")

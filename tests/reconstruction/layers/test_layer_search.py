@@ -25,7 +25,7 @@ from support.polynomial_layers import (
 from reconstruction.arrays import Floats
 from reconstruction.displacement import SYSTEMATIC_PX
 from reconstruction.errors import ReconstructionError
-from reconstruction.layers.layer_search import FARTHEST_RATIO, find_layers
+from reconstruction.layers.layer_search import FARTHEST_RATIO, search_layers
 from reconstruction.layers.layer_solver import FrameEquations, Layer, LayerFit
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
 from reconstruction.solve.evidence import FitQuality
@@ -39,7 +39,7 @@ def equations(coefficients: Floats, *, lost: int = 0) -> FrameEquations:
 
 @pytest.mark.parametrize("ratio", [0.0, 1.0, 6.0, -0.3, -1.5, -9.0])
 def test_distance_and_phase_of_a_polynomial_layer(ratio: float) -> None:
-    found = find_layers(equations(displacements_px(PHASE, ratio)))
+    found = search_layers(equations(displacements_px(PHASE, ratio)))
     (layer,) = found.fit.layers
     assert layer.ratio == pytest.approx(ratio, rel=2e-3, abs=2e-3)
     assert found.verdict == "one layer"
@@ -69,7 +69,7 @@ def test_error_bar_of_the_distance_is_the_width_of_the_evidence() -> None:
 
     frame = SimpleNamespace(quality=quality, fit=fit, any_wavefront=lambda: quality(ratio))
     frame.distance_covariance = lambda *_: np.zeros((1, 1))
-    (layer,) = find_layers(cast("FrameEquations", frame)).fit.layers
+    (layer,) = search_layers(cast("FrameEquations", frame)).fit.layers
     assert layer.ratio_sigma == pytest.approx(sigma, rel=0.01)
 
 
@@ -77,7 +77,7 @@ def test_error_bar_of_the_distance_is_the_width_of_the_evidence() -> None:
 @pytest.mark.long
 def test_error_bars_of_the_distance_cover_the_truth() -> None:
     clean, ratio, draws = displacements_px(PHASE / 4, -0.975), -0.975, 40
-    found = [find_layers(equations(noisy(clean, seed))).fit.layers[0] for seed in range(draws)]
+    found = [search_layers(equations(noisy(clean, seed))).fit.layers[0] for seed in range(draws)]
     pulls = np.array([(layer.ratio - ratio) / layer.ratio_sigma for layer in found])
     assert 0.75 < np.sqrt(np.mean(pulls**2)) < 1.25  # 2.2 standard errors of 40 draws
     assert abs(np.mean(pulls)) < 3 / math.sqrt(draws)
@@ -94,7 +94,7 @@ def test_error_bars_of_the_distance_cover_systematic_errors() -> None:
     for seed in range(draws):
         error = 0.00165 * np.random.default_rng(seed).normal(size=(len(parameters), len(parameters)))
         mixed = np.einsum("kxq,kj,jyp,rcpy->rcqx", parameters, error, parameters, clean, optimize=True)
-        layer = find_layers(prepared(displacement(noisy(clean + mixed, seed)))).fit.layers[0]
+        layer = search_layers(prepared(displacement(noisy(clean + mixed, seed)))).fit.layers[0]
         pulls.append((layer.ratio - ratio) / layer.ratio_sigma)
     assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.4  # 2.5 standard errors of 20 draws
 
@@ -126,7 +126,7 @@ def test_equations_are_freed_with_their_last_user() -> None:
 
 def test_lost_lenslets_are_left_out() -> None:
     clean = displacements_px(PHASE, -0.975)
-    assert find_layers(equations(clean, lost=20)).fit.layers[0].ratio == pytest.approx(-0.975, rel=2e-3)
+    assert search_layers(equations(clean, lost=20)).fit.layers[0].ratio == pytest.approx(-0.975, rel=2e-3)
     with pytest.raises(ReconstructionError, match="at least 9 valid lenslets"):
         equations(clean, lost=clean.shape[0] * clean.shape[1] - 8)
 
@@ -135,8 +135,8 @@ def test_lost_lenslets_are_left_out() -> None:
 @pytest.mark.long
 def test_two_layers_are_told_from_one() -> None:
     both = displacements_px(3 * PHASE, 0.4) + displacements_px(3 * OTHER, 1.6)
-    found = find_layers(equations(noisy(both, 0)), 2)
-    assert find_layers(equations(noisy(both, 0))).verdict == "not a single layer"
+    found = search_layers(equations(noisy(both, 0)), 2)
+    assert search_layers(equations(noisy(both, 0))).verdict == "not a single layer"
     assert found.verdict == "two layers"
     near, far = found.fit.layers
     assert near.ratio == pytest.approx(0.4, abs=4 * near.ratio_sigma + 0.01)
@@ -161,14 +161,14 @@ def test_many_layers_are_neither_one_nor_two() -> None:
     degree = np.add.outer(np.arange(7), np.arange(7))
     layers = [np.where((degree > 1) & (degree < 7), random.normal(0, 2, (7, 7)) / 2.0**degree, 0) for _ in range(10)]
     total = sum(displacements_px(phase, 0.25 * k) for k, phase in enumerate(layers))
-    assert find_layers(equations(noisy(np.asarray(total), 1)), 2).verdict == "not one or two layers"
+    assert search_layers(equations(noisy(np.asarray(total), 1)), 2).verdict == "not one or two layers"
 
 
 @pytest.mark.parametrize(("noise", "is_doubtful"), [(1.0, False), (3.0, True)])
 def test_displacements_beyond_their_errors_are_told(noise: float, is_doubtful: bool) -> None:
     """Of noise three times as strong as expected, nine times the chi-square remains whatever the wavefront."""
     clean = displacements_px(20 * PHASE, -0.975)
-    found = find_layers(equations(clean + noise * (noisy(clean, 2) - clean)))
+    found = search_layers(equations(clean + noise * (noisy(clean, 2) - clean)))
     expected = noise**2 / (1 + (SYSTEMATIC_PX / NOISE_PX) ** 2)  # the expected error includes the systematic one
     assert found.any_wavefront.chi_square == pytest.approx(expected, rel=0.1)
     assert found.verdict == "one layer"
@@ -179,7 +179,7 @@ def test_displacements_beyond_their_errors_are_told(noise: float, is_doubtful: b
 def test_layers_of_opposite_sides_are_found() -> None:
     """One before the lenslets, one behind them, as a relay can put it."""
     both = displacements_px(3 * PHASE, -1.2) + displacements_px(3 * OTHER, 0.5)
-    found = find_layers(equations(noisy(both, 0)), None)
+    found = search_layers(equations(noisy(both, 0)), None)
     assert found.verdict == "two layers"
     before, behind = found.fit.layers
     assert before.ratio == pytest.approx(-1.2, abs=4 * before.ratio_sigma + 0.02)
@@ -187,7 +187,7 @@ def test_layers_of_opposite_sides_are_found() -> None:
 
 
 def test_given_distances_are_kept() -> None:
-    found = find_layers(equations(displacements_px(PHASE, -0.975)), at=(0.5,))
+    found = search_layers(equations(displacements_px(PHASE, -0.975)), at=(0.5,))
     assert found.fit.layers[0].ratio == 0.5
     assert math.isnan(found.fit.layers[0].ratio_sigma)
     assert found.fit.quality.misfit > 10 * found.one.quality.misfit
@@ -206,11 +206,11 @@ def test_no_displacement_has_no_layer() -> None:
 def test_noise_alone_has_no_layer() -> None:
     nothing = np.zeros_like(displacements_px(PHASE, 0.0))
     for seed in range(3):
-        assert find_layers(equations(noisy(nothing, seed))).verdict == "nothing above the noise"
+        assert search_layers(equations(noisy(nothing, seed))).verdict == "nothing above the noise"
 
 
 def test_layer_beyond_the_search_is_told() -> None:
-    found = find_layers(equations(displacements_px(PHASE, -80.0)))
+    found = search_layers(equations(displacements_px(PHASE, -80.0)))
     assert found.verdict == "farther than the search reaches"
     assert found.one.layers[0].ratio < -FARTHEST_RATIO
 
@@ -218,7 +218,7 @@ def test_layer_beyond_the_search_is_told() -> None:
 @pytest.mark.slow
 @pytest.mark.long
 def test_second_layer_is_not_invented() -> None:
-    found = find_layers(equations(noisy(displacements_px(PHASE, -0.975), 1)), 2)
+    found = search_layers(equations(noisy(displacements_px(PHASE, -0.975), 1)), 2)
     assert found.two is not None
     assert found.verdict == "one layer"
     (layer,) = found.fit.layers
@@ -229,12 +229,12 @@ def test_second_layer_is_not_invented() -> None:
 def test_verdict_on_given_layers_is_theirs() -> None:
     clean = displacements_px(PHASE, 0.8) + displacements_px(OTHER, 0.3)
     measured = equations(clean)
-    assert find_layers(measured, at=(0.8,)).verdict == "not the given layers"
-    assert find_layers(measured, at=(0.8, 0.3)).verdict == "two layers"
-    assert find_layers(equations(displacements_px(PHASE, 0.8)), at=(0.8,)).verdict == "one layer"
+    assert search_layers(measured, at=(0.8,)).verdict == "not the given layers"
+    assert search_layers(measured, at=(0.8, 0.3)).verdict == "two layers"
+    assert search_layers(equations(displacements_px(PHASE, 0.8)), at=(0.8,)).verdict == "one layer"
 
 
 @pytest.mark.parametrize(("count", "at"), [(0, ()), (3, ()), (1, (0.1, 0.1)), (1, (0.1, 0.2, 0.3))])
 def test_impossible_numbers_of_layers_are_refused(count: int, at: tuple[float, ...]) -> None:
     with pytest.raises(ReconstructionError, match="one layer can be found, or two, at different distances"):
-        find_layers(equations(displacements_px(PHASE, 0.8)), count, at=at)
+        search_layers(equations(displacements_px(PHASE, 0.8)), count, at=at)

@@ -23,7 +23,7 @@ from support.polynomial_layers import (
 
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
-from reconstruction.layers.layer_search import LayerSearch, find_layers
+from reconstruction.layers.layer_search import LayerSearch, search_layers
 from reconstruction.layers.layer_solver import Layer, LayerFit, LayerModes
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample, LayeredWavefronts, most_probable
 from reconstruction.modes.field_modes import gradient_basis
@@ -135,7 +135,7 @@ SAMPLES = {
 
 @cache
 def searched(name: str) -> LayerSearch:
-    return find_layers(SOLVER(displacement(noisy(SAMPLES[name](), 0))), None)
+    return search_layers(SOLVER(displacement(noisy(SAMPLES[name](), 0))), None)
 
 
 @pytest.mark.slow
