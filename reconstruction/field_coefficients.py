@@ -99,7 +99,7 @@ class FieldCoefficients:
         return rad, sigma
 
 
-def field_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = None) -> FieldCoefficients:
+def fit_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = None) -> FieldCoefficients:
     """Express a modal fit in Zernike modes over the pupil's inscribed circle, or in Legendre modes over the lattice.
 
     Zernike modes have unit RMS over the circle, in Noll's order; Legendre modes are those of `modes.legendre`. The

@@ -20,8 +20,7 @@ from app.results.result_file import about
 from app.results.sources import measured, read_fit
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
-from reconstruction.field_coefficients import FieldCoefficients, ModalFit
-from reconstruction.field_coefficients import field_coefficients as fitted_coefficients
+from reconstruction.field_coefficients import FieldCoefficients, ModalFit, fit_coefficients
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.pupil_modes import BASES, pupil_modes
 from reconstruction.quality.verdict import Quality
@@ -147,7 +146,7 @@ class FieldMaps(Analysis):
         """Return coefficients over the field, Zernike coefficients also as double Zernikes."""
         progress("reconstructing the frame", 0.0)
         bench, fit = read_fit(source, self.frame)
-        found = fitted_coefficients(fit, self.basis, self.order)
+        found = fit_coefficients(fit, self.basis, self.order)
         maps = field_dataset(found, bench.sensor, bench.field, self.positions, self.field_order)
         first, last = (int(maps["mode"].values[at]) for at in (0, -1))
         for number in self.mode or ():
@@ -224,7 +223,7 @@ def field_coefficients(
     >>> field["coefficient"].sel(mode=4)["name"].item()  # Noll's count
     'Z4 defocus'
     """
-    found = fitted_coefficients(ModalFit.of(measured(wavefront)), basis, order)
+    found = fit_coefficients(ModalFit.of(measured(wavefront)), basis, order)
     return field_dataset(found, wavefront.sensor, wavefront.field, positions)
 
 
@@ -341,6 +340,6 @@ def zernikes_of_views(wavefront: Wavefront) -> xr.Dataset:
 
 def _zernikes(wavefront: Wavefront) -> FieldCoefficients:
     try:
-        return fitted_coefficients(ModalFit.of(wavefront), "zernike")
+        return fit_coefficients(ModalFit.of(wavefront), "zernike")
     except ReconstructionError as error:
         raise InputError(f"the wavefront cannot be written in Zernike modes: {error}") from error

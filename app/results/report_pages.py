@@ -23,7 +23,7 @@ from app.results.report_summary import Fact, Residual, Statistics, Summary, fact
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.field_coefficients import FieldCoefficients, ModalFit, field_coefficients
+from reconstruction.field_coefficients import FieldCoefficients, ModalFit, fit_coefficients
 from reconstruction.geometry import Field
 from reconstruction.quality.isoplanatism import isoplanatism
 from reconstruction.wavefront import peak_to_valley, rms
@@ -224,7 +224,7 @@ _MODES = 8  # with the largest coefficients
 def over_field(stats: Statistics) -> FieldCoefficients | None:
     """Return the Zernike coefficients of the middle frame; None if its reconstruction has none."""
     try:
-        return field_coefficients(ModalFit.of(stats.wavefront), "zernike")
+        return fit_coefficients(ModalFit.of(stats.wavefront), "zernike")
     except ReconstructionError:
         return None
 

@@ -16,7 +16,7 @@ from support.wavefronts import bowl, modal
 
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
-from reconstruction.field_coefficients import FieldCoefficients, ModalFit, field_coefficients
+from reconstruction.field_coefficients import FieldCoefficients, ModalFit, fit_coefficients
 from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes, ZernikeModes
 from reconstruction.modes.polynomials import legendre_orders
 from reconstruction.modes.pupil_modes import pupil_modes
@@ -78,7 +78,7 @@ def test_double_zernikes_are_the_wavefront(
 ) -> None:
     """sum_kj d[k, j] Z_k(field) Z_j(pupil) by SciPy equals sum_pq e_pq R_p T_q within the circles, without piston."""
     rad = smooth_coefficients(field_modes.count, basis)
-    double, _ = field_coefficients(fitted(rad, field_modes, basis=basis), "zernike").double_zernikes()
+    double, _ = fit_coefficients(fitted(rad, field_modes, basis=basis), "zernike").double_zernikes()
     rng = np.random.default_rng(0)
     radius, angle = np.sqrt(rng.uniform(size=(2, 60))), rng.uniform(0, 2 * np.pi, (2, 60))
     (field_x, pupil_x), (field_y, pupil_y) = radius * np.cos(angle), radius * np.sin(angle)
@@ -105,10 +105,10 @@ def test_galsim_evaluates_the_same_wavefront() -> None:
     assert (made["xy_outer"], made["uv_outer"]) == pytest.approx((RADIUS_M, FIELD.half_width_m))
     rad = np.array(made["rad"])
     fit = fitted(rad, LegendreModes(rad.shape[1]))
-    double, _ = field_coefficients(fit, "zernike").double_zernikes()
+    double, _ = fit_coefficients(fit, "zernike").double_zernikes()
     np.testing.assert_allclose(double, made["double_zernike"], atol=1e-12)
     for (u, v, x, y), value in zip(made["uvxy_m"], made["wavefront_rad"], strict=True):
-        at = field_coefficients(fit, "zernike").at(u / made["uv_outer"], v / made["uv_outer"])
+        at = fit_coefficients(fit, "zernike").at(u / made["uv_outer"], v / made["uv_outer"])
         modes = [jacobi_zernike(j, np.array(x / RADIUS_M), np.array(y / RADIUS_M)) for j in range(1, len(at) + 1)]
         assert np.dot(at, modes) == pytest.approx(value, abs=1e-12)
 
@@ -117,7 +117,7 @@ def test_defocus_that_grows_over_the_field_is_one_double_zernike() -> None:
     """e(x) = x times defocus: Z_2 = 2 x over the field, so d[2, 4] = 1/2."""
     rad = np.zeros((6, 3))
     rad[3, 1] = 1.0  # Noll's defocus is the fourth mode; T_1 = x
-    double, _ = field_coefficients(fitted(rad, LegendreModes(3), basis="zernike"), "zernike").double_zernikes()
+    double, _ = fit_coefficients(fitted(rad, LegendreModes(3), basis="zernike"), "zernike").double_zernikes()
     expected = np.zeros((4, 7))
     expected[2, 4] = 0.5
     np.testing.assert_allclose(double, expected, atol=1e-14)
@@ -126,9 +126,9 @@ def test_defocus_that_grows_over_the_field_is_one_double_zernike() -> None:
 def test_legendre_modes_of_the_fit_come_back() -> None:
     rad = smooth_coefficients(6, "legendre")
     fit = fitted(rad, LegendreModes(6))
-    found = field_coefficients(fit, "legendre")
+    found = fit_coefficients(fit, "legendre")
     np.testing.assert_allclose(found.rad, rad, atol=1e-15)
-    np.testing.assert_allclose(field_coefficients(fit, "legendre", 4).rad, rad[:15], atol=1e-15)
+    np.testing.assert_allclose(fit_coefficients(fit, "legendre", 4).rad, rad[:15], atol=1e-15)
     x, y = 0.3, -0.7
     field = [1, x, y, (3 * x**2 - 1) / 2, x * y, (3 * y**2 - 1) / 2]
     np.testing.assert_allclose(found.at(x, y), rad @ field, atol=1e-14)
@@ -138,7 +138,7 @@ def test_zernike_modes_in_legendre_modes() -> None:
     """Defocus over the circle, sqrt(3) (2 r^2 - 1), in P_2 = (3 x^2 - 1) / 2 over the lattice."""
     rad = np.zeros((6, 1))
     rad[3] = 1.0
-    found = field_coefficients(fitted(rad, LegendreModes(1), basis="zernike"), "legendre").rad[:, 0]
+    found = fit_coefficients(fitted(rad, LegendreModes(1), basis="zernike"), "legendre").rad[:, 0]
     expected = np.zeros(6)
     expected[[3, 5]] = np.sqrt(3) * 4 / 3 / SCALE**2
     np.testing.assert_allclose(found, expected, atol=1e-13)
@@ -146,7 +146,7 @@ def test_zernike_modes_in_legendre_modes() -> None:
 
 def test_coefficients_do_not_depend_on_the_order() -> None:
     fit = fitted(smooth_coefficients(3, "legendre"), LegendreModes(3))
-    every, some = (field_coefficients(fit, "zernike", order) for order in (None, 4))
+    every, some = (fit_coefficients(fit, "zernike", order) for order in (None, 4))
     np.testing.assert_allclose(some.rad, every.rad[:15], atol=1e-15)
     np.testing.assert_allclose(some.double_zernikes(0)[0], every.double_zernikes()[0][:2, :16], atol=1e-15)
 
@@ -155,10 +155,10 @@ def test_errors_are_those_of_the_covariance() -> None:
     """Against the covariance of all pairs of e_pq, transformed coefficient by coefficient."""
     root = np.random.default_rng(5).normal(size=(14, 6, 100))
     fit = replace(fitted(np.zeros((15, 6)), LegendreModes(6)), root_covariance=root)
-    found = field_coefficients(fit, "zernike")
+    found = fit_coefficients(fit, "zernike")
     covariance = np.tensordot(root, root, axes=((2,), (2,))).reshape(84, 84)
     each = np.eye(15 * 6).reshape(-1, 15, 6)[6:]
-    unit = [field_coefficients(fitted(rad, LegendreModes(6)), "zernike") for rad in each]
+    unit = [fit_coefficients(fitted(rad, LegendreModes(6)), "zernike") for rad in each]
     x, y = np.array([0.0, -0.9, 0.4]), np.array([0.0, 0.2, 0.9])
     at = np.array([of.at(x, y) for of in unit])  # (e_pq, mode, position)
     np.testing.assert_allclose(found.sigma(x, y) ** 2, np.einsum("amx,ab,bmx->mx", at, covariance, at), rtol=1e-9)
@@ -171,12 +171,12 @@ def test_errors_cover_the_scatter_of_noisy_fits() -> None:
     """200 fits of displacements with independent errors scatter as the error bars say."""
     rad, sigma_px = np.zeros((10, 3)), 0.05
     wavefront = modal(rad, sigma_px=sigma_px)
-    expected = field_coefficients(ModalFit.of(wavefront), "zernike").sigma(0.5, -0.5)[1:]
+    expected = fit_coefficients(ModalFit.of(wavefront), "zernike").sigma(0.5, -0.5)[1:]
     rng = np.random.default_rng(1)
     found = []
     for _ in range(200):
         noisy = modal(rad, sigma_px=sigma_px, noise=rng)
-        found.append(field_coefficients(ModalFit.of(noisy), "zernike").at(0.5, -0.5)[1:])
+        found.append(fit_coefficients(ModalFit.of(noisy), "zernike").at(0.5, -0.5)[1:])
     np.testing.assert_allclose(np.std(found, axis=0), expected, rtol=0.2)
 
 
@@ -187,19 +187,17 @@ def refused(make: Callable[[], object]) -> str:
 
 
 def coefficients(field_modes: int) -> FieldCoefficients:
-    return field_coefficients(
-        fitted(smooth_coefficients(field_modes, "legendre"), LegendreModes(field_modes)), "zernike"
-    )
+    return fit_coefficients(fitted(smooth_coefficients(field_modes, "legendre"), LegendreModes(field_modes)), "zernike")
 
 
 def test_orders_that_the_data_do_not_hold_are_refused() -> None:
     fit = fitted(smooth_coefficients(3, "legendre"), LegendreModes(3))
-    assert "order 11 of the pupil modes must be 1 ... 10" in refused(lambda: field_coefficients(fit, "zernike", 11))
-    assert "legendre or zernike, not foo" in refused(lambda: field_coefficients(fit, "foo"))  # type: ignore[arg-type] # refused
+    assert "order 11 of the pupil modes must be 1 ... 10" in refused(lambda: fit_coefficients(fit, "zernike", 11))
+    assert "legendre or zernike, not foo" in refused(lambda: fit_coefficients(fit, "foo"))  # type: ignore[arg-type] # refused
     assert "field order 2 exceeds that of the 3 field modes, 1" in refused(lambda: coefficients(3).double_zernikes(2))
     assert "measured at a single field position" in refused(lambda: coefficients(1).double_zernikes(1))
     assert coefficients(1).double_zernikes(0)[0].shape == (2, MODES + 1)
-    legendre = field_coefficients(fit, "legendre")
+    legendre = fit_coefficients(fit, "legendre")
     assert "made of Zernike modes" in refused(legendre.double_zernikes)
 
 
@@ -209,5 +207,5 @@ def test_wavefront_without_modes_or_lenslets_is_refused() -> None:
     fit.known[1:-1] = False
     corners = np.hypot(SENSOR.pupil_x_m, SENSOR.pupil_y_m[:, None]) > RADIUS_M
     fit.known[:] = corners
-    assert "no lenslet is known inside the circular pupil" in refused(lambda: field_coefficients(fit, "zernike"))
-    assert field_coefficients(fit, "legendre").known_share == pytest.approx(corners.mean())
+    assert "no lenslet is known inside the circular pupil" in refused(lambda: fit_coefficients(fit, "zernike"))
+    assert fit_coefficients(fit, "legendre").known_share == pytest.approx(corners.mean())

@@ -10,7 +10,7 @@ import pytest
 import svwfs
 from app.measurement.calibration import Calibration
 from app.results.dataset import result_dataset, stack_frames
-from reconstruction.field_coefficients import ModalFit, field_coefficients
+from reconstruction.field_coefficients import ModalFit, fit_coefficients
 from reconstruction.geometry import nominal_lattice
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.polynomials import zernike
@@ -60,7 +60,7 @@ def test_more_modes_leave_the_wavefront_as_it_is(wavefronts: dict[str, Wavefront
 @pytest.mark.parametrize("name", ["layered", "free"])
 def test_field_coefficients_are_the_wavefront_at_every_position(wavefronts: dict[str, Wavefront], name: str) -> None:
     wavefront = wavefronts[name]
-    found = field_coefficients(ModalFit.of(wavefront), "zernike")
+    found = fit_coefficients(ModalFit.of(wavefront), "zernike")
     sensor, half_m = BENCH.sensor, BENCH.field.half_width_m
     u, v = np.moveaxis(sensor.lenslet_centers_m, -1, 0) / min(sensor.pupil_half_width_m)
     values = zernike(len(found.rad), u, v)
