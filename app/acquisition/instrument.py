@@ -17,10 +17,17 @@ from app.acquisition.kept_averages import AverageState, KeptAverages
 from app.acquisition.process_state import ProcessState
 from app.bench.config import Bench, changes_in_words, with_known
 from app.measurement.auto_exposure import AutoExposure, auto_expose
-from app.measurement.averages import Average, BackgroundCheck, check_background, take_dark, take_reference
+from app.measurement.averages import (
+    EXPOSURE_FRAMES,
+    Average,
+    BackgroundCheck,
+    check_background,
+    take_dark,
+    take_reference,
+)
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.estimator import Estimator, mask_sentence
-from app.measurement.linearity import EXPOSURE_FRAMES, measure_linearity
+from app.measurement.linearity import measure_linearity
 from app.measurement.live_solver import LiveSolver
 from app.measurement.measurement import SKIPPED, Assumptions, Measurement
 from app.measurement.routines import UNWATCHED, Circumstances, RoutineError, Watch, restored

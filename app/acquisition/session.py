@@ -20,9 +20,8 @@ from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, knows_sample, st
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
 from app.errors import RunError
-from app.measurement.averages import FRAMES
+from app.measurement.averages import EXPOSURE_FRAMES, FRAMES
 from app.measurement.bench_reconstructor import whole_number
-from app.measurement.linearity import EXPOSURE_FRAMES
 from app.measurement.measurement import SKIPPED, Measurement
 from app.progress import Progress, counted
 from app.recording.recorder import RecordingLimit, RecordingState

@@ -16,6 +16,7 @@ from app.commands import options, terminal
 from app.errors import InputError, RunError
 from app.files import write_whole
 from app.images import IMAGE_FORMATS
+from app.measurement.averages import EXPOSURE_FRAMES
 from app.progress import Progress
 
 if TYPE_CHECKING:
@@ -42,7 +43,11 @@ def calibrate(
     ] = False,
     average: Annotated[
         int | None,
-        typer.Option(min=2, max=1000, help="Number of frames averaged into each exposure of --linearity [default: 8]."),
+        typer.Option(
+            min=2,
+            max=1000,
+            help=f"Number of frames averaged into each exposure of --linearity [default: {EXPOSURE_FRAMES}].",
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON.")] = False,
     overwrite: options.Overwrite = False,
@@ -141,7 +146,6 @@ def find_linearity(bench: Bench, frames: int | None, progress: Progress) -> Meas
     """Measure the nonlinearity of a bench's camera with its devices; `RunError` says why it cannot."""
     from app.acquisition.session import LiveBench
     from app.acquisition.start_up import without_sample
-    from app.measurement.linearity import EXPOSURE_FRAMES
     from drivers.interface import DeviceError
 
     live = LiveBench(bench, average=0, progress=progress)

@@ -12,6 +12,7 @@ from drivers.interface import BadValue, Camera, Devices, Frame
 from reconstruction.arrays import SIGMA_OF_MEDIAN, Counts
 
 FRAMES = 20  # default number averaged into the dark, and into the reference
+EXPOSURE_FRAMES = 8  # default number averaged into each exposure that measures the nonlinearity
 AVERAGED_FRAMES = range(1, 10_001)  # allowed numbers
 
 _SIGNIFICANT = 5.0  # standard errors

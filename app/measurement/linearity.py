@@ -15,7 +15,6 @@ from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.linearity import LEAST_SPAN, Exposures, MeasuredLinearity
 
-EXPOSURE_FRAMES = 8  # default number averaged into each exposure
 _FILL = 0.8  # of full scale, of the longest exposure
 _LEVELS = 8  # exposure times
 _SPAN = 11.3  # longest over shortest exposure, if the camera allows it

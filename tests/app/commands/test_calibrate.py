@@ -17,7 +17,7 @@ from support.pictures import assert_drawn
 from app.bench.config import load_bench, parse_bench
 from app.bench.presets import PRESETS
 from app.commands.calibrate import bench_text, differences, find_lattice, summary, write_found
-from app.measurement.linearity import EXPOSURE_FRAMES
+from app.measurement.averages import EXPOSURE_FRAMES
 from app.results.figures import lattice_figure
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.cells import cell_index
