@@ -147,7 +147,7 @@ class FieldMaps(Analysis):
         progress("reconstructing the frame", 0.0)
         bench, fit = read_fit(source, self.frame)
         found = fit_coefficients(fit, self.basis, self.order)
-        maps = field_dataset(found, bench.sensor, bench.field, self.positions, self.field_order)
+        maps = field_dataset(found, bench.sensor, bench.field, positions=self.positions, field_order=self.field_order)
         first, last = (int(maps["mode"].values[at]) for at in (0, -1))
         for number in self.mode or ():
             if not first <= number <= last:
@@ -224,11 +224,11 @@ def field_coefficients(
     'Z4 defocus'
     """
     found = fit_coefficients(ModalFit.of(measured(wavefront)), basis, order)
-    return field_dataset(found, wavefront.sensor, wavefront.field, positions)
+    return field_dataset(found, wavefront.sensor, wavefront.field, positions=positions)
 
 
 def field_dataset(
-    found: FieldCoefficients, sensor: Sensor, field: Field, positions: int, field_order: int | None = None
+    found: FieldCoefficients, sensor: Sensor, field: Field, *, positions: int, field_order: int | None = None
 ) -> xr.Dataset:
     """Return maps at positions x positions evenly spread over the field; of Zernike modes also double Zernikes."""
     if positions < 1:

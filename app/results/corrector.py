@@ -87,7 +87,7 @@ class BestCorrector(Analysis):
         phase_at = mean_wavefront(source, bench, self.frames, between(progress, 0, _READING))
         corrector = Corrector(self.modes, self.count)
         try:
-            found, chosen = compare_correctors(phase_at, bench, corrector, self.distance, self.origin)
+            found, chosen = compare_correctors(phase_at, bench, corrector, at_m=self.distance, origin=self.origin)
         except ValueError as error:
             raise InputError(f"{source}: {error}") from error
         if self.command is not None:  # for `write`
@@ -179,13 +179,18 @@ def find_corrector(
     bench = as_bench(bench)
     phase_at = phase_of(source, bench)
     try:
-        return compare_correctors(phase_at, bench, Corrector(modes, count), distance_m, "lenslets")[0]
+        return compare_correctors(phase_at, bench, Corrector(modes, count), at_m=distance_m, origin="lenslets")[0]
     except ValueError as error:
         raise InputError(str(error)) from error
 
 
 def compare_correctors(
-    phase_at: Callable[[float, float], Floats], bench: Bench, corrector: Corrector, at_m: float | None, origin: Origin
+    phase_at: Callable[[float, float], Floats],
+    bench: Bench,
+    corrector: Corrector,
+    *,
+    at_m: float | None,
+    origin: Origin,
 ) -> tuple[xr.Dataset, Correction]:
     """Find the best command of correctors at every distance, and choose the best of them, or that at `at_m`.
 
@@ -280,6 +285,6 @@ def find_shown_correctors(measurement: Measurement, origin: Origin, corrector: C
     if calibration is None or wavefront is None:
         return layers.WITHOUT_WAVEFRONT
     try:
-        return compare_correctors(wavefront.at, calibration.bench, corrector, None, origin)[0]
+        return compare_correctors(wavefront.at, calibration.bench, corrector, at_m=None, origin=origin)[0]
     except ValueError as error:
         return str(error)

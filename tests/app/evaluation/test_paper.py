@@ -118,6 +118,13 @@ def test_bench_unable_to_run_the_experiment_is_rejected(
     assert sentence in capsys.readouterr().err
 
 
+def test_sources_refuses_the_slow_methods(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "paper", "sources", "--peers", "--out", tmp_path) == 2
+    assert "--peers" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 @pytest.mark.long
 def test_sources_compares_all_shapes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

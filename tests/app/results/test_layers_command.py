@@ -148,7 +148,7 @@ def test_layer_behind_the_lenslets_has_no_distance_from_the_mask() -> None:
     assert Layers().sentences(found)[0].endswith(" mm behind the lenslets")
     low_mm, high_mm = Layers().draw(found).axes[0].get_xlim()
     assert (low_mm, high_mm) == pytest.approx((-300, 150))
-    corrector, _ = compare_correctors(wavefront.at, bench, Corrector("zernike", 45), None, "mask")
+    corrector, _ = compare_correctors(wavefront.at, bench, Corrector("zernike", 45), at_m=None, origin="mask")
     assert corrector["corrector_distance_m"].item() == pytest.approx(-0.1, rel=0.2)
     assert " mm behind the lenslets, " in BestCorrector().sentences(corrector)[0]
 
@@ -331,7 +331,7 @@ def test_corrector_needs_a_wavefront_that_changes_over_the_field() -> None:
     bench = load_bench("small_demo")
     same = np.add.outer(np.arange(bench.sensor.lenslet_rows), np.arange(bench.sensor.lenslet_columns)) ** 2.0
     with pytest.raises(ValueError, match="the same at every field position"):
-        compare_correctors(lambda _x, _y: same, bench, Corrector("zernike", 10), None, "lenslets")
+        compare_correctors(lambda _x, _y: same, bench, Corrector("zernike", 10), at_m=None, origin="lenslets")
 
 
 def test_first_sentence_of_the_help_is_that_of_the_file() -> None:
