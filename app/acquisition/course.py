@@ -8,7 +8,6 @@ from typing import Any
 from app.acquisition.carrier import Carrier
 from app.acquisition.start_up import start_up
 from app.errors import InputError, RunError
-from app.measurement.measurement import SKIPPED
 from app.measurement.routines import Cancelled
 from app.progress import Progress
 
@@ -44,7 +43,7 @@ class Course:
             if newest is not None and newest is not seen and all(step.done() for step in self._expected):
                 if newest.wavefront is not None:
                     return time.perf_counter()
-                if newest.problem != SKIPPED:
+                if not newest.is_skipped:
                     failed, problem = failed + 1, newest.problem
             seen = newest
             if failed >= _HOPELESS_FRAMES:

@@ -22,7 +22,7 @@ from app.bench.config import Bench, as_bench
 from app.errors import RunError
 from app.measurement.averages import EXPOSURE_FRAMES, FRAMES
 from app.measurement.bench_reconstructor import whole_number
-from app.measurement.measurement import SKIPPED, Measurement
+from app.measurement.measurement import Measurement
 from app.progress import Progress, counted
 from app.recording.recorder import RecordingLimit, RecordingState
 from drivers.interface import WrongState
@@ -341,7 +341,7 @@ class LiveBench:
         self._newest = None
 
     def _take(self, measurement: Measurement) -> None:
-        if measurement.problem == SKIPPED:  # a newer frame follows
+        if measurement.is_skipped:  # a newer frame follows
             return
         with self._arrived:
             self._newest = measurement

@@ -14,10 +14,7 @@ from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
 
 SKIPPED = "skipped: the computer was too slow"  # stored in recordings
-SKIPPED_SENTENCES = {
-    SKIPPED,
-    "passed over: the computer was behind, and a newer frame was there",
-}  # the latter in old ones
+_SKIPPED_BEFORE = "passed over: the computer was behind, and a newer frame was there"  # in old recordings
 _COUNTS = {1: "one layer", 2: "two layers"}
 
 RefinementStage = Literal["off", "preparing", "applied", "moved", "worse", "failed"]
@@ -86,6 +83,16 @@ class Measurement:
     gap: Gap | None = None  # just before the frame
     file: str = ""  # name of the file that the frame was read from; empty: the camera
     index: int = -1  # of the frame in the recording that it was read from; -1: none
+
+    @property
+    def is_skipped(self) -> bool:
+        """True if the frame was not reconstructed because a newer one was there."""
+        return is_skipped(self.problem)
+
+
+def is_skipped(problem: str) -> bool:
+    """Return True if the problem of a frame, as stored in any version's recordings, is that it was skipped."""
+    return problem in {SKIPPED, _SKIPPED_BEFORE}
 
 
 def sample_sentence(sample: AssumedSample, field: Field) -> str:

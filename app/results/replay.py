@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from app.bench.config import Bench, parse_bench, write_bench
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import SKIPPED_SENTENCES, Measurement
+from app.measurement.measurement import Measurement, is_skipped
 from app.progress import Progress, counted
 from app.recording.folder import version_of
 from app.recording.frame_lines import FrameLine
@@ -42,7 +42,7 @@ class Verification:
     def take(self, frame: Measurement) -> None:
         """Compare one frame, unless it was skipped live."""
         line = self._recording.line(frame.index)
-        if line.calibration is None or line.problem in SKIPPED_SENTENCES:
+        if line.calibration is None or is_skipped(line.problem):
             self._skipped += 1
             return
         self.frames += 1

@@ -42,7 +42,7 @@ from app.acquisition.wake import Wake
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
-from app.measurement.measurement import SKIPPED, Measurement
+from app.measurement.measurement import Measurement
 from app.recording.recorder import RecordingLimit
 from app.timing import StageTimes, TimedStage
 from drivers.errors import BadValue, WrongState
@@ -175,7 +175,7 @@ class Server:
 
     def _publish(self, measurement: Measurement, *, is_shown_only: bool) -> None:
         """Write a measurement into the ring, unless a newer one follows at once; called by the worker."""
-        if measurement.problem != SKIPPED:
+        if not measurement.is_skipped:
             self._published += 1
             self._unwritten.append((self._published, measurement, is_shown_only))
             self._write_if_due()
