@@ -19,6 +19,7 @@ from app.errors import InputError
 from drivers.camera import Region
 from drivers.device import DiscoveredDevice
 from reconstruction.annotated_settings import Setting, settings_of
+from reconstruction.modes.pupil_modes import BASES
 
 _UNITS = {  # by the end of a name; the first that fits
     "_m_per_s": "m/s",
@@ -36,12 +37,11 @@ _UNITS = {  # by the end of a name; the first that fits
 _PREFIXES = {"n": 1e-9, "\N{MICRO SIGN}": 1e-6, "m": 1e-3, "": 1.0}
 _TYPED_PREFIXES = {**_PREFIXES, "u": 1e-6, "\N{GREEK SMALL LETTER MU}": 1e-6}
 _WORDS = {"rms": "RMS", "pv": "PV", "em": "EM", "center": "centre"}
-NAMES = {  # of the values of settings, for people; the others are their word
+NAMES = {  # of the values of settings, for people
     "gauss_newton": "Gauss-Newton",
     "correlation_fft": "correlation (FFT)",
     "itk_affine": "affine (ITK)",
-    "legendre": "Legendre",
-    "zernike": "Zernike",
+    **{name: basis.title for name, basis in BASES.items()},
     **{kind.driver: kind.name for kinds in DRIVERS.values() for kind in kinds.values() if kind.name},
 }
 _USUAL = {"wavelength_m": "n", "current_a": "m", "pixel_m": "\N{MICRO SIGN}"}  # prefixes, whatever the value
@@ -51,6 +51,11 @@ _OF_LENSLETS = ("sensor", "field")  # sections without useful defaults
 
 Kind = Literal["switch", "choice", "integer", "number", "text", "toml"]
 _KINDS: dict[Any, Kind] = {bool: "switch", int: "integer", str: "text", float: "number"}
+
+
+def name_of(value: str) -> str:
+    """Return the value of a setting for people: its name, or else its words."""
+    return NAMES.get(value, value.replace("_", " "))
 
 
 def typed_number(text: str, unit: str, factor: float) -> float | None:

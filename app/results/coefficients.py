@@ -124,7 +124,7 @@ class FieldMaps(Analysis):
     picture_dpi: ClassVar = 130
 
     basis: Annotated[
-        PupilBasis, typer.Option(help="Modes: zernike over the pupil's inscribed circle, legendre over the lattice.")
+        PupilBasis, typer.Option(help="Modes of the pupil, see docs/field.md; zernike gives double Zernikes, too.")
     ] = "zernike"
     order: Annotated[
         int | None, typer.Option(min=1, help="Highest degree of the pupil modes; that of the result if omitted.")
@@ -140,7 +140,7 @@ class FieldMaps(Analysis):
 
     def __post_init__(self) -> None:
         if self.field_order is not None and self.basis != "zernike":
-            raise InputError("--field-order is that of double Zernikes: leave it out with --basis legendre")
+            raise InputError(f"--field-order is that of double Zernikes: leave it out with --basis {self.basis}")
 
     def compute(self, source: Path, progress: Progress) -> tuple[Bench, xr.Dataset]:
         """Return coefficients over the field, Zernike coefficients also as double Zernikes."""

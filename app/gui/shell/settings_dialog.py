@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QCheckBox, QDialog, QFormLayout, QLineEdit, QListWid
 
 from app.bench.config import Bench, save_bench
 from app.bench.device_kinds import KINDS
-from app.bench.settings_form import NAMES, FormField, SettingsForm, fault_in_words, fault_path
+from app.bench.settings_form import NAMES, FormField, SettingsForm, fault_in_words, fault_path, name_of
 from app.errors import InputError, RunError
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice
@@ -147,7 +147,7 @@ class SettingsDialog(QDialog):
             box.toggled.connect(lambda on: self._enter(field, box, "true" if on else "false"))
             return box
         if field.kind == "choice":
-            choice = Choice(items=[(NAMES.get(value, value) or "automatic", value) for value in field.choices])
+            choice = Choice(items=[(name_of(value) or "automatic", value) for value in field.choices])
             choice.setCurrentIndex(choice.findData(field.text))
             choice.activated.connect(lambda index: self._enter(field, choice, choice.itemData(index)))
             return choice

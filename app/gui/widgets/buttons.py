@@ -6,7 +6,7 @@ from PyQt6.QtCore import QEvent, QSize, Qt, pyqtBoundSignal
 from PyQt6.QtGui import QKeyEvent, QWheelEvent
 from PyQt6.QtWidgets import QComboBox, QPushButton, QStyle, QStyledItemDelegate, QStyleOptionComboBox, QWidget
 
-from app.bench.settings_form import NAMES
+from app.bench.settings_form import name_of
 
 Slot = Callable[..., object] | pyqtBoundSignal
 ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
@@ -78,7 +78,7 @@ class Choice(QComboBox):
         if tuple(self.itemData(index) for index in range(self.count())) != allowed:
             self.clear()
             for value in allowed:
-                self.addItem(NAMES.get(str(value), str(value)), value)
+                self.addItem(name_of(str(value)), value)
             if (items := self.view()) is not None:
                 items.setMinimumWidth(items.sizeHintForColumn(0) + 8)  # no elided items below a narrow choice
         self.setCurrentIndex(self.findData(chosen))

@@ -17,7 +17,7 @@ from support.window_tools import MakeWindow, count_pixels, press, wait_for_wavef
 from app.acquisition.kept_averages import AverageState
 from app.bench.config import AUTOMATIC
 from app.bench.device_kinds import DRIVERS
-from app.bench.settings_form import NAMES
+from app.bench.settings_form import NAMES, name_of
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.measurement.averages import AVERAGED_FRAMES
@@ -290,5 +290,5 @@ def test_refused_value_is_shown_and_loop_continues(live: tuple[MainWindow, FakeC
 
 def test_no_method_is_shown_as_a_word_of_code() -> None:
     for word in (*get_args(Method), *get_args(PupilBasis)):
-        assert "_" not in NAMES.get(word, word)
+        assert "_" not in name_of(word)
     assert NAMES.keys() <= {*get_args(Method), *get_args(PupilBasis), *DRIVERS["camera"], *DRIVERS["light"]}
