@@ -45,15 +45,19 @@ class Library:
         return is_known
 
 
-def unconfirmed(bench: Bench) -> tuple[Library, ...]:
-    """Return the libraries of a bench that nobody has confirmed as they are."""
-    named = (
+def named_libraries(bench: Bench) -> tuple[Library, ...]:
+    """Return the libraries that a bench names, without reading them."""
+    return tuple(
         Library(f"{section}.{key}", str(value))
         for section, settings in (("camera", bench.camera), ("light", bench.light))
         for key in _SETTINGS
         if (value := getattr(settings, key, ""))
     )
-    return tuple(library for library in named if not library.is_trusted)
+
+
+def unconfirmed(bench: Bench) -> tuple[Library, ...]:
+    """Return the libraries of a bench that nobody has confirmed as they are."""
+    return tuple(library for library in named_libraries(bench) if not library.is_trusted)
 
 
 def check_unchanged(settings: object) -> None:

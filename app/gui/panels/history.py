@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from copy import deepcopy
 from functools import partial
 
 import numpy as np
@@ -10,12 +11,12 @@ from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QWidget
 
 from app.bench.settings_form import typed_number
-from app.errors import RunError
 from app.gui.panels.panel import Entries, Panel, Request, Shown, Verdict
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberLine
+from app.gui.widgets.file_work import FileWork
 from app.gui.widgets.layouts import Item, Scrolled, column, row
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import NOTHING, number
@@ -96,6 +97,7 @@ class HistoryPanel(Panel):
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
         self.history, self._watch = History(), LimitWatch()
+        self._files = FileWork(self, self.warned.emit, is_writing=True)
         self._newest: tuple[float, dict[str, float]] | None = None  # time and values of the newest sample
         self._pinned = ""  # name of a coefficient
         self.toggles = {
@@ -114,7 +116,7 @@ class HistoryPanel(Panel):
             choice.currentIndexChanged.connect(self.refresh)
         self.form = LimitsForm(shown, tuple(_ABOUT), self)
         self.form.changed.connect(self.refresh)
-        self.limits = Button("Limits", "Set limits: what crosses one is told, and red here", self.form.show)
+        self.limits = Button("Limits", "Set limits: a crossing is reported, and red here", self.form.show)
         self.export = Button("Export", "Save all series as CSV", self.export_csv)
         self._hint = ElidedLabel("dim", _HINT)
         self.charts: dict[str, StripChart] = {}
@@ -139,14 +141,9 @@ class HistoryPanel(Panel):
 
     def export_csv(self) -> None:
         name = ask_file(self, "Export the history", "history.csv", "Table (*.csv)")
-        if name is None:
-            return
-        try:
-            self.history.write_csv(path := name.with_suffix(".csv"))
-        except RunError as error:
-            self.warned.emit(str(error))
-        else:
-            self.informed.emit(f"saved {path}")
+        if name is not None:
+            path, history = name.with_suffix(".csv"), deepcopy(self.history)  # it goes on meanwhile
+            self._files.run(partial(history.write_csv, path), lambda _: self.informed.emit(f"saved {path}"))
 
     def forget_bench(self) -> None:
         self.history, self._watch = History(), LimitWatch()

@@ -1,7 +1,6 @@
 """The wavefront panel: the chosen quantity at every view of the field, and the menu of its display options."""
 
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import Future
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -13,7 +12,6 @@ from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QActionGroup
 from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
 
-from app.errors import InputError, RunError
 from app.files import check_outputs
 from app.gui.panels.panel import Entries, Panel, Request, Shown
 from app.gui.widgets import theme
@@ -21,13 +19,12 @@ from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file, write_picture
 from app.gui.widgets.enlarged_view import EnlargedView
 from app.gui.widgets.fields import BUTTONS_WIDTH_PX, NumberField
+from app.gui.widgets.file_work import FileWork
 from app.gui.widgets.layouts import column, row_of
 from app.gui.widgets.presentation import PRESENTATIONS, AdaptiveScale, Presentation, number, place
 from app.gui.widgets.texts import ElidedLabel, colour_text
-from app.gui.widgets.timers import REFRESH_MS, timer
 from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
 from app.measurement.measurement import Measurement
-from app.progress import run_in_thread
 from app.results.dataset import write_shown
 from app.results.shown_wavefront import (
     MOST_AVERAGED,
@@ -63,8 +60,8 @@ class WavefrontPanel(Panel):
         self._limits = {(one.family, unit): AdaptiveScale() for one in PRESENTATIONS.values() for unit in Unit}
         self._reach_mrad = AdaptiveScale()  # half width of PSF maps
         self._enlarged: EnlargedView | None = None
-        self._reading: Future[StoredWavefront] | None = None  # of a file to subtract
-        self._reading_timer = timer(self, REFRESH_MS, self._take_file)
+        self._reading = FileWork(self, self.warned.emit)  # of a wavefront to subtract
+        self._exports = FileWork(self, self.warned.emit, is_writing=True)
         about = "Quantity shown for every view (keys 1 to 6)"
         self.choice = Choice(about, Quantity, self._redraw, key="view/quantity")
         for index, quantity in enumerate(Quantity):
@@ -137,8 +134,7 @@ class WavefrontPanel(Panel):
     def forget_bench(self) -> None:
         """Forget all wavefronts, also the one that is subtracted: the lenslets may be others."""
         self.show_wavefront(None)
-        self._reading = None
-        self._reading_timer.stop()
+        self._reading.forget()
         self._display = WavefrontDisplay()
         self.menu.change(stored=None)
 
@@ -205,30 +201,21 @@ class WavefrontPanel(Panel):
         if name is None:
             return
         path, results = name.with_suffix(".png"), name.with_suffix(".nc")
-        try:
+        picture, bench, options = self.grab().toImage(), status.bench, self.menu.options.in_words
+
+        def write() -> None:
             check_outputs([results], overwrite=path.exists())  # the dialog asked about the picture
-            write_picture(path, self.grab())
-            write_shown(results, shown, status.bench, options=self.menu.options.in_words)
-        except (InputError, RunError) as error:
-            self.warned.emit(str(error))
-        else:
-            self.informed.emit(f"saved {path} and {results.name}")
+            write_picture(path, picture)
+            write_shown(results, shown, bench, options=options)
+
+        self._exports.run(write, lambda _: self.informed.emit(f"saved {path} and {results.name}"))
 
     def subtract_file(self, path: Path) -> None:
-        """Read a file of results on a thread of its own, and subtract its wavefront as soon as it is known."""
+        """Subtract the wavefront of a file of results as soon as it is read."""
         lenslets = None if self._newest is None else self._newest.displacement.outcome.shape
-        self._reading, _ = run_in_thread(partial(StoredWavefront.from_results, path, lenslets), "file to subtract")
-        self._reading_timer.start()
-
-    def _take_file(self) -> None:
-        if self._reading is None or not self._reading.done():
-            return
-        reading, self._reading = self._reading, None
-        self._reading_timer.stop()
-        try:
-            self.menu.change(stored=reading.result())
-        except InputError as error:
-            self.warned.emit(str(error))
+        self._reading.forget()  # another file was chosen meanwhile
+        read = partial(StoredWavefront.from_results, path, lenslets)
+        self._reading.run(read, lambda stored: self.menu.change(stored=stored))
 
     @property
     def _scale(self) -> AdaptiveScale:

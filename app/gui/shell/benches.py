@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import QDialog, QFileDialog, QHBoxLayout, QWidget
 from app.bench.bench_files import faulty_lines
 from app.bench.config import Bench, load_bench, save_bench
 from app.bench.presets import DEFAULT, PRESETS
-from app.bench.trusted_libraries import unconfirmed
+from app.bench.trusted_libraries import Library, named_libraries, unconfirmed
 from app.errors import InputError, RunError
 from app.gui.panels.panel import Entries
 from app.gui.shell.controller import Controller, SettingsControl
@@ -23,6 +23,7 @@ from app.gui.shell.settings_dialog import BENCH_FILES, SettingsDialog, ask_bench
 from app.gui.shell.wording import as_sentence
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button
+from app.gui.widgets.file_work import FileWork, answer
 from app.gui.widgets.layouts import column
 from app.gui.widgets.texts import label
 
@@ -47,6 +48,7 @@ class Benches(QObject):
         self._window, self._connect, self._messages = window, connect, controller.messages
         self._controller, self._settings_control, self._remembered = controller, settings_control, settings
         self.recent = RecentFiles(settings, "recent/benches")
+        self._libraries = FileWork(self, self._messages.warn)  # a folder of them takes seconds to read
         self.dialog = BenchDialog(window)
         self.settings = SettingsDialog(self._use, self.open, window)
         self.error: InputError | None = None  # of the last attempt to open a bench
@@ -64,7 +66,16 @@ class Benches(QObject):
 
     def _connect_trusted(self, bench: Bench, source: str, *, trust: bool = False) -> None:
         """Connect a bench, or ask first whether its libraries are trusted; `source` is empty without a file."""
-        if (libraries := unconfirmed(bench)) and not trust:
+        self._libraries.forget()  # those of a bench that was to be opened before
+        if not named_libraries(bench):
+            self._connect_known(bench, source)
+        elif trust:
+            self._libraries.run(partial(_trust_libraries, bench), lambda _: self._connect_known(bench, source))
+        else:
+            self._libraries.run(partial(unconfirmed, bench), partial(self._connect_or_ask, bench, source))
+
+    def _connect_or_ask(self, bench: Bench, source: str, libraries: tuple[Library, ...]) -> None:
+        if libraries:
             named = "".join(f"<p><b>{library.key}</b> = {escape(library.named)}</p>" for library in libraries)
             self.error = InputError(f"{libraries[0].key} = {libraries[0].named} would run code and is not trusted")
             trusted = partial(self._connect_trusted, bench, source, trust=True)
@@ -73,9 +84,10 @@ class Benches(QObject):
                 f"<p>This bench runs the code of a program library. Open it only if you trust the library.</p>{named}",
                 (("Trust and open", "Load it, now and later", trusted),),
             )
-            return
-        for library in libraries:
-            library.trust()
+        else:
+            self._connect_known(bench, source)
+
+    def _connect_known(self, bench: Bench, source: str) -> None:
         self.error = None
         if source and source not in PRESETS:
             self._remember(Path(source))
@@ -84,7 +96,7 @@ class Benches(QObject):
     def offer_last(self) -> None:
         """Ask whether to open the bench that was opened last, if it is a file that still exists."""
         name = None if self._remembered is None else self._remembered.value(_LAST)
-        if isinstance(name, str) and name and Path(name).is_file():
+        if isinstance(name, str) and name and answer(Path(name).is_file, otherwise=False):
             question = f'the bench "{Path(name).name}" was open last: open it again?'
             self._messages.ask(question, partial(self.open, name), "Open it", "Not now")
 
@@ -154,6 +166,11 @@ class Benches(QObject):
         place = "" if line is None else f"line {line}"
         title = ", ".join(filter(None, ("Faulty bench", place)))
         self.dialog.show_message(title, _fault_html(f"{error}{f' ({place})' if place else ''}", lines, line), choices)
+
+
+def _trust_libraries(bench: Bench) -> None:
+    for library in unconfirmed(bench):
+        library.trust()
 
 
 class BenchDialog(QDialog):

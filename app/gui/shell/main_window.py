@@ -37,6 +37,7 @@ from app.gui.shell.status_line import StatusLine
 from app.gui.shell.wording import Situation, advice, light_when_closing, liveness, way_out
 from app.gui.widgets import theme
 from app.gui.widgets.fields import NumberField
+from app.gui.widgets.file_work import FileWork, answer
 from app.gui.widgets.layouts import column
 from app.gui.widgets.timers import REFRESH_MS, timer
 from app.images import SUFFIXES
@@ -311,7 +312,7 @@ class MainWindow(BaseWindow):
         )
 
     def open_file(self, path: Path) -> None:
-        if path.is_dir():
+        if answer(path.is_dir, otherwise=False):
             self.recording_bar.play(path)
         elif path.suffix == ".toml":
             self.benches.open(str(path))
@@ -356,6 +357,8 @@ class MainWindow(BaseWindow):
         self.region_dialog.close()
         self.controller.close(self._show_closing)
         self.recording_bar.refresh()  # end, name and note of a recording that was under way
+        for work in self.findChildren(FileWork):
+            work.close()
         self._is_closing = False
         super().closeEvent(event)
 

@@ -9,6 +9,7 @@ from PyQt6.QtGui import QAction, QKeySequence
 from PyQt6.QtWidgets import QAbstractButton, QMainWindow, QMenu, QWidget
 
 from app.gui.panels.panel import Entries
+from app.gui.widgets.file_work import answer
 
 _MOST = 8  # recent files
 _EVERYWHERE = {"L"}  # keys that work in every dialog: the light
@@ -74,12 +75,13 @@ class RecentFiles:
             self._settings.setValue(self._key, self._names)
 
     def paths(self) -> tuple[Path, ...]:
-        """Return at most eight paths that exist, the newest first."""
+        """Return at most eight paths that exist, the newest first; all, if a disk does not answer."""
         names: object = self._names if self._settings is None else self._settings.value(self._key)
         listed = [names] if isinstance(names, str) else names  # an INI file stores a list of one as text
         if not isinstance(listed, list):
             return ()
-        return tuple(path for path in map(Path, filter(None, map(str, listed))) if path.exists())
+        paths = tuple(map(Path, filter(None, map(str, listed))))
+        return answer(lambda: tuple(path for path in paths if path.exists()), otherwise=paths)
 
     def menu(self, parent: QWidget, text: Callable[[Path], str], act: Callable[[Path], object]) -> QMenu:
         """Return a menu that lists the present paths and calls `act` with the chosen one."""

@@ -4,7 +4,9 @@ import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QSettings, QStandardPaths, Qt, QUrl
@@ -12,7 +14,6 @@ from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtWidgets import QFileDialog, QFrame, QMenu, QSizePolicy, QWidget
 
 from app.acquisition.carrier import Carrier
-from app.errors import InputError, RunError
 from app.gui.panels.panel import Entries
 from app.gui.shell.background_commands import BackgroundCommands
 from app.gui.shell.controller import Controller
@@ -22,6 +23,7 @@ from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberField, TextField
+from app.gui.widgets.file_work import FileWork, answer
 from app.gui.widgets.layouts import row
 from app.gui.widgets.texts import ElidedLabel, label, mark_refused
 from app.progress import counted
@@ -97,6 +99,13 @@ def _progress(state: RecordingState | None) -> tuple[str, ...]:
     return (counted(state.frames), f"{minutes}:{seconds:02d}", *gap, *behind)
 
 
+@dataclass
+class _Finished:
+    """A finished recording."""
+
+    folder: Path  # another one after it was named
+
+
 class RecordingBar(QFrame):
     """Records as a `RecordingPanel` asks; opens when a recording begins, and stays until it is closed."""
 
@@ -119,7 +128,9 @@ class RecordingBar(QFrame):
         self.recent = RecentFiles(settings, "recent/recordings")
         self.commands = BackgroundCommands(controller.messages, self)
         self._of: Path | None = None  # the recording as it began
-        self.folder: Path | None = None  # with its name, once it is finished
+        self._finished: _Finished | None = None
+        self._naming = FileWork(self, self._messages.warn, is_writing=True)
+        self._opening = FileWork(self, self._messages.warn)
         self.text = ElidedLabel()
         self._name_problem = ""
         self.name = TextField(tool_tip=_NAME_TIP, hint="name")
@@ -133,9 +144,9 @@ class RecordingBar(QFrame):
         self.unit = Choice("Frames, or seconds between the first and the last", ("frames", "s"))
         self.stop_after.entered.connect(lambda _: self._limit())
         self.unit.activated.connect(lambda _: self._limit())
-        self.open = Button("Open folder", "Show the files", lambda: self.folder and self._show(self.folder))
+        self.open = Button("Open folder", "Show the files", lambda: self._use(self._show))
         about = "Play it in another window; the devices go on here"
-        self.replay = Button("Replay", about, lambda: self.folder and self.play(self.folder))
+        self.replay = Button("Replay", about, lambda: self._use(self.play))
         self.report = Button("Report", "Write report.pdf into the folder and open it", self._report)
         self.export = Button("Export", "Write it for other programs")
         self.exports = QMenu(self)
@@ -149,6 +160,11 @@ class RecordingBar(QFrame):
         row(*parts, parent=self).setContentsMargins(10, 3, 6, 3)
         self._show_stage(None)
         self.hide()
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of the finished recording, with its name."""
+        return None if self._finished is None else self._finished.folder
 
     @property
     def limit(self) -> RecordingLimit:
@@ -237,12 +253,7 @@ class RecordingBar(QFrame):
 
     def play(self, folder: Path) -> None:
         """Open a recording in another window."""
-        try:
-            read_run(folder)
-        except InputError as error:
-            self._messages.warn(str(error))
-        else:
-            self.commands.start_window("--replay", folder)
+        self._opening.run(partial(read_run, folder), lambda _: self.commands.start_window("--replay", folder))
 
     def _restart(self) -> None:
         """Go on with another acquisition, perhaps without the recording that was under way, which may be cut off."""
@@ -273,19 +284,19 @@ class RecordingBar(QFrame):
         return self.recordings_folder / f"{datetime.now().astimezone():%Y%m%d-%H%M%S}{suffix}"
 
     def _forget(self) -> None:
-        self.folder = None
+        self._finished = None
         self.name.show_text("")
         self.note.show_text("")
         self._show_stage(None)
 
     def _finish(self, state: RecordingState) -> None:
-        self.folder = state.folder
+        self._finished = _Finished(state.folder)
         self._show_stage(state)
         self.show()
         if self.name.text() or self.note.text():
             self._describe()
         else:
-            self.recent.add(self.folder)
+            self.recent.add(state.folder)
 
     def _show_stage(self, state: RecordingState | None) -> None:
         self._stage = "" if state is None else state.stage
@@ -314,17 +325,26 @@ class RecordingBar(QFrame):
             self._messages.refuse(problem)
 
     def _describe(self) -> None:
-        if self.folder is None:  # not finished
+        if (finished := self._finished) is None:
             return
-        try:
-            self.folder = describe(self.folder, name=self.name.text(), note=self.note.text())
-        except (InputError, RunError) as error:
-            self._messages.warn(str(error))
-        else:
-            self._messages.inform(f"saved as {self.folder}")
-            self.text.setText(f"{self.text.text().partition(' in ')[0]} in {self.folder.name}")
-            self.text.setToolTip(str(self.folder))
-        self.recent.add(self.folder)
+        name, note = self.name.text(), self.note.text()
+
+        def save() -> None:
+            finished.folder = describe(finished.folder, name=name, note=note)  # the one before may have renamed it
+
+        def show(_: None) -> None:
+            self._messages.inform(f"saved as {finished.folder}")
+            if finished is self._finished:
+                self.text.setText(f"{self.text.text().partition(' in ')[0]} in {finished.folder.name}")
+                self.text.setToolTip(str(finished.folder))
+            self.recent.add(finished.folder)
+
+        self.recent.add(finished.folder)
+        self._naming.run(save, show)
+
+    def _use(self, act: Callable[[Path], object]) -> None:
+        if self.folder is not None:
+            act(self.folder)
 
     def _show(self, path: Path) -> None:
         if not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
@@ -357,8 +377,8 @@ class RecordingBar(QFrame):
 
 
 def _recordings_folder(settings: QSettings | None) -> Path:
-    """Return the folder that was chosen last, if it still exists, else one in the user's documents."""
+    """Return the folder that was chosen last, unless it has gone, else one in the user's documents."""
     chosen = None if settings is None else settings.value(_FOLDER)
-    if isinstance(chosen, str) and Path(chosen).is_dir():
+    if isinstance(chosen, str) and answer(Path(chosen).is_dir, otherwise=True):
         return Path(chosen)
     return Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation) or ".") / "svwfs"

@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QBuffer, QPoint, Qt
-from PyQt6.QtGui import QGuiApplication, QPixmap
+from PyQt6.QtGui import QGuiApplication, QImage, QPixmap
 from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
 
 from app.errors import RunError
@@ -54,7 +54,7 @@ def ask_file(parent: QWidget, title: str, proposed: str, kinds: str) -> Path | N
     return Path(name) if name else None
 
 
-def write_picture(path: Path, picture: QPixmap) -> None:
+def write_picture(path: Path, picture: QPixmap | QImage) -> None:
     """Write a picture in the format that its suffix names; `RunError` if that is impossible."""
     encoded = QBuffer()  # Qt does not notice a full disk
     encoded.open(QBuffer.OpenModeFlag.WriteOnly)

@@ -137,13 +137,15 @@ def test_library_is_loaded_only_when_it_is_trusted(
     path.write_text(text[: text.index("[camera]")] + LIBRARY.format(library))
     for _ in range(2):  # closing the question is no answer
         benches.window.benches.open(str(path))
+        qtbot.waitUntil(benches.window.benches.dialog.isVisible)
         assert "lib&lt;b&gt;evil" in benches.window.benches.dialog.text.text()
         benches.button("Close").click()
         assert not benches.opened
         assert benches.window.benches.error is not None
     benches.window.benches.open(str(path))
+    qtbot.waitUntil(benches.window.benches.dialog.isVisible)
     benches.button("Trust and open").click()
-    assert len(benches.opened) == 1
+    qtbot.waitUntil(lambda: len(benches.opened) == 1)
     benches.window.close()
     qtbot.waitUntil(lambda: benches.cameras[0].is_closed)
 

@@ -33,7 +33,7 @@ def test_picture_and_results_are_those_that_are_shown(
     window.panels.wavefronts.menu.tilt.trigger()
     window.panels.wavefronts.menu.change(views=2)
     export(window, monkeypatch, tmp_path / "seen.png")
-    assert f"Saved {tmp_path / 'seen.png'} and seen.nc" in window.messages.log
+    qtbot.waitUntil(lambda: f"Saved {tmp_path / 'seen.png'} and seen.nc" in window.messages.log)
     shown = window.shown.wavefront
     assert shown is not None
     image = QImage(str(tmp_path / "seen.png"))
@@ -51,12 +51,12 @@ def test_picture_and_results_are_those_that_are_shown(
 
 @pytest.mark.slow
 def test_existing_results_are_not_replaced_unasked(
-    live: tuple[MainWindow, FakeCamera], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, _ = live
     (tmp_path / "seen.nc").write_text("mine")
     export(window, monkeypatch, tmp_path / "seen.png")
-    assert "seen.nc: exists already" in window.messages.log
+    qtbot.waitUntil(lambda: "seen.nc: exists already" in window.messages.log)
     assert [path.name for path in tmp_path.iterdir()] == ["seen.nc"]
     assert (tmp_path / "seen.nc").read_text() == "mine"
 

@@ -92,6 +92,7 @@ def test_recording_ends_by_itself_with_name_and_note(
     type_into(qtbot, bar.name, "mouse 7")
     type_into(qtbot, bar.note, "3 % agarose")
     record(qtbot, window, tmp_path, frames=4)
+    qtbot.waitUntil(lambda: "Saved as " in window.messages.log)
     (folder,) = tmp_path.iterdir()
     assert folder == bar.folder
     assert folder.name.endswith("-mouse 7")
@@ -125,10 +126,10 @@ def test_name_given_afterwards_renames_the_folder(
     assert window.messages.text.text() == "A name of a recording cannot contain /"  # while it is typed
     assert "color" in bar.name.styleSheet()
     press(qtbot, bar.name, Qt.Key.Key_Return)
-    assert "a name of a recording cannot contain /: a/b" in window.messages.log.lower()
+    qtbot.waitUntil(lambda: "a name of a recording cannot contain /: a/b" in window.messages.log.lower())
     assert Recording(next(tmp_path.iterdir())).run["note"] == "fed at noon"
     type_into(qtbot, bar.name, "sl")  # letters that are commands outside the field
-    assert [path.name[15:] for path in tmp_path.iterdir()] == ["-sl"]
+    qtbot.waitUntil(lambda: [path.name[15:] for path in tmp_path.iterdir()] == ["-sl"])
     assert camera.stage.is_sample_in
     qtbot.waitUntil(lambda: not camera.light.shines)  # l switches it off everywhere
     bar.name.setFocus()
@@ -196,7 +197,8 @@ def test_failed_command_is_shown_until_dismissed(
     window, _ = live
     record(qtbot, window, tmp_path, frames=2)
     bar = window.recording_bar
-    bar.folder = tmp_path / "gone"
+    assert bar._finished is not None
+    bar._finished.folder = tmp_path / "gone"
     bar.report.click()
     qtbot.waitUntil(lambda: "gone: no such folder" in window.messages.text.text())
     assert window.messages.dismiss.isVisible()
@@ -217,6 +219,7 @@ def test_replay_starts_another_window(
 
     monkeypatch.setattr(QProcess, "startDetached", start)
     window.recording_bar.replay.click()
+    qtbot.waitUntil(lambda: bool(started))
     ((program, arguments),) = started
     assert program == sys.executable
     assert arguments[-3:] == ["live", "--replay", str(window.recording_bar.folder)]
