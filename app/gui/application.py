@@ -55,7 +55,7 @@ def run_window(
     if settings is not None:
         apply_preferences(application, settings)
     window = MainWindow(settings=settings, make_for=make_for)
-    watch = None if steps is None else _Watch(window, steps(window))
+    run = None if steps is None else _UnattendedRun(window, steps(window))
     signals: list[int] = []
 
     def end(number: int, _frame: object) -> None:
@@ -74,8 +74,8 @@ def run_window(
         finally:
             window.close()
     _raise_failure(window, is_interrupted=bool(signals))
-    if watch is not None:
-        watch.check()
+    if run is not None:
+        run.check()
     return status
 
 
@@ -104,7 +104,7 @@ def _pass_on(_kind: QtMsgType, _context: QMessageLogContext, text: str | None) -
         sys.stderr.write(f"{text}\n")
 
 
-class _Watch:
+class _UnattendedRun:
     """Makes the steps of an unattended run, and closes the window when it is done or has failed."""
 
     def __init__(self, window: MainWindow, steps: Iterator[object]) -> None:

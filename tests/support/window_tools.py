@@ -126,7 +126,7 @@ def choose_button(monkeypatch: pytest.MonkeyPatch, label: str, defaults: list[st
 
 def tabs(window: MainWindow) -> dict[str, Panel]:
     """Panels that are tabs, by title."""
-    return {panel.title: panel for panel in window.panels if panel.place == "tab"}
+    return {panel.title: panel for panel in window.panels if panel.dock_area == "tab"}
 
 
 def tab(window: MainWindow, title: str) -> tuple[QTabBar, QPoint]:

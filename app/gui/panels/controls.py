@@ -52,7 +52,7 @@ _CHOICES = {  # tool tips by the names of the requests
 class ControlsPanel(Panel):
     """Emits the user's requests and shows the status of the instrument."""
 
-    title, place = "Controls", "strip"
+    title, dock_area = "Controls", "strip"
     about = (
         "Calibrate (Ctrl+K) finds lattice and exposure, takes dark and reference, and explains each step;"
         " X, D and R do single ones. The lamps on Dark and Reference, and their tooltips, tell whether both"

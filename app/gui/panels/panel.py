@@ -96,7 +96,7 @@ class Panel(QWidget):
     """A dockable panel, which overrides what it needs of these methods; `registry` lists all panels."""
 
     title: ClassVar[str]
-    place: ClassVar[Literal["left", "right", "tab", "strip"]] = "tab"  # of the default layout
+    dock_area: ClassVar[Literal["left", "right", "tab", "strip"]] = "tab"  # of the default layout
     about: ClassVar[str] = ""  # a sentence or two for the tour
     has_own_thread: ClassVar[bool] = False  # for results that take seconds, or that no other may delay
 

@@ -13,7 +13,7 @@ from app.gui.panels.panel import Panel, Request, Shown
 from app.gui.widgets import theme
 from app.gui.widgets.layouts import column, row
 from app.gui.widgets.plot import Plot
-from app.gui.widgets.presentation import AdaptiveScale, number, place
+from app.gui.widgets.presentation import AdaptiveScale, number, position_texts
 from app.gui.widgets.texts import ElidedLabel
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import Mtf, mtf
@@ -39,10 +39,11 @@ class QualityPanel(Panel):
         if wavefront is None or view is None or not self.isVisible():
             return None
         x_m, y_m = float(wavefront.field.view_x_m[view[1]]), float(wavefront.field.view_y_m[view[0]])
+        where = position_texts(x_m, y_m)[1]
         return Request(
             wavefront,
             (view, x_m, y_m),
-            lambda _: (place(x_m, y_m)[1], mtf(wavefront.views[view], wavefront.sensor), isoplanatism(wavefront)),
+            lambda _: (where, mtf(wavefront.views[view], wavefront.sensor), isoplanatism(wavefront)),
         )
 
     def show_result(self, result: tuple[str, Mtf | None, Isoplanatism | None]) -> None:

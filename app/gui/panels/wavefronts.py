@@ -21,7 +21,7 @@ from app.gui.widgets.enlarged_view import EnlargedView
 from app.gui.widgets.fields import BUTTONS_WIDTH_PX, NumberField
 from app.gui.widgets.file_work import FileWork
 from app.gui.widgets.layouts import column, row_of
-from app.gui.widgets.presentation import PRESENTATIONS, AdaptiveScale, Presentation, number, place
+from app.gui.widgets.presentation import PRESENTATIONS, AdaptiveScale, Presentation, number, position_texts
 from app.gui.widgets.texts import ElidedLabel, colour_text
 from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
 from app.measurement.measurement import Measurement
@@ -46,7 +46,7 @@ _AVERAGES = (1, 2, 5, 10, 20, 50, MOST_AVERAGED)
 class WavefrontPanel(Panel):
     """Shows the chosen quantity, or that there is no wavefront."""
 
-    title, place = "Wavefronts", "right"
+    title, dock_area = "Wavefronts", "right"
     about = (
         "One map for each position of the field, all on one colour scale. Keys 1 to 6 choose what is shown,"
         " V enlarges the selected view."
@@ -175,7 +175,7 @@ class WavefrontPanel(Panel):
             captions: dict[tuple[int, int], Caption] = {}
             for i, j in np.ndindex(numbers.first.shape):
                 first, second = (factor * float(each[i, j]) for each in (numbers.first, numbers.second))
-                where = place(float(field.view_x_m[j]), float(field.view_y_m[i]))
+                where = position_texts(float(field.view_x_m[j]), float(field.view_y_m[i]))
                 captions[i, j] = presentation.caption(first, second), where
             self.grid.set_captions(captions)
         reach = f"half width {self._reach_mrad.value:g} mrad" if quantity is Quantity.PSF else ""

@@ -84,7 +84,7 @@ class Analyses(QObject):
         self._timer.start()
 
     def poll(self) -> None:
-        self._shown.has_open_tabs = any(panel.isVisible() for panel in self.of if panel.place == "tab")
+        self._shown.has_open_tabs = any(panel.isVisible() for panel in self.of if panel.dock_area == "tab")
         for panel, analysis in self.of.items():
             if (result := analysis.take()) is not None:
                 self._show(panel, analysis, result)

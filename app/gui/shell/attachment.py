@@ -29,7 +29,7 @@ class Attachment:
 
     @property
     def _why_none(self) -> str:
-        """Why there is no connection."""
+        """The reason that there is no connection."""
         is_starting = isinstance(self._controller.acquisition, Connection)
         return self._controller.failure or (_STARTS if is_starting else _NOT_ATTACHED)
 
@@ -41,7 +41,7 @@ class Attachment:
 
     @property
     def notice(self) -> str:
-        """Why commands are refused; empty if they are not."""
+        """The reason that commands are refused; empty if they are not."""
         connection = self.connection
         if connection is not None and connection.is_silent:
             return f"the instrument's process {connection.place.process} does not answer: if that lasts, end it"

@@ -3,7 +3,6 @@
 import sys
 import time
 import traceback
-from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
@@ -38,9 +37,9 @@ class BaseWindow(QMainWindow):
         self.errors = ErrorReports(self.messages.alarm)
         self.setAcceptDrops(True)
 
-    @abstractmethod
     def open_file(self, path: Path) -> None:
         """Open a file or folder that was dropped on the window."""
+        raise NotImplementedError
 
     def event(self, event: QEvent | None) -> bool:
         """Take the focus when active, open what is dropped, and time the painting at UpdateRequest."""

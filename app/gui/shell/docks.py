@@ -25,7 +25,7 @@ class Dock(QDockWidget):
         """Put a panel below its header, or its title; the handle of a strip stands at its left."""
         super().__init__(panel.title)
         self.setObjectName(panel.title)  # its key in a saved state
-        self.panel, is_strip = panel, panel.place == "strip"
+        self.panel, is_strip = panel, panel.dock_area == "strip"
         body = QWidget()
         column(panel, parent=body).setContentsMargins(*(0, 0, 0, 0) if is_strip else (_MARGIN_PX, 2, _MARGIN_PX, 4))
         if is_strip:
@@ -78,7 +78,7 @@ class PanelDocks:
         """Dock all panels in the default layout; the `bar` stands above the controls, which stay in place then."""
         self._window = window
         self.docks = tuple(map(Dock, panels))
-        self._tabs = [dock for dock in self.docks if dock.panel.place == "tab"]
+        self._tabs = [dock for dock in self.docks if dock.panel.dock_area == "tab"]
         self._closed: list[Dock] = []  # by `toggle_tabs`
         window.setDockOptions(_OPTIONS.AllowNestedDocks | _OPTIONS.AllowTabbedDocks | _OPTIONS.GroupedDragging)
         window.setTabPosition(Qt.DockWidgetArea.AllDockWidgetAreas, QTabWidget.TabPosition.North)
@@ -103,8 +103,8 @@ class PanelDocks:
         self._default = window.saveState()
         self.restore_default()
 
-    def _at(self, place: str) -> Dock:
-        return next(dock for dock in self.docks if dock.panel.place == place)
+    def _at(self, dock_area: str) -> Dock:
+        return next(dock for dock in self.docks if dock.panel.dock_area == dock_area)
 
     def restore_default(self) -> None:
         """Camera above the tabs, wavefronts beside them, controls below; all are open."""

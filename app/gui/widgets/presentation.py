@@ -174,7 +174,7 @@ def millimetres(position_m: float) -> str:
     return f"{position_m * 1e3:+.2f}".replace("-", "\N{MINUS SIGN}").replace("+0.00", "0")
 
 
-def place(x_m: float, y_m: float) -> tuple[str, ...]:
+def position_texts(x_m: float, y_m: float) -> tuple[str, ...]:
     """Format the field position of a view: wordings, longest first."""
     x, y = millimetres(x_m), millimetres(y_m)
     return f"x {x}  y {y} mm", f"{x}, {y} mm", f"{x}, {y}"
