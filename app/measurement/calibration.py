@@ -87,6 +87,11 @@ class Calibration:
         return image_transfer(repaired(light, bad) if light.shape == bad.shape else light, self.bench.sensor.blur_px)
 
     @property
+    def camera(self) -> KnownCamera:
+        """Camera that turns the counts of reference and frames into light."""
+        return KnownCamera(self.dark_image, self.full_scale, self.bench.linearity, self.noise)
+
+    @property
     def linearity_quality(self) -> Quality:
         """Judge whether the camera is in the mode in which its nonlinearity was measured."""
         measured, reference = self.bench.linearity, self.reference
@@ -110,7 +115,7 @@ class Calibration:
             field=bench.field,
             registration=bench.registration,
             reconstruction=bench.reconstruction,
-            camera=KnownCamera(self.dark_image, self.full_scale, bench.linearity, self.noise),
+            camera=self.camera,
             own=self.own,
             lenslet_model=partial(lenslet_model, bench),
         )

@@ -4,10 +4,8 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app.cache import kept_while_alive
 from app.measurement.calibration import Calibration
@@ -16,7 +14,7 @@ from app.results.frame_tallies import noise_above_rms
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, Outcome, field_means
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.pixels import BACKGROUND_PERCENT, find_bad_pixels
+from reconstruction.frame.pixels import AboveDark, find_bad_pixels
 from reconstruction.frame.spline import sample
 from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
@@ -29,7 +27,7 @@ from reconstruction.wavefront import Wavefront, mean_rms, peak_to_valley, rms
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LensletInspection:
-    """One lenslet of one frame; images are counts above the dark, (row, column), along the lattice."""
+    """One lenslet of one frame; images are light, counts, (row, column), along the lattice."""
 
     row: int
     column: int
@@ -55,11 +53,10 @@ def inspect_lenslet(measurement: Measurement, row: int, column: int) -> LensletI
     if not (row < rows and column < columns):
         return None
     try:
-        subimages = _subimages(calibration)
+        above_dark, subimages = _prepared(calibration)
+        light, saturated = above_dark(measurement.frame.pixels, "frame")
     except ReconstructionError:
         return None
-    light = _light(calibration, measurement.frame.pixels)
-    saturated = measurement.frame.pixels >= calibration.full_scale
     coefficients = subimages.spline(light, saturated=saturated)
     index, square = row * columns + column, (subimages.width, subimages.width)
     reference = subimages.light[index].astype(np.float64)
@@ -89,23 +86,19 @@ def inspect_lenslet(measurement: Measurement, row: int, column: int) -> LensletI
 
 
 @kept_while_alive(maxsize=1)
-def _subimages(calibration: Calibration) -> ReferenceSubimages:
-    dark, reference = calibration.dark, calibration.reference.mean
-    return ReferenceSubimages(
-        _light(calibration, reference),
+def _prepared(calibration: Calibration) -> tuple[AboveDark, ReferenceSubimages]:
+    """Light as the registration sees it, and its subimages of the reference."""
+    reference = calibration.reference.mean
+    above_dark = AboveDark(reference.shape, calibration.camera)
+    light, _ = above_dark(reference, "reference")
+    subimages = ReferenceSubimages(
+        light,
         sensor=calibration.bench.sensor,
         lattice=calibration.lattice,
         field=calibration.bench.field,
-        bad=find_bad_pixels(reference, None if dark is None else dark.mean),
+        bad=find_bad_pixels(reference, calibration.dark_image),
     )
-
-
-def _light(calibration: Calibration, pixels: NDArray[Any]) -> Image:
-    """Counts above the dark, or above the background."""
-    light = pixels.astype(np.float32)
-    dark = calibration.dark
-    light -= np.float32(np.percentile(light, BACKGROUND_PERCENT)) if dark is None else dark.mean.astype(np.float32)
-    return light
+    return above_dark, subimages
 
 
 def _warped(

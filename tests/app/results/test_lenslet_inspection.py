@@ -9,7 +9,9 @@ import pytest
 from support.gaussian_lenslets import SHIFT_PX, inspected
 
 from app.results.view_analysis import inspect_lenslet
+from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
+from reconstruction.frame.linearity import Linearity
 
 
 @pytest.mark.parametrize("brightness", [1.0, 0.6])
@@ -43,6 +45,33 @@ def test_numbers_are_those_of_the_registration() -> None:
     assert found.outcome is Outcome.CONVERGED
     np.testing.assert_allclose(found.displacement_px, SHIFT_PX)
     np.testing.assert_allclose(found.sigma_px, [0.02, 0.03])
+
+
+def test_nonlinear_camera_shows_the_light_that_was_fitted() -> None:
+    """Counts of a camera that loses 15 % of 20000: light L = S (1 + 0.15 S / 20000), solved for the signal S."""
+    measurement = inspected(0.6)
+    calibration = measurement.calibration
+    assert calibration is not None
+    linearity = Linearity(quadratic=0.15, highest_counts=20000)
+
+    def counts(light: Floats) -> Floats:
+        return np.asarray(500 + 20000 / 0.3 * (np.sqrt(1 + 0.6 * (light - 500) / 20000) - 1))
+
+    pixels = np.rint(counts(measurement.frame.pixels.astype(np.float64))).astype(np.uint16)
+    reference = replace(
+        calibration.reference, mean=counts(calibration.reference.mean.astype(np.float64)).astype(np.float32)
+    )
+    calibration = replace(calibration, bench=replace(calibration.bench, linearity=linearity), reference=reference)
+    found = inspect_lenslet(
+        replace(measurement, frame=replace(measurement.frame, pixels=pixels), calibration=calibration), 4, 7
+    )
+    linear = inspect_lenslet(measurement, 4, 7)
+    assert found is not None
+    assert linear is not None
+    for shown, expected in ((found.reference, linear.reference), (found.frame, linear.frame)):
+        np.testing.assert_allclose(shown, expected, atol=2)  # of 20000: rounding to counts
+    assert found.residual is not None
+    assert np.nanmax(np.abs(found.residual)) < 30  # uncorrected: hundreds
 
 
 def test_lost_lenslet_shows_its_subimages_and_reason() -> None:
