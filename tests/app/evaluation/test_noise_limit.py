@@ -38,6 +38,14 @@ def test_scatter_and_coverage_of_normal_errors() -> None:
     assert scatter.coverage == pytest.approx(0.683, abs=0.02)  # of a normal distribution
 
 
+def test_scatter_of_two_draws_is_their_difference_over_root_two() -> None:
+    errors = np.ones((2, 1, 1, 4, 6)) * [1, -1, 1, -1, 1, -1]  # no piston
+    errors[1] *= -3
+    scatter = scatter_of(drawn(errors, 2.0, np.ones((4, 6), np.bool_)), np.ones((1, 1, 4, 6)))
+    assert scatter.rms_rad == pytest.approx(4 / np.sqrt(2))
+    assert scatter.coverage == 0.5
+
+
 def test_scatter_of_estimator_is_near_the_bound(small_toml: Path) -> None:
     bench = load_bench(small_toml, ("simulation.source.mask='checkerboard'",))
     frames, seen = NoiseFreeFrames(bench), camera(bench, 1, 1.0)

@@ -90,6 +90,10 @@ def test_psf_peaks_in_the_middle_and_caption_states_strehl(make_window: MakeWind
     assert bright_tile[:5, :5].max() < 60
     assert 30 < lost_tile.mean() < 80  # hatched
     assert "of the peak without aberration" in grid._value_at(grid.places.tile(1, 1).center())
+    assert grid.maps is not None
+    reach_mrad = grid.maps.reach[0]
+    at = grid._value_at(grid.places.tile(1, 1).topRight())
+    assert at.startswith(f"{reach_mrad:+.2f}, {-reach_mrad:+.2f} mrad: ")  # x, y
 
 
 def test_clicks_and_arrow_keys_select_the_view_of_the_mtf(make_window: MakeWindow, qtbot: QtBot) -> None:

@@ -103,19 +103,19 @@ def test_line_shows_length_and_profile_of_each_frame(window: MainWindow, qtbot: 
 def test_area_counts_its_pixels(window: MainWindow, qtbot: QtBot) -> None:
     panel = window.panels.camera
     pixels = dim_frame()
-    pixels[100:140, 200:240] = np.random.default_rng(3).integers(900, 1100, (40, 40))
+    pixels[100:130, 200:240] = np.random.default_rng(3).integers(900, 1100, (30, 40))
     pixels[100, 200:205] = FULL_SCALE
     qtbot.keyClick(window, Qt.Key.Key_M, Qt.KeyboardModifier.ShiftModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
     window.show_measurement(make_measurement(pixels, views()))
     count_pixels(qtbot, window)
-    drag(panel, (240, 140), (199, 99))  # from the lower right corner
+    drag(panel, (240, 130), (199, 99))  # from the lower right corner
     assert panel.measuring.area.isVisible()
     assert not panel.measuring.plot.isVisible()
-    panel.measuring.place("area", QPointF(239.4, 139.4), QPointF(199.6, 99.6))
-    inside = pixels[100:140, 200:240]
-    um = f"{40 * SENSOR.pixel_pitch_m * 1e6:.1f}"
+    panel.measuring.place("area", QPointF(239.4, 129.4), QPointF(199.6, 99.6))
+    inside = pixels[100:130, 200:240]
+    wide, high = (f"{number * SENSOR.pixel_pitch_m * 1e6:.1f}" for number in (40, 30))
     expected = (
-        f"40 x 40 px = {um} x {um} \N{MICRO SIGN}m: mean {inside.mean():.1f}, \N{GREEK SMALL LETTER SIGMA}"
+        f"40 x 30 px = {wide} x {high} \N{MICRO SIGN}m: mean {inside.mean():.1f}, \N{GREEK SMALL LETTER SIGMA}"
         f" {inside.std():.0f}, {inside.min()} ... 65535 counts, 5 saturated"
     )
     qtbot.waitUntil(lambda: panel.measuring.reading.text() == expected)

@@ -58,6 +58,24 @@ def open_tab(qtbot: QtBot, window: MainWindow, title: str) -> None:
     click(qtbot, *tab(window, title))
 
 
+def test_pointer_reads_x_and_y_on_the_layer(make_window: MakeWindow) -> None:
+    panel = make_window().panels.layers
+    found = xr.Dataset(
+        {
+            "layer_phase": (("layer", "y", "x"), np.full((1, 21, 31), 0.5)),
+            "phase_limit": ("layer", [1.0]),
+            "distance_m": ("layer", [0.1]),
+            "distance_sigma_m": ("layer", [np.nan]),
+            "model_misfit": ("model", [0.02]),
+        },
+        {"x": np.linspace(-3e-3, 3e-3, 31), "y": np.linspace(-2e-3, 2e-3, 21), "model": ["given"]},
+        {"distances_from": "lenslets", "verdict": "", "doubt": ""},
+    )
+    panel.show_result(found)
+    corner = panel.map.places.tile(0, 0).topRight()
+    assert panel.map._value_at(corner).startswith("+3.00, -2.00 mm on the layer: ")
+
+
 @pytest.mark.slow
 @pytest.mark.long
 def test_layer_is_found_with_curve_and_map(window: MainWindow, qtbot: QtBot) -> None:

@@ -14,9 +14,10 @@ from support.paths import DOCS, FOREIGN_FRAMES
 
 from app.bench.config import load_bench, parse_bench
 from app.errors import InputError, RunError
-from app.results.dataset import result_dataset, stack_frames
+from app.results.dataset import result_dataset, sample_variables, stack_frames
 from app.results.result_file import write_pieces, write_results
 from reconstruction.displacement import Transmission, diagonal_covariance
+from reconstruction.layers.layered_wavefront import AssumedSample
 from reconstruction.wavefront import Wavefront
 
 BENCH = load_bench(
@@ -103,6 +104,14 @@ def test_axes_and_errors_are_the_wavefronts_own(small_bench: SmallBench) -> None
     np.testing.assert_allclose(sigma_px[1], 3)
     np.testing.assert_allclose(dataset["transmission"], 0.7)
     np.testing.assert_allclose(dataset["transmission_sigma"], 0.02)
+
+
+def test_distance_of_an_assumed_layer_and_its_error_are_lengths() -> None:
+    """A collimator of 200 mm: the ratio -0.6 +- 0.01 is a layer 120 +- 2 mm in front of the lenslets."""
+    variables = sample_variables(AssumedSample((-0.6,), np.array([[0.01**2]])), FIELD)
+    assert variables["assumed_layers"][1] == 1
+    for name, distance_m in (("layer_distance", 0.12), ("layer_distance_sigma", 0.002)):
+        np.testing.assert_allclose(variables[name][1], [distance_m, np.nan])
 
 
 def test_documentation_lists_every_variable(dataset: xr.Dataset) -> None:

@@ -210,7 +210,11 @@ def test_unknown_view_is_left_out(tmp_path: Path) -> None:
         assert file.imagej_metadata is not None
         places = json.loads(file.imagej_metadata["Info"])["views"]
         assert len(file.pages) == len(places) == 8
-    assert (0, 2) not in {(place["view_row"], place["view_column"]) for place in places}
+        assert file.imagej_metadata["Labels"][3] == "x = +0.000 mm, y = +0.000 mm"
+        assert file.imagej_metadata["Labels"][4] == "x = +0.500 mm, y = +0.000 mm"
+    at = {(place["view_row"], place["view_column"]): (place["x_m"], place["y_m"]) for place in places}
+    assert (0, 2) not in at
+    assert [at[0, 1], at[1, 2], at[2, 0]] == [(0, -0.5e-3), (0.5e-3, 0), (-0.5e-3, 0.5e-3)]
     assert not np.isnan(tifffile.imread(tmp_path / "psf.tif")).any()
 
 
