@@ -34,13 +34,14 @@ def bowl(tilt_rad_per_m: float = 0.0) -> Wavefront:
 def modal(
     coefficients: Floats,
     *,
-    sigma_px: float = 0.01,
+    sigma_px: float | Floats = 0.01,
     basis: PupilBasis = "legendre",
     noise: np.random.Generator | None = None,
 ) -> Wavefront:
     """A wavefront with coefficients e_pq (pupil_mode, field_mode), rad, from displacements with a known error.
 
-    Without `noise` the displacements are exact.
+    `sigma_px` is alike for all, or has a value for each field mode and axis, (field_mode, xy). Without `noise` the
+    displacements are exact.
     """
     modes, count = pupil_modes(SENSOR, basis, len(coefficients)), coefficients.shape[1]
     slopes = np.einsum("pq,prcd->rcqd", coefficients, modes.gradients)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+import xarray as xr
 from support.command_line import run
 from support.recordings import record
 
@@ -17,6 +18,7 @@ from app.errors import InputError, Interrupted
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
 from app.results.dataset import result_dataset, results_in_pieces
+from app.results.deconvolution import Deconvolution
 from app.results.result_file import open_results, write_results
 from app.results.sources import mean_wavefront, read_bench_of
 
@@ -39,6 +41,17 @@ def result(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Pa
     one_view.encoding.clear()
     one_view.to_netcdf(path.with_name("single.nc"), engine="h5netcdf")
     return path
+
+
+def test_second_page_is_white_where_the_image_is_corrected(tmp_path: Path) -> None:
+    inside = np.array([[True, True, False], [False, True, False]])
+    image, attributes = np.arange(6, dtype=np.float32).reshape(2, 3), {"iterations": 3, "chi_square": 1.1}
+    pixels = ("row", "column")
+    found = xr.Dataset({"image": (pixels, image), "inside": (pixels, inside)}, attrs=attributes)
+    chosen = Deconvolution(image=Path("cells.tif"))
+    chosen.write(found, load_bench("small_demo"), Path("result.nc"), tmp_path / "corrected.tif")
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "corrected.tif", key=0), image)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "corrected.tif", key=1), [[255, 255, 0], [0, 255, 0]])
 
 
 @pytest.fixture(scope="module")

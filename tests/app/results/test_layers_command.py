@@ -26,6 +26,7 @@ from app.results.layers import (
     centred,
     distance_m,
     distances_and_sigma_m,
+    layer_maps,
     layers_dataset,
     ratio_at,
     shown_range_m,
@@ -210,6 +211,32 @@ def test_residual_at_the_pupil_is_the_change_over_the_field(
     expected = np.sqrt(np.mean((true - true.mean(axis=0)) ** 2))
     with xr.open_dataset(out, engine="h5netcdf") as found:
         assert found["corrector_residual"].item() == pytest.approx(expected, rel=0.1)
+
+
+def test_maps_near_the_mask_are_smaller_along_both_axes() -> None:
+    """Rays between lenslets and mask meet: half way, a layer at the ratio -1 has half the size of the pupil."""
+    layer = Layer(-1.0, 0.0, np.array([2e-3, 1e-3]), np.zeros(1), np.zeros((1, 1)), 1)
+    x_m, y_m, maps = layer_maps((layer,), "mask", lambda _, x_m, y_m: x_m + 10 * y_m, 3)
+    np.testing.assert_allclose(x_m, [-1e-3, 0, 1e-3])
+    np.testing.assert_allclose(y_m, [-0.5e-3, 0, 0.5e-3])
+    np.testing.assert_allclose(maps[0, :, 2], [-8e-3, 2e-3, 12e-3])  # at +2 mm and -1, 0, +1 mm of the pupil
+
+
+def test_corrector_at_the_pupil_is_that_at_no_distance() -> None:
+    found = xr.Dataset(
+        {
+            "residual": ("distance", [0.5, 0.3, 0.1]),
+            "corrector_distance_m": ((), 0.2),
+            "corrector_residual": ((), 0.1),
+            "uncorrected": ((), 0.9),
+            "field_strehl": ("position", [0.7, 0.9]),
+        },
+        {"distance": [-0.3, 0.01, 0.2]},
+        {"distances_from": "lenslets"},
+    )
+    pupil = "one corrector at the pupil leaves 0.3 of 0.9 rad RMS"
+    sentence = f"{pupil}; 200.0 mm in front of the lenslets, 0.1 rad (Strehl 0.80)"
+    assert BestCorrector().sentences(found) == [sentence]
 
 
 def test_maps_use_their_colours_although_a_corner_is_far_off() -> None:

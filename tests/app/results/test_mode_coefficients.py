@@ -6,15 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 from support.gui_bench import FIELD, SENSOR
 from support.wavefronts import bowl, modal
 
-from app.results.coefficients import ModeChoice, mode_coefficients
+from app.results.coefficients import ModeChoice, double_zernikes, mode_coefficients, table_of
 from reconstruction.arrays import Floats
 from reconstruction.modes.pupil_modes import BASES
 from reconstruction.solve.modal import ModalSolution
 
-CENTRE, CORNER = (1, 1), (0, 2)  # views
+CENTRE, RIGHT, CORNER = (1, 1), (1, 2), (0, 2)  # views
 
 
 def known_coefficients() -> Floats:
@@ -23,9 +24,9 @@ def known_coefficients() -> Floats:
 
 def test_modes_of_the_reconstruction_come_back_at_the_selected_view() -> None:
     coefficients = known_coefficients()
-    wavefront = modal(coefficients, sigma_px=0.02)
-    found = mode_coefficients(wavefront, ModeChoice("legendre", None, CORNER))
-    at = np.array([1.0, 0.5 / 0.6, -0.5 / 0.6])  # T_q at x = +0.5 mm, y = -0.5 mm
+    wavefront = modal(coefficients, sigma_px=np.array([[0.02], [0.01], [0.05]]))
+    found = mode_coefficients(wavefront, ModeChoice("legendre", None, RIGHT))
+    at = np.array([1.0, 0.5 / 0.6, 0.0])  # T_q at x = +0.5 mm, y = 0
     np.testing.assert_allclose(found.rad[1:15], (coefficients @ at)[1:], atol=1e-4)
     np.testing.assert_allclose(found.rad[15:], 0, atol=1e-4)
     solution = wavefront.solution
@@ -82,6 +83,28 @@ def test_field_map_of_a_coefficient() -> None:
     outside = mode_coefficients(circle, ModeChoice("legendre", None, CENTRE, mapped=3)).field_map
     assert outside is not None
     np.testing.assert_array_equal(np.isnan(outside), x**2 + x[:, None] ** 2 > 1 + 1e-9)
+
+
+def test_double_zernikes_name_the_radii_of_field_and_pupil() -> None:
+    """9 x 13 lenslets of 0.5 mm: the circle has a radius of 2.25 mm; a field of +-0.6 mm."""
+    coefficients = np.zeros((6, 3))
+    coefficients[3, 0] = 0.4
+    found = double_zernikes(modal(coefficients, basis="zernike"))
+    assert (found.attrs["xy_outer"], found.attrs["uv_outer"]) == pytest.approx((2.25e-3, 0.6e-3))
+    assert float(found["double_zernike"][1, 4]) == pytest.approx(0.4, abs=1e-4)
+
+
+def test_table_has_a_row_for_each_field_position_inside() -> None:
+    values = np.array([[[1.0, 2.0, np.nan], [4.0, 5.0, 6.0]]])  # of one mode, at 2 x 3 positions
+    maps = xr.Dataset(
+        {"coefficient": (("mode", "y", "x"), values), "coefficient_sigma": (("mode", "y", "x"), values / 10)},
+        {"name": ("mode", ["Z4 defocus"]), "x": [-3e-4, 0.0, 3e-4], "y": [-1e-4, 1e-4]},
+    )
+    names, rows = table_of(maps)
+    assert names == ["x_m", "y_m", "Z4_rad", "Z4_sigma_rad"]
+    assert rows[0] == pytest.approx([-3e-4, -1e-4, 1.0, 0.1])
+    assert rows[-1] == pytest.approx([3e-4, 1e-4, 6.0, 0.6])
+    assert len(rows) == 5
 
 
 def test_names_count_as_noll_and_as_the_paper_do() -> None:
