@@ -72,6 +72,13 @@ def test_lengths_are_read_in_any_unit(form: SettingsForm, text: str, pitch_m: fl
     assert form.bench().sensor.lenslet_pitch_m == pitch_m
 
 
+@pytest.mark.parametrize(("text", "shown"), [("1e-3 m", "1 mm"), ("0.9 mm", "900 \N{MICRO SIGN}m")])
+def test_length_is_shown_with_the_prefix_of_its_size(form: SettingsForm, text: str, shown: str) -> None:
+    form.set(fields(form)["sensor.lenslet_pitch_m"], text)
+    field = fields(form)["sensor.lenslet_pitch_m"]
+    assert f"{field.text} {field.unit}" == shown
+
+
 @pytest.mark.parametrize(
     ("path", "text", "sentence"),
     [

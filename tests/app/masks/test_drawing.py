@@ -237,6 +237,18 @@ def test_round_openings_are_round(name: str, half: tuple[float, float]) -> None:
         assert np.abs(np.hypot(*(points_m * 1e6 / half).T) - 1).max() * 600 < 0.01
 
 
+@pytest.mark.parametrize(("name", "ratio"), [("circle", 1.0), ("ellipse", 0.6)])
+def test_polygon_has_the_area_of_its_ellipse(name: str, ratio: float) -> None:
+    assert openings(name, Source(), 1e-3).area_m2 == pytest.approx(math.pi / 4 * ratio * 1e-6, rel=1e-9)
+
+
+def test_notes_lie_below_the_page() -> None:
+    drawing = draw(openings("square", Source(), 1.2e-3))
+    x_um, y_um = np.transpose(drawing.note_places_um)
+    assert x_um == pytest.approx(np.full(len(drawing.notes), -1e6 * drawing.half_x_m))
+    assert np.all(np.diff([-1e6 * drawing.half_y_m, *y_um]) < -48)  # um: one letter of 0.04 times 1.2 mm, y upwards
+
+
 def test_every_mask_is_drawn_or_refused() -> None:
     assert {*AREAS_MM2, "peaks", "image"} - {"picture.npy"} == set(MASKS)
 

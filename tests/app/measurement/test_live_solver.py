@@ -362,7 +362,8 @@ def solve_until(solver: LiveSolver, displacement: Displacement, is_done: Callabl
     ("found", "before", "alike"),
     [
         ((-0.8,), (-0.81,), True),
-        ((-0.8,), (-0.9,), False),
+        ((-0.8,), (-0.82,), True),  # the errors of both together are 0.0071
+        ((-0.8,), (-0.825,), False),
         ((-0.8,), (), False),
         ((), (), True),
         ((-0.8, 0.5), (-0.81, 0.51), True),
@@ -449,6 +450,15 @@ def test_process_that_dies_is_reported_and_frames_go_on(
     solver.close()
     wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
     assert capsys.readouterr().err == f"svwfs: {state.problem}\n"
+
+
+def test_skipped_frame_has_the_bias_of_the_one_before_and_its_age(
+    paper_bench: SmallBench, reconstructor: Reconstructor
+) -> None:
+    solver = solver_of(paper_bench, reconstructor, refine=False)
+    displacement = reconstructor.register(paper_bench.reference)
+    solver._newest = Solved(displacement, 5.0, Assumptions(FREE, RefinementState("applied", 2.0)))
+    assert solver.as_before(5.25).refinement.age_s == pytest.approx(2.25)
 
 
 def test_no_thread_without_layers_and_refinement(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:

@@ -40,6 +40,14 @@ def measured(bench: Bench, light: Image) -> MaskScale:
     return found
 
 
+@pytest.mark.parametrize(
+    ("scale", "sigma", "off"), [(1.02, 0.01, ""), (1.04, 0.01, "4.0 % larger"), (0.98, 0, "2.0 % smaller")]
+)
+def test_scale_beyond_three_standard_errors_is_a_fault(scale: float, sigma: float, off: str) -> None:
+    faults = MaskScale("square", scale, sigma, "").faults
+    assert [off in fault for fault in faults] == [True] * bool(off)
+
+
 @pytest.mark.parametrize("mask", ["square", "checkerboard"])
 def test_image_of_another_simulator_has_the_size_that_lengths_say(mask: str) -> None:
     bench, light = other_simulator(mask)

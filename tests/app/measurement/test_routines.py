@@ -385,6 +385,20 @@ def compared(before: np.ndarray, now: np.ndarray) -> BackgroundCheck:
     return compare_backgrounds(averaged(before), averaged(now), [float(frame.mean()) for frame in now])
 
 
+def test_error_of_a_drift_is_that_of_a_median_or_of_the_frames() -> None:
+    """Normal pixels of 6 counts: the median of n has the standard error sqrt(pi / 2 n) times 6."""
+    shape, variance = (60, 70), np.full((60, 70), 36, np.float32)
+    dark = Average(np.full(shape, 500, np.float32), variance, 20, 0.1, 1.0, "em")
+    mean = np.full(shape, 700, np.float32)
+    mean[3, 4] = 550  # hot in the dark: brighter than before, but less so than the others
+    now = Average(mean, variance, 2, 0.1, 1.0, "em")
+    averaged = np.sqrt(1 / 20 + 1 / 2)
+    steady, unsteady = compare_backgrounds(dark, now, [700.0, 700.0]), compare_backgrounds(dark, now, [699.0, 701.0])
+    assert steady.drift_error_counts == pytest.approx(averaged * 6 * np.sqrt(np.pi / 2 / 4200))
+    assert unsteady.drift_error_counts == pytest.approx(averaged * np.sqrt(2))
+    assert (steady.drift_counts, steady.hot_pixels, steady.cooled_pixels) == (200, 0, 1)
+
+
 @pytest.mark.parametrize("now_frames", [1, 2, 8])
 @pytest.mark.parametrize("before_frames", [1, 4, 20])
 def test_background_check_detects_drift(before_frames: int, now_frames: int) -> None:

@@ -15,7 +15,7 @@ from support.patience import HANG_S, wait_until
 from support.records import FACTS, make_frame, make_record, wait, write
 
 from app.errors import InputError, RunError
-from app.measurement.measurement import FrameTotals, Measurement
+from app.measurement.measurement import FrameTotals, Gap, Measurement
 from app.recording import recorder, writer
 from app.recording.reader import Recording
 from app.recording.recorder import BackgroundRecording, Recorder, RecordingLimit
@@ -97,6 +97,14 @@ def test_recent_frames_can_be_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(recorder, "_RECENT_BYTES", 10 * taken[0].frame.pixels.nbytes)
     recorder_.take(measurement(301, host_time_s=30.1))
     assert len(recorder_._recent) == 10
+
+
+def test_gap_before_the_first_frame_is_none_of_the_recording(tmp_path: Path) -> None:
+    records = [make_record(index, gap=Gap(2.0 + index, "a new reference")) for index in range(2)]
+    made = write(tmp_path / "r", records)
+    recording = Recording(tmp_path / "r")
+    assert [recording.line(index).gap_s for index in range(2)] == [0.0, 3.0]
+    assert made.gaps == [Gap(3.0, "a new reference")]
 
 
 def test_free_space_is_given_in_minutes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

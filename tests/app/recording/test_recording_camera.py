@@ -109,6 +109,13 @@ def test_frames_play_at_recorded_pace_and_repeat(
     np.testing.assert_allclose([frame.camera_time_s for frame in frames], came_s)
 
 
+def test_double_speed_halves_the_gaps(camera: RecordedCamera, clock: ManualClock) -> None:
+    camera.speed = 2.0
+    camera.start()
+    came_s = [(read(camera), clock.now())[1] for _ in range(FRAMES)]
+    np.testing.assert_allclose(np.diff(came_s), np.array(PLAYED_S) / 2)
+
+
 def test_loss_before_the_first_frame_is_not_repeated(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
     edited = copied(steady, tmp_path / "run")
     edit_line(edited, 0, lost=3)
@@ -236,6 +243,15 @@ def test_averaged_frames_reproduce_mean_and_variance(
         np.testing.assert_array_equal(shown.mean(axis=0).astype(np.float32), kept.mean)
         scatter = shown.var(axis=0, ddof=min(frames - 1, 1)).mean()
         assert scatter == pytest.approx(variance.mean(), rel=tolerance, abs=1e-6)
+
+
+def test_rounding_is_a_part_of_the_variance() -> None:
+    """Levels of 500.5 +- 0.5 counts at random have 0.25 counts^2 already; rounding adds nothing to 0.6."""
+    random = np.random.default_rng(3)
+    mean = random.uniform(500, 501, (90, 80)).astype(np.float32)
+    made = AveragedFrames(Average(mean, np.full((90, 80), 0.6, np.float32), 20, 0.02, 1.0, "em"), 65535)
+    shown = np.array([made.pixels(index) for index in range(20)], np.float64)
+    assert shown.var(axis=0, ddof=1).mean() == pytest.approx(0.6, rel=0.1)
 
 
 def test_pixels_alternate_independently() -> None:

@@ -20,6 +20,7 @@ from support.recordings import edit_line, record, remove_coefficients, replace_p
 from app.bench.config import write_bench
 from app.bench.imaging_model import lenslet_model
 from app.errors import InputError, Interrupted, RunError
+from app.measurement.estimator import Estimator
 from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.frame_lines import assumed_sample
 from app.recording.reader import Recording
@@ -27,6 +28,7 @@ from app.recording.reprocess import reprocess
 from app.recording.writer import Record, RecordingWriter
 from app.results import dataset
 from app.results.replay import Replay, change_of, replay
+from drivers.interface import Frame
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import KnownNoise
@@ -58,6 +60,19 @@ def recording(request: pytest.FixtureRequest, small_toml: Path, tmp_path_factory
 @pytest.fixture(scope="module")
 def plain(quick_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return record(quick_toml, tmp_path_factory.mktemp("recording") / "plain", frames=8)
+
+
+def test_frame_is_judged_beside_the_one_before(plain: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    before: list[int | None] = []
+    measure = Estimator.measure
+
+    def noted(estimator: Estimator, frame: Frame, *given: Any, previous: Frame | None, **more: Any) -> Measurement:
+        before.append(None if previous is None else previous.index - plain.line(0).camera_index)
+        return measure(estimator, frame, *given, previous=previous, **more)
+
+    monkeypatch.setattr(Estimator, "measure", noted)
+    assert len(list(reprocess(plain, [1, 2, 4]))) == 3
+    assert before == [plain.line(at).camera_index - plain.line(0).camera_index for at in (0, 1)] + [None]
 
 
 @pytest.fixture
