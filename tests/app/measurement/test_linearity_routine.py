@@ -52,6 +52,7 @@ def test_routine_finds_the_curve_of_the_camera(loss: float, flicker: float) -> N
     light = (1 - np.sqrt(1 - 4 * part * highest)) / (2 * part)
     assert highest > 0.7 * 2**16
     assert found.linearity.light(np.array([highest]))[0] == pytest.approx(light, abs=(4 * found.sigma + 3e-4) * highest)
+    assert found.linearity.chi_square == pytest.approx(1, abs=0.3)  # of about 600 bins and exposures
     assert found.linearity.amplifier == "normal"
 
 

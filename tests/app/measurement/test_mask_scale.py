@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import ndimage, special
 from support.command_line import run
 from support.paths import FOREIGN_FRAMES
 
@@ -19,7 +19,8 @@ from app.bench.config import Bench, load_bench
 from app.evaluation.frames import NoiseFreeFrames
 from app.images import read_image
 from app.measurement.mask_scale import MaskScale, mask_scale
-from reconstruction.arrays import Image
+from app.measurement.mask_scale import _fitted as fitted
+from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.lattice.search import survey
 
@@ -46,6 +47,22 @@ def measured(bench: Bench, light: Image) -> MaskScale:
 def test_scale_beyond_three_standard_errors_is_a_fault(scale: float, sigma: float, off: str) -> None:
     faults = MaskScale("square", scale, sigma, "").faults
     assert [off in fault for fault in faults] == [True] * bool(off)
+
+
+def test_error_of_the_scale_is_its_scatter_in_noise() -> None:
+    """Squares of 14 px with edges blurred by 1.2 px, in noise of 2 %."""
+    along = np.arange(25) - 12.0
+
+    def square(scale: float) -> Floats:
+        edges = (special.erf((along + side * 7 * scale) / (np.sqrt(2) * 1.2)) for side in (1, -1))
+        line = np.subtract(*edges) / 2
+        return np.asarray(np.outer(line, line))
+
+    random = np.random.default_rng(4)
+    found = [fitted(square, square(1.01) + random.normal(0, 0.02, (25, 25))) for _ in range(100)]
+    _, scales, sigmas = np.array(found).T
+    assert np.mean(scales) == pytest.approx(1.01, abs=4 * np.std(scales) / 10)
+    assert np.mean(sigmas) == pytest.approx(np.std(scales), rel=0.25)
 
 
 @pytest.mark.parametrize("mask", ["square", "checkerboard"])
