@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -18,11 +19,14 @@ from support.paths import FOREIGN_FRAMES
 from app.bench.config import Bench, load_bench
 from app.evaluation.frames import NoiseFreeFrames
 from app.images import read_image
-from app.measurement.mask_scale import MaskScale, mask_scale
+from app.measurement.averages import Average
+from app.measurement.calibration import Calibration
+from app.measurement.mask_scale import MaskScale, mask_scale, scale_quality
 from app.measurement.mask_scale import _fitted as fitted
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.lattice.search import survey
+from reconstruction.quality.verdict import Fault
 
 REAL_LIGHT = FOREIGN_FRAMES / "real_light"
 
@@ -47,6 +51,17 @@ def measured(bench: Bench, light: Image) -> MaskScale:
 def test_scale_beyond_three_standard_errors_is_a_fault(scale: float, sigma: float, off: str) -> None:
     faults = MaskScale("square", scale, sigma, "").faults
     assert [off in fault for fault in faults] == [True] * bool(off)
+
+
+def test_pattern_of_the_dark_is_no_part_of_the_mask() -> None:
+    bench, light = other_simulator("square")
+    assert bench.lattice is not None
+    pattern = np.random.default_rng(5).uniform(0, 3 * light.max(), light.shape)
+    reference, dark = Average.of_image((light + pattern).astype("f4")), Average.of_image(pattern.astype("f4"))
+    source = replace(bench.simulation.source, half_width_m=1.05 * bench.simulation.source.half_width_m)
+    larger = replace(bench, simulation=replace(bench.simulation, source=source))
+    quality = scale_quality(Calibration(larger, dark, reference, bench.lattice, math.inf))
+    assert "4.8 % smaller" in quality.reasons[Fault.SCALE]  # 1 / 1.05
 
 
 def test_error_of_the_scale_is_its_scatter_in_noise() -> None:
