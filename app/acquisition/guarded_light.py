@@ -211,7 +211,7 @@ class _Guardian:
         text = f"the guardian of the light {'cannot be' if self.process.returncode is None else 'has'} ended"
         try:
             run_in_thread(partial(guardian.switch_off, self._settings), "light off")[0].result(_TAKE_OVER_S)
-        except Exception as error:  # noqa: BLE001 - it is told
+        except Exception as error:  # noqa: BLE001 - its text is returned
             why = str(error) or f"it does not answer within {_TAKE_OVER_S:g} s"
             text += f", and the light cannot be reached ({why}); {MAY_BE_ON}"
         else:

@@ -181,7 +181,7 @@ def main() -> int:
         except Exception:  # noqa: BLE001 - nobody else is left to try again
             try:
                 switch_off(settings)
-            except Exception as error:  # noqa: BLE001 - it is told
+            except Exception as error:  # noqa: BLE001 - it is printed
                 sys.exit(f"svwfs: {error}; {MAY_BE_ON}")
         finally:
             if pipe.has_ended:

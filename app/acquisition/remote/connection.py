@@ -22,7 +22,7 @@ from app.acquisition.instrument import Instrument, Status
 from app.acquisition.place import DYING_S, NAME, Place, clear_abandoned
 from app.acquisition.process_state import Condition, ProcessState
 from app.acquisition.remote.frames import RemoteFrames
-from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Hello, Notice, Sign, State, Traveller
+from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Hello, Notice, SharedObject, Sign, State
 from app.acquisition.remote.outbox import ANSWER_S, Outbox
 from app.acquisition.remote.wire import Packed, unpacked
 from app.acquisition.wake import Wake
@@ -45,7 +45,7 @@ _LINGER_MS = 200  # for the last messages
 _SHOWN_S = 0.04  # between two measurements for a mailbox: as often as a window shows one
 
 
-class _Timings(Timings):
+class _MergedTimings(Timings):
     """Times of this process, with those of the instrument's stages."""
 
     def __init__(self) -> None:
@@ -96,7 +96,7 @@ class Connection:
         number = next(_COUNT)
         self.name = f"{what} {os.getpid()}{f'.{number}' * (number > 1)}"
         self.place, self._controls = place, controls
-        self.timings = _Timings()
+        self.timings = _MergedTimings()
         self._activity = Activity("starting the instrument", may_cancel=False)
         self._started: tuple[ProcessState, ...] = ()  # by the instrument
         self._is_gone = False  # whether the instrument's process is
@@ -316,7 +316,7 @@ class Connection:
                 self._take_state(message)
             case Notice():
                 self._frames.announce(message)
-            case Traveller():
+            case SharedObject():
                 self._arrivals.keep(message)
             case Accepted():
                 self._outbox.note_accepted(message.number)

@@ -71,7 +71,7 @@ class Sign(Enum):
     FORGOTTEN = "a client was silent for too long: it may say hello again"
 
 
-def told(error: BaseException) -> Exception:
+def portable_error(error: BaseException) -> Exception:
     """Return an error as a client gets it; an unexpected one is a `RunError` with its name."""
     known = next((kind for kind in type(error).__mro__ if kind in _ERRORS), None)
     return RunError(f"{type(error).__name__}: {error}") if known is None else known(str(error))
@@ -129,7 +129,7 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True)
-class Traveller:
+class SharedObject:
     """An object by itself, sent before any message that has its number, and the numbers that still occur in some."""
 
     number: int
@@ -137,7 +137,7 @@ class Traveller:
     kept: tuple[int, ...]
 
 
-class Travellers:
+class SharedObjects:
     """Numbers the objects that travel by themselves, and keeps the latest; used by two threads."""
 
     def __init__(self) -> None:
@@ -162,12 +162,12 @@ class Travellers:
             _trim(self._numbered)
             return self._last
 
-    def after(self, number: int) -> list[Traveller]:
+    def after(self, number: int) -> list[SharedObject]:
         """The objects with higher numbers, in their order."""
         with self._lock:
             kept = sorted(self._numbered.values(), key=lambda each: each[0])
         numbers = tuple(each for each, _ in kept)
-        return [Traveller(each, value, numbers) for each, value in kept if each > number]
+        return [SharedObject(each, value, numbers) for each, value in kept if each > number]
 
 
 class Arrivals:
@@ -176,10 +176,10 @@ class Arrivals:
     def __init__(self) -> None:
         self._objects: dict[int, Any] = {}
 
-    def keep(self, traveller: Traveller) -> None:
+    def keep(self, shared: SharedObject) -> None:
         """Keep an object, unless it is there already, and those that still occur in messages."""
-        known = {traveller.number: traveller.value} | self._objects
-        self._objects = {number: value for number, value in known.items() if number in traveller.kept}
+        known = {shared.number: shared.value} | self._objects
+        self._objects = {number: value for number, value in known.items() if number in shared.kept}
 
     def find(self, number: int) -> Any:
         """Return the object of a number; raise `Absent` if it has not arrived."""

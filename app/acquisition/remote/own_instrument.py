@@ -28,13 +28,13 @@ class OwnConnection(Connection):
     """A connection that ends the instrument when it is closed, unless it `goes_on` or another client controls it."""
 
     def __init__(
-        self, bench: Bench, name: str, process: subprocess.Popen[bytes], said: Path, forget_bench: Callable[[], None]
+        self, bench: Bench, name: str, process: subprocess.Popen[bytes], log: Path, forget_bench: Callable[[], None]
     ) -> None:
-        """Begin to connect to a process that has just been started, and prints into the file `said`.
+        """Begin to connect to a process that has just been started, and prints into the file `log`.
 
         `forget_bench` removes the file of the bench. If it cannot be reached, that is the connection's `error`.
         """
-        self.bench, self.process, self._said, self._forget_bench = bench, process, said, forget_bench
+        self.bench, self.process, self._log, self._forget_bench = bench, process, log, forget_bench
         self._ends = self.goes_on = False
         super().__init__("window", Place(name, process.pid, endpoint="", key=""))
 
@@ -55,8 +55,8 @@ class OwnConnection(Connection):
                 self.process.terminate()
                 return
             if self.process.poll() is not None:
-                said = self._said.read_text(errors="replace").strip().splitlines()
-                last = said[-1].removeprefix("svwfs: ") if said else "it said nothing"
+                printed = self._log.read_text(errors="replace").strip().splitlines()
+                last = printed[-1].removeprefix("svwfs: ") if printed else "it said nothing"
                 raise RunError(f"the instrument's process has ended: {last}")
             if time.monotonic() > until_s:
                 self.process.kill()
@@ -109,7 +109,7 @@ class OwnInstrument:
         self._folder = tempfile.TemporaryDirectory(prefix="svwfs-", ignore_cleanup_errors=True)
 
     @property
-    def _said(self) -> Path:
+    def _log(self) -> Path:
         """File of what the process prints, also when it goes on without this window."""
         return file_of(self._name, "log")
 
@@ -125,7 +125,7 @@ class OwnInstrument:
         self._tell_crash()
         if self._process is not None and not is_taken(self._name):
             with suppress(OSError):  # Windows keeps an open file
-                self._said.unlink()
+                self._log.unlink()
         self._folder.cleanup()
 
     def start(self, bench: Bench) -> subprocess.Popen[bytes]:
@@ -148,13 +148,13 @@ class OwnInstrument:
         save_bench(file, bench)
         program, arguments = command_line("serve", "--bench", file, "--name", self._name, "--idle")
         try:
-            with self._said.open("ab") as said:  # another window may do the same at this moment
-                said.truncate(0)
+            with self._log.open("ab") as log:  # another window may do the same at this moment
+                log.truncate(0)
                 self._process = subprocess.Popen(  # noqa: S603 - this program
                     [program, *arguments],
                     stdin=subprocess.DEVNULL,
-                    stdout=said,
-                    stderr=said,
+                    stdout=log,
+                    stderr=log,
                     # Ctrl-C in the terminal ends the window, which decides what becomes of the instrument.
                     start_new_session=True,
                     creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # exists on Windows only
@@ -174,13 +174,13 @@ class OwnInstrument:
                 why = "goes on" if self._connection.goes_on else "does not end"
                 raise RunError(f"the instrument's process {self._connection.process.pid} {why}: its devices are in use")
             self._connection = None
-        self._connection = OwnConnection(bench, self._name, self.start(bench), self._said, self._folder.cleanup)
+        self._connection = OwnConnection(bench, self._name, self.start(bench), self._log, self._folder.cleanup)
         return self._connection
 
     def _tell_crash(self) -> None:
         """Print what a process said that a signal has ended: where it crashed."""
         if self._process is not None and (self._process.poll() or 0) < 0:
-            sys.stderr.write(self._said.read_text(errors="replace"))
+            sys.stderr.write(self._log.read_text(errors="replace"))
 
     def _end(self) -> None:
         """End a process that nobody has been connected to."""

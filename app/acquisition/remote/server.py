@@ -29,11 +29,11 @@ from app.acquisition.remote.messages import (
     Hello,
     Notice,
     RingRecord,
+    SharedObjects,
     Sign,
     State,
-    Travellers,
     held_off,
-    told,
+    portable_error,
     watching,
 )
 from app.acquisition.remote.ring import RingWriter
@@ -110,7 +110,7 @@ class Server:
         self._ring_file = file_of(place.name, "ring")
         self._ring: RingWriter | None = None
         self._older_rings: deque[RingWriter] = deque()
-        self._writing, self._travellers = Lock(), Travellers()
+        self._writing, self._shared_objects = Lock(), SharedObjects()
         self._clients: dict[bytes, _Client] = {}
         self._controller = b""
         self._done: deque[tuple[bytes, int, Future[Any]]] = deque()
@@ -194,7 +194,7 @@ class Server:
                 return
             lean = replace(measurement, wavefront=None, start=None)
             record = RingRecord(lean, is_shown_only)
-            packed = Packed(record, self._travellers.number)
+            packed = Packed(record, self._shared_objects.number)
             if self._ring is None or not self._ring.fits(packed):
                 if self._ring is not None:
                     self._older_rings.append(self._ring)  # the newest: a reader may be about to open it
@@ -324,7 +324,7 @@ class Server:
 
     def _answer(self, identity: bytes, number: int, future: Future[Any]) -> None:
         failure = future.exception()
-        result, error = (future.result(), None) if failure is None else (None, told(failure))
+        result, error = (future.result(), None) if failure is None else (None, portable_error(failure))
         self._write()  # what was measured before the command was done
         count = 0 if self._ring is None else self._ring.count
         self._tell_state(has_new_timings=False)  # they would delay it by milliseconds
@@ -334,7 +334,7 @@ class Server:
         try:
             self._tell(identity, Answer(number, result, error, count))
         except TypeError as unsendable:
-            self._tell(identity, Answer(number, None, told(unsendable), count))
+            self._tell(identity, Answer(number, None, portable_error(unsendable), count))
 
     def _present(self, *, is_over: bool = False) -> State:
         acquisition = self.acquisition
@@ -348,7 +348,7 @@ class Server:
             counts=acquisition.counts,
             recording=acquisition.recording,
             kept=acquisition.kept,
-            ended_by=None if fault is None else told(fault),
+            ended_by=None if fault is None else portable_error(fault),
             is_alive=not is_over,
             timings=self._timings,
             clients=tuple(client.name for client in self._clients.values()),
@@ -367,7 +367,7 @@ class Server:
             self._tell_all(state)
 
     def _tell_all(self, message: State | Notice) -> None:
-        packed, now_s = Packed(message, self._travellers.number).message(), time.monotonic()
+        packed, now_s = Packed(message, self._shared_objects.number).message(), time.monotonic()
         for identity, client in self._clients.items():
             client.is_behind |= now_s > client.heard_s + _BEHIND_S
             if not client.is_behind:
@@ -384,7 +384,7 @@ class Server:
 
     def _tell(self, identity: bytes, message: object) -> None:
         """Send a message; only states and notices refer to objects that travel by themselves."""
-        packed = Packed(message, self._travellers.number) if isinstance(message, State) else Packed(message)
+        packed = Packed(message, self._shared_objects.number) if isinstance(message, State) else Packed(message)
         if isinstance(message, State | Notice):
             self._tell_objects(identity)
         self._socket.send_multipart([identity, packed.message()])
@@ -392,7 +392,7 @@ class Server:
     def _tell_objects(self, identity: bytes) -> None:
         """Send the objects that were numbered since the last time."""
         client = self._clients.get(identity)
-        for traveller in self._travellers.after(0 if client is None else client.objects):
-            self._tell(identity, traveller)
+        for shared in self._shared_objects.after(0 if client is None else client.objects):
+            self._tell(identity, shared)
             if client is not None:
-                client.objects = traveller.number
+                client.objects = shared.number

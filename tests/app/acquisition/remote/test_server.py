@@ -19,7 +19,17 @@ from support.served import connected, newest, served
 from app.acquisition.instrument import Instrument
 from app.acquisition.place import file_of
 from app.acquisition.remote.connection import reach
-from app.acquisition.remote.messages import MOST_BYTES, Accepted, Answer, Command, Hello, Notice, Sign, State, Traveller
+from app.acquisition.remote.messages import (
+    MOST_BYTES,
+    Accepted,
+    Answer,
+    Command,
+    Hello,
+    Notice,
+    SharedObject,
+    Sign,
+    State,
+)
 from app.acquisition.remote.ring import RingReader
 from app.acquisition.remote.server import Server
 from app.acquisition.remote.wire import Packed, unpacked
@@ -144,7 +154,7 @@ def test_objects_are_sent_once_to_each_client(server: Server) -> None:
         newest(connection)  # a calibration and two benches have numbers
         with silent_client(server) as socket:
             send_notices(server, 3)
-            told = [each.number for each in read_all(socket) if isinstance(each, Traveller)]
+            told = [each.number for each in read_all(socket) if isinstance(each, SharedObject)]
     assert len(told) >= 3
     assert told == sorted(set(told))
 

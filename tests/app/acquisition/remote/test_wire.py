@@ -17,7 +17,7 @@ from hypothesis import strategies as some
 from hypothesis.extra import numpy as some_numpy
 from support.optics import SmallBench
 
-from app.acquisition.remote.messages import Arrivals, Command, Notice, Travellers, told
+from app.acquisition.remote.messages import Arrivals, Command, Notice, SharedObjects, portable_error
 from app.acquisition.remote.wire import Absent, Packed, unpacked
 from app.bench.config import load_bench
 from app.bench.presets import PRESETS
@@ -144,44 +144,47 @@ def test_a_message_that_is_cut_short_is_refused(kept: int) -> None:
 
 @pytest.mark.parametrize("error", [InputError("no file"), Disconnected("unplugged"), RunError("x")])
 def test_errors_keep_kind_and_sentence(error: Exception) -> None:
-    made = there_and_back(told(error))
+    made = there_and_back(portable_error(error))
     assert type(made) is type(error)
     assert str(made) == str(error)
 
 
 def test_unexpected_errors_are_named() -> None:
-    assert str(there_and_back(told(ZeroDivisionError("division by zero")))) == "ZeroDivisionError: division by zero"
+    assert (
+        str(there_and_back(portable_error(ZeroDivisionError("division by zero"))))
+        == "ZeroDivisionError: division by zero"
+    )
 
 
 def test_large_objects_travel_once() -> None:
-    travellers = Travellers()
+    shared_objects = SharedObjects()
     bench = load_bench("small_demo")
-    first, again = (Packed((bench, 1), travellers.number) for _ in range(2))
-    number = travellers.number(bench)
+    first, again = (Packed((bench, 1), shared_objects.number) for _ in range(2))
+    number = shared_objects.number(bench)
     assert number is not None
-    (traveller,) = travellers.after(0)
-    assert (traveller.number, traveller.value, traveller.kept) == (number, bench, (number,))
-    assert not travellers.after(number)
+    (shared,) = shared_objects.after(0)
+    assert (shared.number, shared.value, shared.kept) == (number, bench, (number,))
+    assert not shared_objects.after(number)
     assert first.nbytes == again.nbytes < 200
     assert unpacked(first.message(), {number: bench}.__getitem__) == (bench, 1)
-    assert travellers.number(replace(bench)) != number
-    assert travellers.number(Notice("", 1)) is None
+    assert shared_objects.number(replace(bench)) != number
+    assert shared_objects.number(Notice("", 1)) is None
 
 
 def test_errors_of_a_reference_travel_once_if_they_come_again(checker_bench: SmallBench) -> None:
-    reconstructor, travellers = checker_bench.reconstructor("quadratic", pupil_modes=15), Travellers()
-    sizes = [Packed(reconstructor.register(checker_bench.reference), travellers.number).nbytes for _ in range(3)]
+    reconstructor, shared_objects = checker_bench.reconstructor("quadratic", pupil_modes=15), SharedObjects()
+    sizes = [Packed(reconstructor.register(checker_bench.reference), shared_objects.number).nbytes for _ in range(3)]
     assert sizes[0] > 2 * sizes[1] == 2 * sizes[2]
 
 
 def test_travellers_forget_what_is_not_used() -> None:
-    travellers, bench = Travellers(), load_bench("small_demo")
-    number = travellers.number(bench)
+    shared_objects, bench = SharedObjects(), load_bench("small_demo")
+    number = shared_objects.number(bench)
     others = [replace(bench) for _ in range(20)]
     for other in others:
-        travellers.number(other)
-        assert travellers.number(bench) == number  # in use
-    first = travellers.number(others[0])
+        shared_objects.number(other)
+        assert shared_objects.number(bench) == number  # in use
+    first = shared_objects.number(others[0])
     assert first is not None
     assert first > 21  # forgotten, and numbered again
 
@@ -209,24 +212,24 @@ def is_there(arrivals: Arrivals, number: int) -> bool:
 
 
 def test_objects_arrive_once_and_are_kept_as_long_as_messages_have_their_numbers() -> None:
-    travellers, arrivals, bench = Travellers(), Arrivals(), load_bench("small_demo")
+    shared_objects, arrivals, bench = SharedObjects(), Arrivals(), load_bench("small_demo")
     others = [replace(bench) for _ in range(10)]
     sent = 0
     for count, other in enumerate(others, start=2):
-        message = Packed((bench, other), travellers.number).message()
-        for traveller in travellers.after(sent):
-            arrivals.keep(there_and_back(traveller))
-            sent = traveller.number
+        message = Packed((bench, other), shared_objects.number).message()
+        for shared in shared_objects.after(sent):
+            arrivals.keep(there_and_back(shared))
+            sent = shared.number
         first, second = unpacked(message, arrivals.find)
         assert (first, second) == (bench, other)
         assert first is arrivals.find(1)  # the same one, and not another copy
         assert sent == count
     assert numbers_of(arrivals) == [1, *range(5, 12)]
-    assert [each.number for each in travellers.after(0)] == [1, *range(5, 12)]  # for a client that comes now
-    arrivals.keep(there_and_back(travellers.after(0)[0]))  # again
+    assert [each.number for each in shared_objects.after(0)] == [1, *range(5, 12)]  # for a client that comes now
+    arrivals.keep(there_and_back(shared_objects.after(0)[0]))  # again
     assert arrivals.find(1) is first
 
 
 def test_object_that_has_not_arrived_is_absent() -> None:
     with pytest.raises(Absent):
-        unpacked(Packed(load_bench("small_demo"), Travellers().number).message(), Arrivals().find)
+        unpacked(Packed(load_bench("small_demo"), SharedObjects().number).message(), Arrivals().find)
