@@ -54,7 +54,7 @@ class FieldCoefficients:
     known_share: float  # of the lenslets inside the pupil, at which the wavefront is known
 
     def at(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Coefficients at normalised field positions, rad, (mode, *broadcast shape)."""
+        """Coefficients at normalised field positions x and y (...), broadcast together, rad, (mode, ...)."""
         return np.tensordot(self.rad, self.field_modes.values(x, y), axes=1)
 
     def sigma(self, x: ArrayLike, y: ArrayLike) -> Floats:

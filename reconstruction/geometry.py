@@ -119,7 +119,7 @@ class Lattice(Checked):
 
     @property
     def turn(self) -> Floats:
-        """Matrix from row vectors in the lattice frame to those on the camera."""
+        """Matrix (2, 2) from row vectors in the lattice frame to those on the camera."""
         cosine, sine = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
         return np.array([[cosine, sine], [-sine, cosine]])
 

@@ -43,7 +43,7 @@ class Imaging(Checked):
 
     @property
     def to_field(self) -> Floats:
-        """Orthogonal matrix from directions (x, y) in the image to directions in the field."""
+        """Orthogonal matrix (2, 2) from directions (x, y) in the image to directions in the field."""
         cosine, sine = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
         return np.array([[cosine, sine], [-sine, cosine]]) @ np.diag([-1.0 if self.is_mirrored else 1.0, 1.0])
 

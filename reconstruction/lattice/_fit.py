@@ -48,7 +48,7 @@ def least_rotation_rad(arrangement: Arrangement, rotation_rad: float) -> float:
     return (rotation_rad - least) % period + least
 
 
-def strongest_peak(image: Image, pitch_px: float, arrangement: Arrangement = "square") -> Peak:
+def strongest_peak(image: Image, pitch_px: float, arrangement: Arrangement) -> Peak:
     """Find the lattice of about `pitch_px` with the strongest spectrum in an image (row, column)."""
     period = 1.0 if arrangement == "square" else math.sqrt(3) / 2  # of the harmonics, in pitches
     binning = max(1, int(pitch_px * period / _BINNED_PITCH_PX))

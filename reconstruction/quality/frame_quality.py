@@ -183,7 +183,7 @@ class FrameJudge:
         if self._noise is not None:
             scatter = math.sqrt(self._noise.variance(np.array(brightest)).item())
             read_noise = self._noise.read_noise_counts
-        clipped = clipped_fraction(counts, scatter, read_noise)
+        clipped = clipped_fraction(counts, scatter=scatter, read_noise=read_noise)
         if clipped > CLIPPED:
             yield Fault.CLIPPED, f"{100 * clipped:.0f} % of the pixels are clipped: {TOO_BRIGHT}"
 

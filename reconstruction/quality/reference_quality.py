@@ -71,7 +71,7 @@ def reference_quality(
     if noise is not None:
         scatter = float(np.sqrt(noise.variance(np.max(light, keepdims=True)).item() / frames))
         read_noise = noise.read_noise_counts / math.sqrt(frames)
-    clipped = clipped_fraction(reference, scatter, read_noise)
+    clipped = clipped_fraction(reference, scatter=scatter, read_noise=read_noise)
     if clipped > CLIPPED:
         reasons[Fault.CLIPPED] = (
             f"{100 * clipped:.0f} % of the reference's pixels are clipped below the camera's full scale: {TOO_BRIGHT}"

@@ -67,7 +67,7 @@ _CELLS = 60  # of the tissue
 
 
 def resolution_target(side: int) -> Floats:
-    """Square fields of bars, horizontal and vertical in turn, with periods of 6, 8, 12 and 16 px row by row."""
+    """Fields of bars, horizontal and vertical in turn, (side, side); periods of 6, 8, 12 and 16 px row by row."""
     y, x = np.indices((side, side))
     cell = side // len(_PERIODS_PX)
     row, column = np.minimum(y // cell, 3), x // cell
@@ -79,7 +79,7 @@ def resolution_target(side: int) -> Floats:
 
 
 def cells(side: int, generator: np.random.Generator) -> Floats:
-    """Ellipses with a bright membrane and nucleus."""
+    """Ellipses with a bright membrane and nucleus, (side, side)."""
     y, x = np.indices((side, side))
     image = np.full((side, side), 0.1)
     for _ in range(_CELLS):
@@ -94,8 +94,8 @@ def cells(side: int, generator: np.random.Generator) -> Floats:
     return np.asarray(smooth / smooth.max())
 
 
-def stars(side: int, generator: np.random.Generator) -> Floats:
-    """Points of light, a pixel wide, on a faint background."""
+def star_field(side: int, generator: np.random.Generator) -> Floats:
+    """Points of light, a pixel wide, on a faint background, (side, side)."""
     image = np.full((side, side), 2e-3)
     row, column = generator.integers(4, side - 4, (2, _STARS))
     np.add.at(image, (row, column), generator.uniform(2, 20, _STARS))

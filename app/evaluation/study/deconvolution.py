@@ -19,7 +19,7 @@ from reconstruction.deconvolution.corrected_image import PhaseAt, corrected_imag
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.deconvolution.psf_optics import psf_reach_px
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
-from simulated_devices.optics.photograph import PupilField, cells, photographs, resolution_target, stars, true_psf
+from simulated_devices.optics.photograph import PupilField, cells, photographs, resolution_target, star_field, true_psf
 from simulated_devices.sample import Sample
 
 # 20 mm behind the mask, so that the point-spread functions of the field have little in common
@@ -63,7 +63,11 @@ class _Photographs:
         seed = self._bench.simulation.seed
         generator = np.random.default_rng(seed)
         side = self._side
-        objects = {"target": resolution_target(side), "cells": cells(side, generator), "stars": stars(side, generator)}
+        objects = {
+            "target": resolution_target(side),
+            "cells": cells(side, generator),
+            "stars": star_field(side, generator),
+        }
         truths = np.stack([objects[name] * _PEAK_E[name] for name in objects])
         for name, truth, mean in zip(objects, truths, self._photographed(truths), strict=True):
             photograph = generator.poisson(mean).astype(np.float64)
