@@ -219,7 +219,7 @@ def narrowest_px(is_part: NDArray[np.bool_], *, is_cut_off: bool = False) -> int
 
 
 def _is_narrow(is_part: NDArray[np.bool_], side: int, *, is_cut_off: bool) -> bool:
-    """Whether the part has a place into which no square fits that is a little wider than `side` pixels.
+    """Return True if the part has a place into which no square fits that is a little wider than `side` pixels.
 
     In half pixels every such square has an odd side, 2 side + 1, and a middle.
     """

@@ -111,7 +111,7 @@ class Estimator:
     ) -> tuple[Wavefront, Assumptions]:
         """Solve for displacements, with their own `sample` if None is given.
 
-        The wavefront is refined in at most `rounds`, of which `seen` is told; fewer where it settles.
+        The wavefront is refined in at most `rounds`, fewer where it settles; `seen` is called with each.
         """
         sample = self.reconstructor.find_sample(registered) if sample is None else sample
         step = None

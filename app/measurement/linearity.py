@@ -25,7 +25,7 @@ _MARGIN = 1.2  # of the exposure that a lower current shall demand
 def measure_linearity(devices: Devices, cell_px: float, frames: int, watch: Watch) -> MeasuredLinearity:
     """Measure the nonlinearity in the camera's present mode from averages of `frames` frames.
 
-    `cell_px` is the lenslet pitch on the camera. A `RoutineError` says why it cannot be told; everything is restored.
+    `cell_px` is the lenslet pitch on the camera. A `RoutineError` says why that is impossible; everything is restored.
     """
     camera, light = devices.camera, devices.light
     if isinstance(light, ManualLight):

@@ -144,7 +144,7 @@ class FinderProcess:
         return found._replace(sample=self._sample)  # a copy would count as another sample
 
     def stop(self) -> None:
-        """Kill the process; a thread that waits for it is told that it has ended."""
+        """Kill the process; a thread that waits for it gets an error."""
         self._process.kill()
 
     def close(self) -> None:

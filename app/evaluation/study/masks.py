@@ -10,7 +10,7 @@ In real light, the inside of a uniform area shows no displacement. A mask may hi
 then the bound is large, and only the layers of the sample determine the wavefront.
 
 Many masks are compared by prediction alone: noise and bias of one pass against the light that each lets through. The
-exposure is equal: that which gives a plain square some electrons in the brightest pixel of its reference.
+exposure is equal: it gives a plain square some electrons in the brightest pixel of its reference.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
