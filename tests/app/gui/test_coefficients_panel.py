@@ -128,7 +128,7 @@ def test_history_charts_are_chosen_and_share_the_time_axis(window: MainWindow, q
 
 
 def test_history_shows_the_drift_of_the_last_samples_and_exports_it(
-    window: MainWindow, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     history = window.panels.history
     open_tab(window, "History")
@@ -140,9 +140,8 @@ def test_history_shows_the_drift_of_the_last_samples_and_exports_it(
     assert history.charts[RMS].drift[1].text() == "peak to peak 98"
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / "drift"), ""))
     history.export.click()
+    qtbot.waitUntil(lambda: "drift.csv" in window.messages.log)
     assert len((tmp_path / "drift.csv").read_text().splitlines()) == 121
-    window.update_text()
-    assert "drift.csv" in window.messages.text.text()
 
 
 def test_history_of_phases_follows_the_unit(window: MainWindow) -> None:
