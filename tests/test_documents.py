@@ -120,7 +120,7 @@ def test_bench_reference_has_every_setting(pages: Path) -> None:
 @pytest.mark.slow
 def test_references_have_every_command_and_name(pages: Path) -> None:
     text = text_of(pages / "commands.html")
-    for command in ("live", "deconvolve", "paper table1", "desktop"):
+    for command in ("live", "deconvolve", "paper", "desktop"):
         assert f"Usage: svwfs {command} [OPTIONS]" in text
     text = text_of(pages / "api.html")
     assert not [
