@@ -96,10 +96,12 @@ def holder(lamp_port: PtyServer) -> Iterator[subprocess.Popen[str]]:
     ) as program:
         assert program.stdout is not None
         assert program.stdout.readline() == "holds\n"
+        (guardian,) = children(program.pid)
         try:
             yield program
         finally:
             program.kill()
+            wait_until(lambda: is_gone(guardian))  # it holds the terminal, whose number the next test may get again
 
 
 @pytest.mark.parametrize("wakes", [False, True])
