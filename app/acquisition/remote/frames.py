@@ -145,7 +145,7 @@ class RemoteFrames:
         if made.problem or made.calibration is None or made.registered is None:
             return made
         try:
-            with self._preparing:  # once, whoever needs it first
+            with self._preparing:  # the first thread that needs it prepares it
                 reconstructor = self._estimator_of(made.calibration).reconstructor
             bias, sample = made.assumed.refinement.bias, made.assumed.sample or FREE
             return replace(made, wavefront=reconstructor.solve(made.registered, bias=bias, sample=sample))
