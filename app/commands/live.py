@@ -125,7 +125,7 @@ def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: b
         splash = Splash()  # before the rest is loaded
 
         def open_first(window: MainWindow) -> None:
-            window.benches.open(source, overrides, trust=trust)
+            window.benches.open(source, overrides, is_trusted=trust)
             if offers_last:
                 window.benches.offer_last()
 

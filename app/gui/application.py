@@ -15,6 +15,7 @@ from app.errors import SHOWN, Interrupted, RunError, ended_by
 from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
 from app.gui.shell.state import apply_preferences, settings_file
 from app.gui.shell.wording import left_behind
+from app.gui.widgets.copies import write_picture
 from app.gui.widgets.theme import styled_application
 from app.gui.widgets.timers import timer
 from app.measurement.measurement import Measurement
@@ -73,10 +74,12 @@ def run_window(
             status = application.exec()
         finally:
             window.close()
+    for sentence in window.unsaved:
+        sys.stderr.write(f"svwfs: {sentence}\n")
     _raise_failure(window, is_interrupted=bool(signals))
     if run is not None:
         run.check()
-    return status
+    return 1 if window.unsaved else status
 
 
 def _raise_failure(window: MainWindow, *, is_interrupted: bool) -> None:
@@ -159,6 +162,6 @@ def unattended_steps(
 
     yield from course.until(is_over)
     window.update_text()
-    if screenshot is not None and not window.save_screenshot(screenshot):
-        raise RunError(f"{screenshot}: cannot be written")
+    if screenshot is not None:
+        write_picture(screenshot, window.grab())
     on_finish(course.acquisition, shown[0])

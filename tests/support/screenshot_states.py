@@ -58,6 +58,7 @@ def show_benches(of: Photographer, window: MainWindow) -> None:
         for name, text in _faulty_benches(Path(folder)).items():
             (Path(folder) / f"{name}.toml").write_text(text)
             benches.open(str(Path(folder) / f"{name}.toml"))
+            of._wait(benches.dialog.isVisible)
             of._save(name, benches.dialog, settle_ms=500)
             benches.dialog.close()
 

@@ -97,7 +97,7 @@ class HistoryPanel(Panel):
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
         self.history, self._watch = History(), LimitWatch()
-        self._files = FileWork(self, self.warned.emit, is_writing=True)
+        self._files = FileWork(self, self.warned.emit)
         self._newest: tuple[float, dict[str, float]] | None = None  # time and values of the newest sample
         self._pinned = ""  # name of a coefficient
         self.toggles = {
@@ -143,7 +143,8 @@ class HistoryPanel(Panel):
         name = ask_file(self, "Export the history", "history.csv", "Table (*.csv)")
         if name is not None:
             path, history = name.with_suffix(".csv"), deepcopy(self.history)  # it goes on meanwhile
-            self._files.run(partial(history.write_csv, path), lambda _: self.informed.emit(f"saved {path}"))
+            saved = partial(self.informed.emit, f"saved {path}")
+            self._files.run(partial(history.write_csv, path), lambda _: saved(), writes=str(path))
 
     def forget_bench(self) -> None:
         self.history, self._watch = History(), LimitWatch()

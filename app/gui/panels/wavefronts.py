@@ -61,7 +61,7 @@ class WavefrontPanel(Panel):
         self._reach_mrad = AdaptiveScale()  # half width of PSF maps
         self._enlarged: EnlargedView | None = None
         self._reading = FileWork(self, self.warned.emit)  # of a wavefront to subtract
-        self._exports = FileWork(self, self.warned.emit, is_writing=True)
+        self._exports = FileWork(self, self.warned.emit)
         about = "Quantity shown for every view (keys 1 to 6)"
         self.choice = Choice(about, Quantity, self._redraw, key="view/quantity")
         for index, quantity in enumerate(Quantity):
@@ -208,7 +208,8 @@ class WavefrontPanel(Panel):
             write_picture(path, picture)
             write_shown(results, shown, bench, options=options)
 
-        self._exports.run(write, lambda _: self.informed.emit(f"saved {path} and {results.name}"))
+        files = f"{path} and {results.name}"
+        self._exports.run(write, lambda _: self.informed.emit(f"saved {files}"), writes=files)
 
     def subtract_file(self, path: Path) -> None:
         """Subtract the wavefront of a file of results as soon as it is read."""

@@ -6,6 +6,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 
@@ -13,10 +14,9 @@ from PyQt6.QtCore import QEvent, QMimeData, QStandardPaths, Qt
 from PyQt6.QtGui import QDropEvent
 from PyQt6.QtWidgets import QMainWindow
 
-from app.errors import RunError
-from app.files import make_folder
 from app.gui.shell.messages import MessageStrip
 from app.gui.widgets.copies import write_picture
+from app.gui.widgets.file_work import FileWork
 from app.measurement.measurement import Measurement
 from app.timing import Timings
 
@@ -35,6 +35,7 @@ class BaseWindow(QMainWindow):
         self.unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
         self.messages = MessageStrip()
         self.errors = ErrorReports(self.messages.alarm)
+        self._screenshots = FileWork(self, self.messages.warn)
         self.setAcceptDrops(True)
 
     def open_file(self, path: Path) -> None:
@@ -61,19 +62,12 @@ class BaseWindow(QMainWindow):
         timings.note("to_screen", end_s - measurement.exposure_end_s)
         return is_handled
 
-    def save_screenshot(self, path: Path | None = None) -> bool:
-        """Save a picture of the window, by default in the user's picture folder; return whether that succeeded."""
-        try:
-            if path is None:
-                folder = Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation) or ".")
-                make_folder(folder)
-                path = folder / f"svwfs-{datetime.now().astimezone():%Y%m%d-%H%M%S}.png"
-            write_picture(path, self.grab())
-        except RunError as error:
-            self.messages.warn(str(error))
-            return False
-        self.messages.inform(f"saved {path}")
-        return True
+    def save_screenshot(self) -> None:
+        """Save a picture of the window in the user's picture folder."""
+        folder = Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation) or ".")
+        path = folder / f"svwfs-{datetime.now().astimezone():%Y%m%d-%H%M%S}.png"
+        write = partial(write_picture, path, self.grab().toImage())
+        self._screenshots.run(write, lambda _: self.messages.inform(f"saved {path}"), writes=str(path))
 
     def focusNextPrevChild(self, next: bool) -> bool:  # noqa: A002, N802 - Qt's names
         """Move the focus as Tab does, unless its widget has just been hidden or disabled."""

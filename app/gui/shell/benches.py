@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from PyQt6.QtCore import QObject, QSettings, Qt, QUrl
 from PyQt6.QtGui import QDesktopServices
@@ -15,7 +15,7 @@ from app.bench.bench_files import faulty_lines
 from app.bench.config import Bench, load_bench, save_bench
 from app.bench.presets import DEFAULT, PRESETS
 from app.bench.trusted_libraries import Library, named_libraries, unconfirmed
-from app.errors import InputError, RunError
+from app.errors import InputError
 from app.gui.panels.panel import Entries
 from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.menus import RecentFiles, listing_menu
@@ -30,6 +30,15 @@ from app.gui.widgets.texts import label
 _LAST = "last/bench"  # key of the settings
 
 Choices = tuple[tuple[str, str, Callable[[], object]], ...]  # text, tool tip, action
+
+
+class _Fault(NamedTuple):
+    """What is wrong with a bench file, and the lines around it."""
+
+    error: InputError
+    path: Path | None
+    line: int | None
+    lines: tuple[tuple[int, str], ...]
 
 
 class Benches(QObject):
@@ -48,50 +57,52 @@ class Benches(QObject):
         self._window, self._connect, self._messages = window, connect, controller.messages
         self._controller, self._settings_control, self._remembered = controller, settings_control, settings
         self.recent = RecentFiles(settings, "recent/benches")
-        self._libraries = FileWork(self, self._messages.warn)  # a folder of them takes seconds to read
+        self._reading = FileWork(self, self._messages.warn)  # also of libraries: a folder of them takes seconds
+        self._saving = FileWork(self, self._messages.warn)
         self.dialog = BenchDialog(window)
         self.settings = SettingsDialog(self._use, self.open, window)
         self.error: InputError | None = None  # of the last attempt to open a bench
 
-    def open(self, source: str, overrides: tuple[str, ...] = (), *, trust: bool = False) -> None:
-        """Open a bench file or a preset, changed by `overrides`; `trust` confirms the libraries that it names."""
-        self.error = None
-        try:
-            bench = load_bench(source, overrides)
-        except InputError as error:
-            self.error = error
-            self._explain(source, overrides, error)
-            return
-        self._connect_trusted(bench, source, trust=trust)
+    def open(self, source: str, overrides: tuple[str, ...] = (), *, is_trusted: bool = False) -> None:
+        """Open a bench file or a preset, changed by `overrides`; `is_trusted` confirms the libraries that it names."""
 
-    def _connect_trusted(self, bench: Bench, source: str, *, trust: bool = False) -> None:
+        def connect(found: Bench | _Fault) -> None:
+            if isinstance(found, _Fault):
+                self.error = found.error
+                self._explain(found, partial(self.open, source, overrides, is_trusted=is_trusted))
+            else:
+                self._connect_trusted(found, source, is_trusted=is_trusted)
+
+        self.error = None
+        self._reading.forget()  # another bench was to be opened
+        self._reading.run(partial(_read, source, overrides), connect)
+
+    def _connect_trusted(self, bench: Bench, source: str = "", *, is_trusted: bool = False) -> None:
         """Connect a bench, or ask first whether its libraries are trusted; `source` is empty without a file."""
-        self._libraries.forget()  # those of a bench that was to be opened before
+
+        def connect(libraries: tuple[Library, ...]) -> None:
+            if libraries:
+                self._ask_to_trust(libraries, partial(self._connect_trusted, bench, source, is_trusted=True))
+                return
+            self.error = None
+            if source and source not in PRESETS:
+                self._remember(Path(source))
+            self._connect(bench)
+
+        self._reading.forget()
         if not named_libraries(bench):
-            self._connect_known(bench, source)
-        elif trust:
-            self._libraries.run(partial(_trust_libraries, bench), lambda _: self._connect_known(bench, source))
+            connect(())
         else:
-            self._libraries.run(partial(unconfirmed, bench), partial(self._connect_or_ask, bench, source))
+            self._reading.run(partial(_trust_libraries if is_trusted else unconfirmed, bench), connect)
 
-    def _connect_or_ask(self, bench: Bench, source: str, libraries: tuple[Library, ...]) -> None:
-        if libraries:
-            named = "".join(f"<p><b>{library.key}</b> = {escape(library.named)}</p>" for library in libraries)
-            self.error = InputError(f"{libraries[0].key} = {libraries[0].named} would run code and is not trusted")
-            trusted = partial(self._connect_trusted, bench, source, trust=True)
-            self.dialog.show_message(
-                "Program library",
-                f"<p>This bench runs the code of a program library. Open it only if you trust the library.</p>{named}",
-                (("Trust and open", "Load it, now and later", trusted),),
-            )
-        else:
-            self._connect_known(bench, source)
-
-    def _connect_known(self, bench: Bench, source: str) -> None:
-        self.error = None
-        if source and source not in PRESETS:
-            self._remember(Path(source))
-        self._connect(bench)
+    def _ask_to_trust(self, libraries: tuple[Library, ...], trusted: Callable[[], object]) -> None:
+        named = "".join(f"<p><b>{library.key}</b> = {escape(library.named)}</p>" for library in libraries)
+        self.error = InputError(f"{libraries[0].key} = {libraries[0].named} would run code and is not trusted")
+        self.dialog.show_message(
+            "Program library",
+            f"<p>This bench runs the code of a program library. Open it only if you trust the library.</p>{named}",
+            (("Trust and open", "Load it, now and later", trusted),),
+        )
 
     def offer_last(self) -> None:
         """Ask whether to open the bench that was opened last, if it is a file that still exists."""
@@ -117,7 +128,7 @@ class Benches(QObject):
         """Connect the devices of a bench, unless it differs from the open one, `before`, in the reconstruction only."""
         changed: dict[str, Any] = {"registration": bench.registration, "reconstruction": bench.reconstruction}
         if before is None or self._controller.failure or replace(before, **changed) != bench:
-            self._connect_trusted(bench, source="")
+            self._connect_trusted(bench)
         else:
             self._settings_control.change(*changed.items())
 
@@ -133,13 +144,12 @@ class Benches(QObject):
         path = None if status is None else ask_bench_file(self._window)
         if status is None or path is None:
             return
-        try:
-            save_bench(path, status.bench_in_force)
-        except (InputError, RunError, ValueError) as error:  # ValueError: inconsistent settings
-            self._messages.warn(str(error))
-        else:
+
+        def show(_: None) -> None:
             self._messages.inform(f"saved {path}")
             self._remember(path)
+
+        self._saving.run(partial(save_bench, path, status.bench_in_force), show, writes=str(path))
 
     def menu_entries(self) -> Entries:
         text = "{0.name}  \N{EM DASH}  {0.parent}".format
@@ -154,10 +164,10 @@ class Benches(QObject):
             ("Save the bench", "Ctrl+S", self.save),
         )
 
-    def _explain(self, source: str, overrides: tuple[str, ...], error: InputError) -> None:
-        path, line, lines = faulty_lines(source, error)
+    def _explain(self, fault: _Fault, again: Callable[[], object]) -> None:
+        error, path, line, lines = fault
         choices: Choices = (
-            ("Try again", "Read the bench again, after you have corrected it", lambda: self.open(source, overrides)),
+            ("Try again", "Read the bench again, after you have corrected it", again),
             ("Open another \N{HORIZONTAL ELLIPSIS}", "Choose another bench file (Ctrl+O)", self.ask),
         )
         if path is not None:
@@ -168,9 +178,18 @@ class Benches(QObject):
         self.dialog.show_message(title, _fault_html(f"{error}{f' ({place})' if place else ''}", lines, line), choices)
 
 
-def _trust_libraries(bench: Bench) -> None:
+def _read(source: str, overrides: tuple[str, ...]) -> Bench | _Fault:
+    try:
+        return load_bench(source, overrides)
+    except InputError as error:
+        return _Fault(error, *faulty_lines(source, error))
+
+
+def _trust_libraries(bench: Bench) -> tuple[Library, ...]:
+    """Confirm all libraries; none is left."""
     for library in unconfirmed(bench):
         library.trust()
+    return ()
 
 
 class BenchDialog(QDialog):

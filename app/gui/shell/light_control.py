@@ -69,7 +69,7 @@ class LightControl:
         """
         acquisition = self._acquisition
         if acquisition is None:
-            self.is_kept_off |= self._controller.acquisition is not None  # after a failure, when it connects again
+            self.is_kept_off = True  # when the bench that is being read, or that has failed, connects
             return
         has_ended, status, now_s = self._end_sequence(), acquisition.status, time.monotonic()
         is_busy, rests = has_ended or self._is_busy(acquisition), now_s < self._rests_until_s

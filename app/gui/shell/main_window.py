@@ -64,6 +64,7 @@ class MainWindow(BaseWindow):
         """
         super().__init__()
         self._settings, self._is_closing, self._refreshes = settings, False, 0
+        self.unsaved: list[str] = []  # why files were not written when the window was closed
         self._status: Status | None = None  # as shown
         self._failure, self._activity, self._is_silent = "", Activity(), False
         self._late, self._situation = LateMeasurements(), Situation()
@@ -357,8 +358,7 @@ class MainWindow(BaseWindow):
         self.region_dialog.close()
         self.controller.close(self._show_closing)
         self.recording_bar.refresh()  # end, name and note of a recording that was under way
-        for work in self.findChildren(FileWork):
-            work.close()
+        self.unsaved += [sentence for work in self.findChildren(FileWork) for sentence in work.close()]
         self._is_closing = False
         super().closeEvent(event)
 

@@ -129,7 +129,7 @@ class RecordingBar(QFrame):
         self.commands = BackgroundCommands(controller.messages, self)
         self._of: Path | None = None  # the recording as it began
         self._finished: _Finished | None = None
-        self._naming = FileWork(self, self._messages.warn, is_writing=True)
+        self._naming = FileWork(self, self._messages.warn)
         self._opening = FileWork(self, self._messages.warn)
         self.text = ElidedLabel()
         self._name_problem = ""
@@ -147,11 +147,12 @@ class RecordingBar(QFrame):
         self.open = Button("Open folder", "Show the files", lambda: self._use(self._show))
         about = "Play it in another window; the devices go on here"
         self.replay = Button("Replay", about, lambda: self._use(self.play))
-        self.report = Button("Report", "Write report.pdf into the folder and open it", self._report)
+        about = "Write report.pdf into the folder and open it"
+        self.report = Button("Report", about, lambda: self._use(self._report))
         self.export = Button("Export", "Write it for other programs")
         self.exports = QMenu(self)
         for to, (text, _) in EXPORT_FORMATS.items():
-            self.exports.addAction(text, lambda _=False, to=to: self._export(to))
+            self.exports.addAction(text, lambda _=False, to=to: self._use(partial(self._export, to)))
         self.export.setMenu(self.exports)
         self.done = Button("Close", "Hide this bar", self.hide)
         self._afterwards = (self.open, self.replay, self.report, self.export)
@@ -340,38 +341,39 @@ class RecordingBar(QFrame):
             self.recent.add(finished.folder)
 
         self.recent.add(finished.folder)
-        self._naming.run(save, show)
+        self._naming.run(save, show, writes=f"name and note of {finished.folder}")
 
     def _use(self, act: Callable[[Path], object]) -> None:
-        if self.folder is not None:
-            act(self.folder)
+        """Act on the finished recording, as soon as its folder has the name that was typed."""
+        if (finished := self._finished) is None:
+            return
+        if self._naming.is_busy:
+            self._naming.run(lambda: finished.folder, act)
+        else:
+            act(finished.folder)
 
     def _show(self, path: Path) -> None:
         if not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
             self._messages.alarm(f"{path} cannot be shown here: this desktop has no program for it")
 
-    def _report(self) -> None:
-        if self.folder is not None:
-            out = self.folder / "report.pdf"
-            self.commands.start(
-                self.report,
-                f"writing the report of {self.folder.name}",
-                *("report", self.folder, "--out", out, "--overwrite"),
-                end=f"the report is in {out}",
-                then=lambda: self._show(out),
-            )
+    def _report(self, folder: Path) -> None:
+        out = folder / "report.pdf"
+        self.commands.start(
+            self.report,
+            f"writing the report of {folder.name}",
+            *("report", folder, "--out", out, "--overwrite"),
+            end=f"the report is in {out}",
+            then=lambda: self._show(out),
+        )
 
-    def _export(self, to: Format) -> None:
-        if self.folder is None:
-            return
+    def _export(self, to: Format, folder: Path) -> None:
         what, (suffix, *_) = EXPORT_FORMATS[to]
-        proposed = self.folder.with_name(f"{self.folder.name}{suffix}")
-        name = ask_file(self, what, str(proposed), f"*{suffix}")
+        name = ask_file(self, what, str(folder.with_name(f"{folder.name}{suffix}")), f"*{suffix}")
         if name is not None:  # the dialog has asked whether to replace it
             self.commands.start(
                 self.export,
-                f"exporting {self.folder.name}",
-                *("export", self.folder, "--to", to, "--out", name, "--overwrite"),
+                f"exporting {folder.name}",
+                *("export", folder, "--to", to, "--out", name, "--overwrite"),
                 end=f"exported to {name}",
             )
 

@@ -12,11 +12,12 @@ from PyQt6.QtWidgets import QCheckBox, QDialog, QFormLayout, QLineEdit, QListWid
 from app.bench.config import Bench, save_bench
 from app.bench.device_kinds import KINDS
 from app.bench.settings_form import NAMES, FormField, SettingsForm, fault_in_words, fault_path, name_of
-from app.errors import InputError, RunError
+from app.errors import InputError
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice
 from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberLine, TextLine
+from app.gui.widgets.file_work import FileWork
 from app.gui.widgets.layouts import Scrolled, column, row, within_screen
 from app.gui.widgets.texts import ElidedLabel, colour_text, label, mark_refused
 from app.gui.widgets.timers import timer
@@ -40,6 +41,7 @@ class SettingsDialog(QDialog):
         self._form = SettingsForm({})
         self._before: Bench | None = None  # the edited bench; None for a new one
         self._found: list[DiscoveredDevice] = []
+        self._saving = FileWork(self, lambda why: self._show_problem(why, None))
         self._search: Future[tuple[list[DiscoveredDevice], list[str]]] | None = None
         self.editors: dict[str, tuple[FormField, QWidget]] = {}
         self.sections, self.pages = QListWidget(), QStackedWidget()
@@ -213,13 +215,12 @@ class SettingsDialog(QDialog):
         path = None if bench is None else ask_bench_file(self)
         if bench is None or path is None:
             return
-        try:
-            save_bench(path, bench)
-        except RunError as error:
-            self._show_problem(str(error), None)
-            return
-        self.close()
-        self._opened(str(path))
+
+        def leave(_: None) -> None:
+            self.close()
+            self._opened(str(path))
+
+        self._saving.run(partial(save_bench, path, bench), leave, writes=str(path))
 
 
 def ask_bench_file(parent: QWidget) -> Path | None:

@@ -25,6 +25,7 @@ from app.acquisition.worker import Acquisition
 from app.errors import Interrupted, RunError
 from app.gui.application import run_window, unattended_steps
 from app.gui.shell.access import Access
+from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
 from drivers.interface import Disconnected
 
@@ -133,6 +134,24 @@ def test_slow_computation_raises_no_false_alarm_about_the_light(
     finally:
         release.set()
         acquisition.close()
+
+
+def test_file_that_is_not_saved_when_the_window_closes_is_told(
+    qapp: QApplication, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    disk = threading.Event()
+    monkeypatch.setattr("app.gui.widgets.file_work._CLOSING_S", 0.05)
+    monkeypatch.setattr("app.gui.shell.base_window.write_picture", lambda *_: disk.wait())
+
+    def open_first(window: MainWindow) -> None:
+        window.save_screenshot()
+        QTimer.singleShot(0, qapp.closeAllWindows)
+
+    try:
+        assert run_window(open_first) == 1
+    finally:
+        disk.set()
+    assert ".png: not saved: the disk has not answered when the window was closed" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -81,6 +81,7 @@ def test_preset_is_opened_and_another_bench_takes_its_place(
     recent = benches.entries("Open a recent bench")
     assert list(recent) == [f"{small_toml.name}  \N{EM DASH}  {small_toml.parent}"]
     next(iter(recent.values()))()
+    qtbot.waitUntil(lambda: is_live(benches, 3))
     assert benches.opened[2] == benches.opened[1]
 
 
@@ -94,7 +95,7 @@ def test_faulty_file_shows_its_line_until_it_is_corrected(
     path.write_text("\n".join([*lines[:index], "wavelength_m = 462", *lines[index + 1 :]]))
     window, dialog = benches.window, benches.window.benches.dialog
     window.benches.open(str(path))
-    assert dialog.isVisible()
+    qtbot.waitUntil(dialog.isVisible)
     assert dialog.windowTitle() == f"Faulty bench, line {index + 1}"
     text = dialog.text.text()
     assert "sensor.wavelength_m must be 1e-7 ... 2e-5" in text
@@ -103,7 +104,7 @@ def test_faulty_file_shows_its_line_until_it_is_corrected(
     assert len(marked) == 1
     assert "wavelength_m&nbsp;=&nbsp;462<" in marked[0]
     benches.button("Try again").click()
-    assert dialog.isVisible()
+    qtbot.waitUntil(dialog.isVisible)
     assert isinstance(window.benches.error, InputError)
     assert not benches.opened
     path.write_text(small_toml.read_text())
@@ -119,7 +120,7 @@ def test_faulty_file_leaves_the_open_bench(benches: Opened, qtbot: QtBot, tmp_pa
     benches.window.benches.open("small_demo")
     qtbot.waitUntil(lambda: is_live(benches, 1))
     benches.window.benches.open(str(tmp_path / "missing.toml"))
-    assert "no such file" in benches.window.benches.dialog.text.text()
+    qtbot.waitUntil(lambda: "no such file" in benches.window.benches.dialog.text.text())
     assert benches.cameras[0].light.shines
     assert len(benches.opened) == 1
     qtbot.waitUntil(benches.window.benches.dialog.isActiveWindow)
@@ -163,6 +164,7 @@ def test_last_bench_is_offered_at_the_next_start(
     window.update_text()
     assert not window.messages.accept.isVisible()
     window.benches.open(str(path))
+    qtbot.waitUntil(lambda: is_live(benches, 2))
     window.benches.open("small_demo")
     qtbot.waitUntil(lambda: is_live(benches, 3))
     window.benches.offer_last()
@@ -184,5 +186,6 @@ def test_saved_bench_is_recent(benches: Opened, qtbot: QtBot, tmp_path: Path, mo
     qtbot.waitUntil(lambda: is_live(benches, 1))
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / "mine.toml"), ""))
     benches.window.benches.save()
+    qtbot.waitUntil(lambda: "Saved " in benches.window.messages.log)
     assert load_bench(tmp_path / "mine.toml").sensor == load_bench("small_demo").sensor
     assert benches.entries("Open a recent bench")

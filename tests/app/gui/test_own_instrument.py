@@ -177,6 +177,7 @@ def test_another_bench_and_a_new_start_have_processes_of_their_own(
     def act(window: MainWindow) -> None:
         qtbot.waitUntil(lambda: is_measured(window))
         window.benches.open(str(other_toml))
+        qtbot.waitUntil(lambda: len(started) == 2)
         assert started[0].poll() == 0  # two must not have the devices
         assert window.controls.light.text() == "Light off"
         qtbot.waitUntil(lambda: is_measured(window))
@@ -239,6 +240,7 @@ def test_instrument_of_a_window_goes_on_for_the_client_that_has_control(
         window.benches.open(str(other_toml))
         qtbot.waitUntil(lambda: f"process {started[0].pid} goes on: its devices are in use" in said_in(window))
         window.benches.open(str(other_toml))  # again
+        qtbot.waitUntil(lambda: not window.benches._reading.is_busy)
         assert window.controller.left == "the instrument goes on"
 
     notebook: list[Connection] = []
@@ -309,12 +311,21 @@ def test_window_acts_while_its_instrument_starts(
     assert not is_taken(NAME)
 
 
+@pytest.mark.parametrize("is_read", [True, False])
 def test_light_that_is_switched_off_while_the_instrument_starts_never_shines(
-    stopped: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+    stopped: list[subprocess.Popen[bytes]],
+    small_toml: Path,
+    qtbot: QtBot,
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    is_read: bool,
 ) -> None:
     def act(window: MainWindow) -> None:
-        window.light.switch(on=True)  # the command that lights waits already
-        assert window.light.is_switching_off
+        if is_read:
+            qtbot.waitUntil(lambda: window.controller.acquisition is not None)
+        window.light.switch(on=True)
+        assert window.light.is_switching_off is is_read  # the command that lights waits already
+        qtbot.waitUntil(lambda: window.controller.acquisition is not None)
         stopped[0].send_signal(signal.SIGCONT)
         seen: list[bool] = []
 

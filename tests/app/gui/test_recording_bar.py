@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,10 @@ from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, press
 
 from app.acquisition.worker import Acquisition
+from app.gui.shell.background_commands import BackgroundCommands
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.menus import RecentFiles
+from app.recording.folder import describe
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState
 
@@ -174,6 +177,36 @@ def test_report_and_export_run_beside_the_window(
     qtbot.waitUntil(lambda: "Exported to" in window.messages.log)
     assert len((tmp_path / "out.csv").read_text().splitlines()) == 3
     qtbot.waitUntil(lambda: not bar.commands.findChildren(QProcess))
+
+
+@pytest.mark.slow
+def test_buttons_wait_until_the_recording_has_its_name(
+    live: tuple[MainWindow, FakeCamera],
+    qtbot: QtBot,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    opened: list[Path],
+) -> None:
+    window, _ = live
+    record(qtbot, window, tmp_path, frames=2)
+    bar, disk, reported = window.recording_bar, threading.Event(), list[Path]()
+
+    def describe_late(folder: Path, *, name: str, note: str) -> Path:
+        disk.wait()
+        return describe(folder, name=name, note=note)
+
+    monkeypatch.setattr("app.gui.shell.recording.describe", describe_late)
+    monkeypatch.setattr(BackgroundCommands, "start", lambda *given, **_: reported.append(given[4]))
+    type_into(qtbot, bar.name, "mouse 7")
+    bar.open.click()
+    bar.report.click()
+    qtbot.wait(100)
+    assert not opened
+    disk.set()
+    qtbot.waitUntil(lambda: bool(reported))
+    (folder,) = tmp_path.iterdir()
+    assert folder.name.endswith("-mouse 7")
+    assert (opened, reported) == ([folder], [folder])
 
 
 @pytest.mark.slow

@@ -111,6 +111,7 @@ def test_new_bench_has_the_connected_camera(
     path = tmp_path / "mine.toml"
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
     dialog.save.click()
+    qtbot.waitUntil(lambda: bool(opened))
     bench = load_bench(path)
     assert opened == [bench]
     assert bench.camera == GenicamSettings(device="Mako 7")

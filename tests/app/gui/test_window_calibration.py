@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QFileDialog
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.patience import HANG_S
-from support.window_tools import press
+from support.window_tools import press, said_in
 
 from app.acquisition.instrument import Instrument
 from app.bench.config import Bench, load_bench
@@ -94,14 +94,14 @@ def test_saved_bench_holds_settings_in_force(
     window.controls.exposure.setValue(40.0)
     qtbot.waitUntil(lambda: window._status is not None and window._status.exposure_s == 0.04)
     window.benches.save()
+    qtbot.waitUntil(lambda: f"Saved {saved}" in window.messages.log)
     bench = load_bench(saved)
     assert bench.lattice == bench_of(window).lattice
     wanted = {"exposure_s": 0.04, "amplifier": "em", "readout_speed": 3}
     assert asdict(bench.camera) == asdict(bench_of(window).camera) | wanted
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path), ""))
     window.benches.save()
-    window.update_text()
-    assert "not a file" in window.messages.text.text()
+    qtbot.waitUntil(lambda: "not a file" in said_in(window))
 
 
 @pytest.mark.slow

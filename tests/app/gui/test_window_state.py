@@ -147,7 +147,7 @@ def test_screenshot_makes_a_missing_picture_folder(
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     press_with_control(qtbot, window)
-    assert len(list(folder.glob("svwfs-*.png"))) == 1
+    qtbot.waitUntil(lambda: len(list(folder.glob("svwfs-*.png"))) == 1)
 
 
 def press_with_control(qtbot: QtBot, window: MainWindow) -> None:
