@@ -13,7 +13,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError, ended_by
 from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
-from app.gui.shell.state import apply_preferences, settings_file
+from app.gui.shell.state import apply_preferences, saved_state
 from app.gui.shell.wording import left_behind
 from app.gui.widgets.copies import write_picture
 from app.gui.widgets.theme import styled_application
@@ -52,10 +52,10 @@ def run_window(
     """
     qInstallMessageHandler(_pass_on)
     application = styled_application()
-    settings = settings_file() if steps is None else None
-    if settings is not None:
-        apply_preferences(application, settings)
-    window = MainWindow(settings=settings, make_for=make_for)
+    saved = saved_state() if steps is None else None
+    if saved is not None:
+        apply_preferences(application, saved)
+    window = MainWindow(saved=saved, make_for=make_for)
     run = None if steps is None else _UnattendedRun(window, steps(window))
     signals: list[int] = []
 
@@ -66,7 +66,7 @@ def run_window(
     with window.errors.reported(), ended_by(end):  # Python handles signals when the window's timer fires
         try:
             window.show()
-            if settings is None:
+            if saved is None:
                 window.resize(WINDOW_SIZE)  # the screen of Qt's offscreen platform is small
             else:
                 window.offer_tour()

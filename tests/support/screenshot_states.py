@@ -42,7 +42,7 @@ def show_benches(of: Photographer, window: MainWindow) -> None:
     """Take the form of the settings, and the questions about benches that do not open at once."""
     benches = window.benches
     benches.edit()
-    dialog = benches.settings
+    dialog = benches.settings_dialog
     assert dialog is not None
     of._save("settings", dialog, settle_ms=500)
     line = dialog.editors["sensor.lenslet_pitch_m"][1]

@@ -60,10 +60,10 @@ def windows() -> Iterator[MakeWindow]:
     made: list[MainWindow] = []
 
     def make(
-        *cameras: FakeCamera, settings: QSettings | None = None, resized: bool = True, frames: int = FRAMES
+        *cameras: FakeCamera, saved: QSettings | None = None, resized: bool = True, frames: int = FRAMES
     ) -> MainWindow:
         spare, begin = iter(cameras), partial(start_up, frames=frames)
-        window = MainWindow(settings=settings)
+        window = MainWindow(saved=saved)
         window.controller.use(Access(lambda: Acquisition(BENCH, opener(next(spare))), begin), lambda: None)
         if resized:
             window.resize(1000, 760)

@@ -257,10 +257,10 @@ class CameraPanel(Panel):
         self._use_tool()
 
     def _use_tool(self) -> None:
-        self._view.draws = bool(self.tool.currentData())
+        self._view.is_drawing = bool(self.tool.currentData())
         self._drawn.draw(np.zeros((0, 2)))
         self.measuring.use(self.tool.currentText())
-        if self._view.draws:
+        if self._view.is_drawing:
             self.informed.emit(f"drag over the camera picture: {self.tool.currentData()}; Esc ends it")
             self._graphics.setCursor(Qt.CursorShape.CrossCursor)
         else:
@@ -291,7 +291,7 @@ class CameraPanel(Panel):
 
     def _click(self, event: Any) -> None:  # pyqtgraph declares no types
         """Inspect a lenslet at a click of the left button, unless another click follows or a tool is in use."""
-        if event.button() != Qt.MouseButton.LeftButton or self._view.draws:
+        if event.button() != Qt.MouseButton.LeftButton or self._view.is_drawing:
             return
         self._click_timer.stop()
         if not event.double():

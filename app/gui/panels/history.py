@@ -143,8 +143,8 @@ class HistoryPanel(Panel):
         name = ask_file(self, "Export the history", "history.csv", "Table (*.csv)")
         if name is not None:
             path, history = name.with_suffix(".csv"), deepcopy(self.history)  # it goes on meanwhile
-            saved = partial(self.informed.emit, f"saved {path}")
-            self._files.run(partial(history.write_csv, path), lambda _: saved(), writes=str(path))
+            tell = partial(self.informed.emit, f"saved {path}")
+            self._files.run(partial(history.write_csv, path), lambda _: tell(), writes=str(path))
 
     def forget_bench(self) -> None:
         self.history, self._watch = History(), LimitWatch()

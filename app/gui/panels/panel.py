@@ -43,7 +43,7 @@ class Shown(QObject):
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self.status: Status | None = None
-        self.settings: ReconstructionSettings | None = None  # of the wavefronts
+        self.reconstruction: ReconstructionSettings | None = None  # settings of the wavefronts
         self.wanted: Mapping[str, Any] = {}  # settings that are not in force yet, by their name in the controls
         self.is_settled = True  # whether all commands are finished
         self.measurement: Measurement | None = None

@@ -141,7 +141,7 @@ class WavefrontPanel(Panel):
     def request(self) -> Request | None:
         """Frame the chosen view, and request maps with their numbers, of a wavefront only these."""
         self.grid.select(self.shown.view if self.shown.has_open_tabs else None)
-        wavefront, quantity, settings = self.shown.wavefront, self.quantity, self.shown.settings
+        wavefront, quantity, settings = self.shown.wavefront, self.quantity, self.shown.reconstruction
         if wavefront is not None and quantity is Quantity.WAVEFRONT:
             options = self.menu.options
             single = self._newest if options.averaged == 1 and options.stored is None else None

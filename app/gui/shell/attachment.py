@@ -34,7 +34,7 @@ class Attachment:
         return self._controller.failure or (_STARTS if is_starting else _NOT_ATTACHED)
 
     @property
-    def only_watches(self) -> bool:
+    def may_take_control(self) -> bool:
         """True if this window could take control."""
         connection = self.connection
         return connection is not None and not connection.has_control and not connection.is_silent
@@ -86,7 +86,7 @@ class Attachment:
                 lambda: self._controller.send(lambda _: connection.end()),
                 "Stop instrument",
                 "Keep running",
-                loses=True,
+                is_destructive=True,
             )
 
     def ask_to_leave(self, then: Callable[[], object]) -> bool:

@@ -27,7 +27,7 @@ from app.gui.widgets.file_work import FileWork, answer
 from app.gui.widgets.layouts import column
 from app.gui.widgets.texts import label
 
-_LAST = "last/bench"  # key of the settings
+_LAST = "last/bench"  # key of the saved state
 
 Choices = tuple[tuple[str, str, Callable[[], object]], ...]  # text, tool tip, action
 
@@ -49,18 +49,18 @@ class Benches(QObject):
         window: QWidget,
         connect: Callable[[Bench], object],
         controller: Controller,
-        settings_control: SettingsControl,
-        settings: QSettings | None,
+        settings: SettingsControl,
+        saved: QSettings | None,
     ) -> None:
-        """`settings` remember the recent benches and the last one."""
+        """`saved` has the recent benches and the last one."""
         super().__init__(window)
         self._window, self._connect, self._messages = window, connect, controller.messages
-        self._controller, self._settings_control, self._remembered = controller, settings_control, settings
-        self.recent = RecentFiles(settings, "recent/benches")
+        self._controller, self._settings, self._saved = controller, settings, saved
+        self.recent = RecentFiles(saved, "recent/benches")
         self._reading = FileWork(self, self._messages.warn)  # also of libraries: a folder of them takes seconds
         self._saving = FileWork(self, self._messages.warn)
         self.dialog = BenchDialog(window)
-        self.settings = SettingsDialog(self._use, self.open, window)
+        self.settings_dialog = SettingsDialog(self._use, self.open, window)
         self.error: InputError | None = None  # of the last attempt to open a bench
 
     def open(self, source: str, overrides: tuple[str, ...] = (), *, is_trusted: bool = False) -> None:
@@ -106,23 +106,23 @@ class Benches(QObject):
 
     def offer_last(self) -> None:
         """Ask whether to open the bench that was opened last, if it is a file that still exists."""
-        name = None if self._remembered is None else self._remembered.value(_LAST)
+        name = None if self._saved is None else self._saved.value(_LAST)
         if isinstance(name, str) and name and answer(Path(name).is_file, otherwise=False):
             question = f'the bench "{Path(name).name}" was open last: open it again?'
             self._messages.ask(question, partial(self.open, name), "Open it", "Not now")
 
     def _remember(self, path: Path) -> None:
         self.recent.add(path)
-        if self._remembered is not None:
-            self._remembered.setValue(_LAST, str(path.absolute()))
+        if self._saved is not None:
+            self._saved.setValue(_LAST, str(path.absolute()))
 
     def edit(self) -> None:
         """Edit the settings of the open bench, with lattice, exposure and current in force."""
         status = self._controller.status
-        self.settings.edit(load_bench(DEFAULT) if status is None else status.bench_in_force)
+        self.settings_dialog.edit(load_bench(DEFAULT) if status is None else status.bench_in_force)
 
     def make(self) -> None:
-        self.settings.make(replace(load_bench(DEFAULT), lattice=None))
+        self.settings_dialog.make(replace(load_bench(DEFAULT), lattice=None))
 
     def _use(self, bench: Bench, before: Bench | None) -> None:
         """Connect the devices of a bench, unless it differs from the open one, `before`, in the reconstruction only."""
@@ -130,7 +130,7 @@ class Benches(QObject):
         if before is None or self._controller.failure or replace(before, **changed) != bench:
             self._connect_trusted(bench)
         else:
-            self._settings_control.change(*changed.items())
+            self._settings.change(*changed.items())
 
     def ask(self) -> None:
         folder = next((str(path.parent) for path in self.recent.paths()), "")
@@ -197,7 +197,7 @@ class BenchDialog(QDialog):
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
-        self.text = label("", wraps=True)
+        self.text = label("", is_wrapped=True)
         self.text.setTextFormat(Qt.TextFormat.RichText)
         self.text.setMinimumWidth(560)  # px
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)

@@ -82,7 +82,7 @@ class CalibrationGuide(QDialog):
         self._is_running = False
         self._answers: dict[bool, Callable[[], object]] = {}  # called after "yes" and after "no"
         self.lamps = {step: label("") for step in STEPS}
-        self.results = {step: label("", "dim", wraps=True) for step in STEPS}
+        self.results = {step: label("", "dim", is_wrapped=True) for step in STEPS}
         steps = QWidget()
         grid = QGridLayout(steps)
         grid.setContentsMargins(0, 0, 0, 0)
@@ -96,9 +96,9 @@ class CalibrationGuide(QDialog):
             result.setMinimumHeight(2 * result.fontMetrics().lineSpacing() + 8)  # the lattice takes two lines
             grid.addWidget(self.lamps[step], 3 * index, 0)
             grid.addWidget(label(f"{index + 1}  {step.title}", "title"), 3 * index, 1)
-            grid.addWidget(label(f"{step.explanation}.", "dim", wraps=True), 3 * index + 1, 1)
+            grid.addWidget(label(f"{step.explanation}.", "dim", is_wrapped=True), 3 * index + 1, 1)
             grid.addWidget(result, 3 * index + 2, 1)
-        self.question = label("", wraps=True)
+        self.question = label("", is_wrapped=True)
         self.yes = Button("", "Return", lambda _: self._answers[True]())
         self.no = Button("", "Esc", lambda _: self._answers[False]())
         answers = row((self.question, 1), self.yes, self.no)

@@ -23,7 +23,7 @@ _SIDES = {
     "Rows": "Number of rows",
     "Columns": "Number of columns",
 }
-_PRESETS_KEY = "presets/devices"  # of the settings
+_PRESETS_KEY = "presets/devices"  # key of the saved state
 _ABOUT_PRESETS = "A preset keeps exposure, gain, current and mask: type a name, and save those in force."
 _PRESET_SETTINGS = {"exposure_s": int | float, "em_gain": int | float, "current_a": int | float, "mask": str}
 
@@ -124,15 +124,15 @@ class SensorRegionDialog(QDialog):
 class DevicePresets(QDialog):
     """Lists presets of exposure, gain, current and mask, which are kept between starts: saves, applies and deletes."""
 
-    def __init__(self, controller: Controller, controls: ControlsPanel, settings: QSettings, parent: QWidget) -> None:
+    def __init__(self, controller: Controller, controls: ControlsPanel, saved: QSettings, parent: QWidget) -> None:
         """Apply presets as the `controls` would."""
         super().__init__(parent)
-        self._controller, self._controls, self._settings = controller, controls, settings
+        self._controller, self._controls, self._saved = controller, controls, saved
         self.setWindowTitle("Presets of exposure and mask")
         self.names = QListWidget()
         self.names.currentItemChanged.connect(self._enable)
         self.names.itemDoubleClicked.connect(lambda _: self._apply())
-        self.about = label("", "dim", wraps=True)
+        self.about = label("", "dim", is_wrapped=True)
         self.about.setMinimumWidth(380)  # px: the title fits
         self.name = TextField(tool_tip="Name of the preset", hint="name")
         self.name.textChanged.connect(self._enable)
@@ -147,14 +147,14 @@ class DevicePresets(QDialog):
     def _presets(self) -> dict[str, dict[str, object]]:
         """Presets that can be applied: the file may have been edited by hand."""
         try:
-            found = json.loads(str(self._settings.value(_PRESETS_KEY, "{}")))
+            found = json.loads(str(self._saved.value(_PRESETS_KEY, "{}")))
         except ValueError:
             return {}
         presets = found.items() if isinstance(found, dict) else ()
         return {name: values for name, values in presets if isinstance(values, dict) and _can_be_set(values)}
 
     def _keep(self, presets: dict[str, dict[str, object]]) -> None:
-        self._settings.setValue(_PRESETS_KEY, json.dumps(presets))
+        self._saved.setValue(_PRESETS_KEY, json.dumps(presets))
         self._list()
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name

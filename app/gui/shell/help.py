@@ -211,7 +211,7 @@ class Tour(QFrame):
         self._outline = QFrame(window)
         self._outline.setProperty("role", "outline")
         self._outline.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self.title, self.text, self.count = label("", "title"), label("", wraps=True), label("", "dim")
+        self.title, self.text, self.count = label("", "title"), label("", is_wrapped=True), label("", "dim")
         self.text.setFixedWidth(_BUBBLE_PX)
         self.text.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.next = Button("Next", "The next part", self._advance)

@@ -48,8 +48,8 @@ class LightControl:
 
     def ask_off(self, then: Callable[[], object]) -> None:
         """Call `then`, after a person has switched a manual light off."""
-        if self._acquisition is not None and self._must_ask(on=False):
-            self._ask_by_hand(on=False, then=then)
+        if self._acquisition is not None and self._must_ask(is_on=False):
+            self._ask_by_hand(is_on=False, then=then)
         else:
             then()
 
@@ -59,10 +59,10 @@ class LightControl:
         status = None if acquisition is None else acquisition.status
         is_lit, is_replay = (False, False) if status is None else (status.is_light_on, status.is_replay)
         if acquisition is not None and not is_replay and (is_lit or self._is_busy(acquisition)):
-            self.switch(on=False)
+            self.switch(is_on=False)
             self._messages.warn("L switches the light off, also where it is typed; Shift+L only types it")
 
-    def switch(self, on: bool) -> None:
+    def switch(self, *, is_on: bool) -> None:
         """Switch the light, and end a sequence. While a command waits or runs, it may be lighting up: always off.
 
         So two requests in a row never light it, whatever the first one did.
@@ -72,21 +72,21 @@ class LightControl:
             self.is_kept_off = True  # when the bench that is being read, or that has failed, connects
             return
         has_ended, status, now_s = self._end_sequence(), acquisition.status, time.monotonic()
-        is_busy, rests = has_ended or self._is_busy(acquisition), now_s < self._rests_until_s
+        is_busy, is_resting = has_ended or self._is_busy(acquisition), now_s < self._rests_until_s
         if status is not None and status.bench.has_manual_light:
             if has_ended:
                 self._controller.cancel()
             self._controls.light.setChecked(status.is_light_on)  # until it is confirmed
-            self._ask_by_hand(on=on)
-        elif on and not is_busy and not rests:
+            self._ask_by_hand(is_on=is_on)
+        elif is_on and not is_busy and not is_resting:
             self.is_kept_off = False
             self._controller.send(lambda to: to.submit(Instrument.set, "is_light_on", True))
         else:
             self.is_kept_off, self._rests_until_s = True, now_s + _REST_S
             self._switching_off = acquisition.switch_light_off()
             self._messages.clear_notice()
-            if on:
-                why = "it was switched off within the last second" if rests else "commands were waiting"
+            if is_on:
+                why = "it was switched off within the last second" if is_resting else "commands were waiting"
                 self._messages.warn(f"the light stays off: {why}; L switches it on")
             self._controls.light.setChecked(False)
             self._controls.show_switching_off()
@@ -96,8 +96,8 @@ class LightControl:
 
     def take(self, step: CalibrationStep, frames: int) -> None:
         """Average frames for a dark or a reference."""
-        if self._must_ask(on=step.is_lit):
-            self._ask_by_hand(on=step.is_lit, then=lambda: self.take(step, frames))
+        if self._must_ask(is_on=step.is_lit):
+            self._ask_by_hand(is_on=step.is_lit, then=lambda: self.take(step, frames))
         else:
             self._controller.send(lambda to: step.begin(to, frames), lambda _: self._confirm(step, frames))
 
@@ -106,18 +106,18 @@ class LightControl:
         status, name = self._controller.status, step.title.lower()
         if status is not None and getattr(status, name).validity == "good":
             self._messages.inform(f"{name} taken: mean of {counted(frames)}")
-        if self._must_ask(on=True):
-            self._ask_by_hand(on=True)
+        if self._must_ask(is_on=True):
+            self._ask_by_hand(is_on=True)
 
-    def _must_ask(self, *, on: bool) -> bool:
+    def _must_ask(self, *, is_on: bool) -> bool:
         status = self._controller.status
-        return status is not None and status.bench.has_manual_light and status.is_light_on != on
+        return status is not None and status.bench.has_manual_light and status.is_light_on != is_on
 
-    def _ask_by_hand(self, *, on: bool, then: Callable[[], object] = lambda: None) -> None:
+    def _ask_by_hand(self, *, is_on: bool, then: Callable[[], object] = lambda: None) -> None:
         """Ask a person to switch a manual light, and note it when that is confirmed."""
         self._messages.ask(
-            f"switch the light {'on' if on else 'off'} by hand",
-            lambda: self._controller.send(lambda to: to.submit(Instrument.set, "is_light_on", on), lambda _: then()),
+            f"switch the light {'on' if is_on else 'off'} by hand",
+            lambda: self._controller.send(lambda to: to.submit(Instrument.set, "is_light_on", is_on), lambda _: then()),
             "Done",
             "Not now",
         )

@@ -46,7 +46,7 @@ from drivers.light_source import MAY_BE_ON
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
-_TOUR = "tour/seen"  # key of the settings
+_TOUR = "tour/seen"  # key of the saved state
 
 
 class MainWindow(BaseWindow):
@@ -54,16 +54,14 @@ class MainWindow(BaseWindow):
 
     measurement_shown = pyqtSignal(object)  # the Measurement, by reference
 
-    def __init__(
-        self, *, settings: QSettings | None = None, make_for: Callable[[Bench], Carrier] = Acquisition
-    ) -> None:
+    def __init__(self, *, saved: QSettings | None = None, make_for: Callable[[Bench], Carrier] = Acquisition) -> None:
         """Make an empty window.
 
         `make_for` makes the acquisition of a bench that is opened in the window. The window looks as saved in
-        `settings`, and saves how it looks when it closes.
+        `saved` state, and saves how it looks when it closes.
         """
         super().__init__()
-        self._settings, self._is_closing, self._refreshes = settings, False, 0
+        self._saved, self._is_closing, self._refreshes = saved, False, 0
         self.unsaved: list[str] = []  # why files were not written when the window was closed
         self._status: Status | None = None  # as shown
         self._failure, self._activity, self._is_silent = "", Activity(), False
@@ -81,17 +79,17 @@ class MainWindow(BaseWindow):
         self.light = LightControl(self.controller, self.controls, self.guide.end_for_light)
         self.region_dialog = SensorRegionDialog(self.controller, self)
         self.recording_panel = RecordingPanel()
-        self.recording_bar = RecordingBar(self.controller, self.recording_panel, settings)
+        self.recording_bar = RecordingBar(self.controller, self.recording_panel, saved)
         self.replay = ReplayBar(self.controls)
         self.analyses = Analyses(self.panels, self.shown)
         self._lay_out()
         self.benches = Benches(
-            self, lambda bench: self.open(Access(partial(make_for, bench))), self.controller, self.settings, settings
+            self, lambda bench: self.open(Access(partial(make_for, bench))), self.controller, self.settings, saved
         )
         self._connect()
         fill_menus(self, self._menus())
-        if settings is not None:
-            restore_state(settings, self)
+        if saved is not None:
+            restore_state(saved, self)
         fit_to_screen(self)
         self._timer = timer(self, REFRESH_MS, self.refresh)
         # Between two frames: together they would hold up the measurement.
@@ -115,7 +113,7 @@ class MainWindow(BaseWindow):
 
     def _connect(self) -> None:
         acts: dict[str, Callable[[Any], object]] = {
-            "light": self.light.switch,
+            "light": lambda is_on: self.light.switch(is_on=is_on),
             "dark": partial(self.light.take, DARK),
             "reference": partial(self.light.take, REFERENCE),
             "calibration": self.guide.begin,
@@ -143,10 +141,10 @@ class MainWindow(BaseWindow):
         full = Qt.WindowState.WindowFullScreen
         presets: Entries = ()
         preferences: Entries = ()
-        if self._settings is not None:  # else the window remembers nothing
-            dialog = DevicePresets(self.controller, self.controls, self._settings, self)
+        if self._saved is not None:  # else the window remembers nothing
+            dialog = DevicePresets(self.controller, self.controls, self._saved, self)
             presets = (("Presets of exposure and mask", "", dialog.show),)
-            preferences = (("Preferences", "", PreferencesDialog(self._settings, self).show),)
+            preferences = (("Preferences", "", PreferencesDialog(self._saved, self).show),)
         menus: dict[str, Entries] = {
             "&File": (
                 *self.recording_bar.menu_entries(),
@@ -280,7 +278,7 @@ class MainWindow(BaseWindow):
         self._situation.follow(status)
         attached = ", attached" * self.controller.is_attached
         self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}{attached}")
-        self.shown.settings = status.bench.reconstruction
+        self.shown.reconstruction = status.bench.reconstruction
         self.shown.wanted, self.shown.is_settled = dict(self.settings.wanted), self.controller.is_settled
         for panel in self.panels:
             panel.show_status(status)
@@ -307,7 +305,7 @@ class MainWindow(BaseWindow):
             failure=self._failure,
             way_out=way_out(status),
             may_reconnect=status is None or not status.is_replay,
-            only_watches=self.attachment.only_watches,
+            may_take_control=self.attachment.may_take_control,
             warning="; ".join(filter(None, [alarm, self.replay.notice, self.attachment.notice])),
             advice=advice(status, self._activity, measurement),
         )
@@ -331,8 +329,8 @@ class MainWindow(BaseWindow):
         tour.begin()
 
     def offer_tour(self) -> None:
-        if self._settings is not None and not self._settings.contains(_TOUR):
-            self._settings.setValue(_TOUR, 1)
+        if self._saved is not None and not self._saved.contains(_TOUR):
+            self._saved.setValue(_TOUR, 1)
             self.show_tour()
 
     def _facts(self) -> dict[str, str]:
@@ -348,9 +346,9 @@ class MainWindow(BaseWindow):
                 self.quit()  # by the user
             return
         self._is_closing = True
-        if self._settings is not None:
+        if self._saved is not None:
             self.docks.use_tall_layout()
-            save_state(self._settings, self)
+            save_state(self._saved, self)
         self._timer.stop()
         self._text_timer.stop()
         self.analyses.close()

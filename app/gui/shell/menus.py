@@ -60,23 +60,23 @@ def _enable(buttons: list[tuple[QAction, QAbstractButton]]) -> None:
 
 
 class RecentFiles:
-    """A list of files or folders under one key of the settings."""
+    """A list of files or folders under one key of the saved state."""
 
-    def __init__(self, settings: QSettings | None, key: str) -> None:
-        """Use what `settings` remember under `key`, such as "recent/benches"; without settings, only this session."""
-        self._settings, self._key = settings, key
+    def __init__(self, saved: QSettings | None, key: str) -> None:
+        """Use what is `saved` under `key`, such as "recent/benches"; without it, remember only this session."""
+        self._saved, self._key = saved, key
         self._names: list[str] = []
 
     def add(self, path: Path) -> None:
         absolute = path.absolute()
         paths = [absolute, *(one for one in self.paths() if one != absolute)]
         self._names = [str(one) for one in paths[:_MOST]]
-        if self._settings is not None:
-            self._settings.setValue(self._key, self._names)
+        if self._saved is not None:
+            self._saved.setValue(self._key, self._names)
 
     def paths(self) -> tuple[Path, ...]:
         """Return at most eight paths that exist, the newest first; all, if a disk does not answer."""
-        names: object = self._names if self._settings is None else self._settings.value(self._key)
+        names: object = self._names if self._saved is None else self._saved.value(self._key)
         listed = [names] if isinstance(names, str) else names  # an INI file stores a list of one as text
         if not isinstance(listed, list):
             return ()

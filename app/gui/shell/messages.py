@@ -36,7 +36,7 @@ class MessageStrip(QFrame):
         self._notice, self._notice_colour, self._notice_until_s = "", theme.AMBER, 0.0
         self._alarm = self._question = ""
         self._act: Callable[[], object] = lambda: None  # after a "yes"
-        self._loses = False  # whether it ends something
+        self._is_destructive = False  # whether "yes" ends something
         self._lines: deque[tuple[str, str]] = deque(maxlen=1000)  # time and message
         self._standing: dict[str, str] = {}  # last failure and warning
         self._shown = ("", theme.DIM)
@@ -93,16 +93,16 @@ class MessageStrip(QFrame):
         accept: str = "Use it",
         discard: str = "Discard",
         *,
-        loses: bool = False,
+        is_destructive: bool = False,
     ) -> None:
         """Show a question with the texts of its buttons, and act if the answer is yes.
 
-        If "yes" `loses` something, it is amber, and Return does not accept.
+        If "yes" `is_destructive`, it is amber, and Return does not accept.
         """
-        self._question, self._act, self._loses = question, act, loses
+        self._question, self._act, self._is_destructive = question, act, is_destructive
         self._say(question)
         self.accept.setText(accept)
-        self.accept.setToolTip("Accept" if loses else "Accept (Return)")
+        self.accept.setToolTip("Accept" if is_destructive else "Accept (Return)")
         self.discard.setText(discard)
 
     def escape(self) -> None:
@@ -118,7 +118,7 @@ class MessageStrip(QFrame):
 
     def enter(self) -> None:
         """Accept the proposal, unless another message hides it or something would be lost."""
-        if self._asks and not self._loses:
+        if self._asks and not self._is_destructive:
             self._answer(is_accepted=True)
 
     def show_activity(self, activity: Activity, *, may_cancel: bool) -> None:
@@ -138,18 +138,18 @@ class MessageStrip(QFrame):
         advice: str,
         way_out: str = "",
         may_reconnect: bool = True,
-        only_watches: bool = False,
+        may_take_control: bool = False,
     ) -> None:
         """Show the message of highest priority; `way_out` tells what follows from a failure and what to do.
 
-        If this window `only_watches`, it can take control.
+        If this window `may_take_control`, a button does.
         """
         for name, text in (("failure", failure), ("warning", warning)):
             if self._standing.get(name) != text:
                 self._standing[name] = text
                 self._say(text)
         self.reconnect.setVisible(bool(failure) and may_reconnect)
-        self.control.setVisible(only_watches and not failure)
+        self.control.setVisible(may_take_control and not failure)
         if failure:
             self._question = ""  # no device is left to apply it
         self.accept.setVisible(self._asks)
@@ -160,7 +160,7 @@ class MessageStrip(QFrame):
         elif self._alarm:
             self._show(self._alarm, theme.RED)
         elif self._asks:
-            self._show(self._question, theme.AMBER if self._loses else theme.GREEN)
+            self._show(self._question, theme.AMBER if self._is_destructive else theme.GREEN)
         elif self._has_notice:
             self._show(self._notice, self._notice_colour)
         elif warning:

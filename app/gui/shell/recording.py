@@ -37,7 +37,7 @@ _STOP = "Stop recording"
 _BEHIND = 70  # waiting frames from which the number is shown
 _DISK_INTERVAL_S = 2.0  # between two queries of the free disk space
 _NAME_TIP = "Appended to the name of the folder when the recording is finished"
-_FOLDER = "folders/recordings"  # key of the settings
+_FOLDER = "folders/recordings"  # key of the saved state
 
 
 class RecordingPanel(QWidget):
@@ -109,8 +109,8 @@ class _Finished:
 class RecordingBar(QFrame):
     """Records as a `RecordingPanel` asks; opens when a recording begins, and stays until it is closed."""
 
-    def __init__(self, controller: Controller, panel: RecordingPanel, settings: QSettings | None) -> None:
-        """Remember the recordings, and their folder, in `settings`."""
+    def __init__(self, controller: Controller, panel: RecordingPanel, saved: QSettings | None) -> None:
+        """Remember the recordings, and their folder, in what is `saved`."""
         super().__init__()
         self.setProperty("role", "strip")
         self._controller, self._messages, self._panel = controller, controller.messages, panel
@@ -119,13 +119,13 @@ class RecordingBar(QFrame):
             lambda: controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
         )
         controller.connected.connect(self._restart)
-        self._settings, self.recordings_folder = settings, _recordings_folder(settings)
+        self._saved, self.recordings_folder = saved, _recordings_folder(saved)
         self._starting: Future[None] | None = None  # the last start of a recording
         self._has_failed = False  # the acquisition, amid what it recorded
         self._ended: set[Path] = set()  # recordings whose end was shown
         self._free_minutes, self._disk_due_s = math.inf, -math.inf
         self._asked_disk: Future[float] | None = None  # a network disk may not answer
-        self.recent = RecentFiles(settings, "recent/recordings")
+        self.recent = RecentFiles(saved, "recent/recordings")
         self.commands = BackgroundCommands(controller.messages, self)
         self._of: Path | None = None  # the recording as it began
         self._finished: _Finished | None = None
@@ -182,8 +182,8 @@ class RecordingBar(QFrame):
 
     def use_recordings_folder(self, folder: Path) -> None:
         self.recordings_folder = folder
-        if self._settings is not None:
-            self._settings.setValue(_FOLDER, str(folder))
+        if self._saved is not None:
+            self._saved.setValue(_FOLDER, str(folder))
         self._messages.inform(f"recordings are saved in {folder}")
 
     def choose_recordings_folder(self) -> None:
@@ -197,7 +197,7 @@ class RecordingBar(QFrame):
             then()
         else:
             question = f"the recording {state.folder.name} ends if another bench is opened"
-            self._messages.ask(question, then, "End it and open", "Keep recording", loses=True)
+            self._messages.ask(question, then, "End it and open", "Keep recording", is_destructive=True)
 
     def refresh(self) -> None:
         """Show the state of the recordings, and each end once."""
@@ -268,11 +268,11 @@ class RecordingBar(QFrame):
             self._forget()
         self._has_failed = False
 
-    def _record(self, on: bool) -> None:
+    def _record(self, is_on: bool) -> None:
         acquisition = self._controller.acquisition
         if acquisition is None:
             return
-        if on:
+        if is_on:
             self._messages.alarm("")
             folder, limit = self._new_folder(), self.limit
             self._starting = self._controller.send(lambda to: to.start_recording(folder, limit=limit, may_rename=True))
@@ -378,9 +378,9 @@ class RecordingBar(QFrame):
             )
 
 
-def _recordings_folder(settings: QSettings | None) -> Path:
+def _recordings_folder(saved: QSettings | None) -> Path:
     """Return the folder that was chosen last, unless it has gone, else one in the user's documents."""
-    chosen = None if settings is None else settings.value(_FOLDER)
+    chosen = None if saved is None else saved.value(_FOLDER)
     if isinstance(chosen, str) and answer(Path(chosen).is_dir, otherwise=True):
         return Path(chosen)
     return Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation) or ".") / "svwfs"

@@ -54,7 +54,7 @@ class SettingsDialog(QDialog):
         for kind, choice in self._choices.items():
             choice.textActivated.connect(partial(self._choose_device, kind))
             connected.addRow(f"Connected {kind}", choice)
-        self.failed = label("", "dim", wraps=True)
+        self.failed = label("", "dim", is_wrapped=True)
         connected.addRow(self.failed)
         self.problem = ElidedLabel(lines=2)
         self.apply = Button("Open", "", self._apply)
@@ -128,7 +128,7 @@ class SettingsDialog(QDialog):
         for section in self._form.sections():
             inner = QWidget()
             layout = QFormLayout(inner)
-            layout.addRow(label(section.help, "dim", wraps=True))
+            layout.addRow(label(section.help, "dim", is_wrapped=True))
             for field in section.fields:
                 editor = self._editor(field)
                 editor.setToolTip(f"<p>{_in_names(field.help or field.label)}</p>")

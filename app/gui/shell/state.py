@@ -21,7 +21,7 @@ from app.gui.widgets.layouts import FRAME_PX, column, row, within_screen
 from app.gui.widgets.texts import label
 
 _LAYOUT = 1  # a state of another version is ignored
-_THEME, _SIZE = "preferences/theme", "preferences/text"  # keys of the settings
+_THEME, _SIZE = "preferences/theme", "preferences/text"  # key of the saved state
 _PROPERTIES = (  # of Qt, that hold the state of a part
     (QComboBox, "currentText"),
     (QLineEdit, "text"),
@@ -31,34 +31,34 @@ _PROPERTIES = (  # of Qt, that hold the state of a part
 _SIZES = (80, 100, 125, 150)  # percent of the desktop's
 
 
-def settings_file() -> QSettings:
-    """Return the user's settings of this program."""
+def saved_state() -> QSettings:
+    """Return what this user's window has saved."""
     return QSettings(QSettings.Format.IniFormat, QSettings.Scope.UserScope, "svwfs", "svwfs")
 
 
 def _parts(window: QMainWindow) -> Mapping[str, QObject]:
-    """Return what has a state, by its name: a key of the settings."""
+    """Return what has a state, by its name: a key of the saved state."""
     return {name: part for part in window.findChildren(QObject) if "/" in (name := part.objectName())}
 
 
-def save_state(settings: QSettings, window: QMainWindow) -> None:
+def save_state(saved: QSettings, window: QMainWindow) -> None:
     """Save the window and its parts: choices, toggles, and widgets that can be hidden."""
-    settings.setValue("window/geometry", window.saveGeometry())
-    settings.setValue("window/panels", window.saveState(_LAYOUT))
+    saved.setValue("window/geometry", window.saveGeometry())
+    saved.setValue("window/panels", window.saveState(_LAYOUT))
     for key, part in _parts(window).items():
-        settings.setValue(key, _state(part))
-    settings.sync()
+        saved.setValue(key, _state(part))
+    saved.sync()
 
 
-def restore_state(settings: QSettings, window: QMainWindow) -> None:
+def restore_state(saved: QSettings, window: QMainWindow) -> None:
     """Restore what was saved."""
-    if isinstance(geometry := settings.value("window/geometry"), QByteArray):
+    if isinstance(geometry := saved.value("window/geometry"), QByteArray):
         window.restoreGeometry(geometry)
-    if isinstance(panels := settings.value("window/panels"), QByteArray):
+    if isinstance(panels := saved.value("window/panels"), QByteArray):
         window.restoreState(panels, _LAYOUT)
     for key, part in _parts(window).items():
-        if settings.contains(key):
-            _restore(part, str(settings.value(key)))  # an INI file stores text
+        if saved.contains(key):
+            _restore(part, str(saved.value(key)))  # an INI file stores text
 
 
 def fit_to_screen(window: QMainWindow) -> None:
@@ -92,10 +92,10 @@ def _property(part: QObject) -> str:
     return next(name for kind, name in _PROPERTIES if isinstance(part, kind))
 
 
-def apply_preferences(application: QApplication, settings: QSettings) -> None:
+def apply_preferences(application: QApplication, saved: QSettings) -> None:
     """Use the saved theme and size; before a window is made, because its panels measure their texts."""
-    theme.use_theme(application, str(settings.value(_THEME, "system")))
-    font, size = application.font(), str(settings.value(_SIZE, "100"))
+    theme.use_theme(application, str(saved.value(_THEME, "system")))
+    font, size = application.font(), str(saved.value(_SIZE, "100"))
     if size.isdecimal() and int(size) in _SIZES:
         font.setPointSizeF(font.pointSizeF() * int(size) / 100)
         application.setFont(font)
@@ -104,14 +104,14 @@ def apply_preferences(application: QApplication, settings: QSettings) -> None:
 class PreferencesDialog(QDialog):
     """Changes the theme at once, and the size from the next start on."""
 
-    def __init__(self, settings: QSettings, parent: QWidget) -> None:
+    def __init__(self, saved: QSettings, parent: QWidget) -> None:
         super().__init__(parent)
-        self._settings = settings
+        self._saved = saved
         self.setWindowTitle("Preferences")
         self.theme = Choice(items=(("as the desktop", "system"), ("dark", "dark"), ("light", "light")))
         self.size_choice = Choice(items=[(f"{percent} %", str(percent)) for percent in _SIZES])
         for choice, key, usual in ((self.theme, _THEME, "system"), (self.size_choice, _SIZE, "100")):
-            choice.setCurrentIndex(choice.findData(str(settings.value(key, usual))))
+            choice.setCurrentIndex(choice.findData(str(saved.value(key, usual))))
             choice.activated.connect(self._save)
         form = QFormLayout()
         form.addRow("Theme", self.theme)
@@ -121,8 +121,8 @@ class PreferencesDialog(QDialog):
         column(form, ends, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
 
     def _save(self) -> None:
-        self._settings.setValue(_THEME, self.theme.currentData())
-        self._settings.setValue(_SIZE, self.size_choice.currentData())
+        self._saved.setValue(_THEME, self.theme.currentData())
+        self._saved.setValue(_SIZE, self.size_choice.currentData())
         application = QApplication.instance()
         if isinstance(application, QApplication):
             theme.use_theme(application, self.theme.currentData())

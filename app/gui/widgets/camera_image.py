@@ -163,14 +163,14 @@ def lenslet_at(lattice: Lattice, shape: tuple[int, int], x_px: float, y_px: floa
 
 
 class DrawingView(pg.ViewBox):  # type: ignore[misc] # pyqtgraph declares no types
-    """A view in which a drag of the left button draws while `draws` is set, and else moves the picture."""
+    """A view in which a drag of the left button draws while `is_drawing` is set, and else moves the picture."""
 
     drawn = pyqtSignal(QPointF, QPointF, bool)  # from, to, and whether the button is released
-    draws = False
+    is_drawing = False
 
     def mouseDragEvent(self, event: Any, axis: int | None = None) -> None:  # noqa: N802 - pyqtgraph's name
         """Draw, or move the picture; the middle button always moves it."""
-        if not self.draws or event.button() != Qt.MouseButton.LeftButton:
+        if not self.is_drawing or event.button() != Qt.MouseButton.LeftButton:
             super().mouseDragEvent(event, axis)
             return
         event.accept()

@@ -7,11 +7,11 @@ from PyQt6.QtWidgets import QLabel, QSizePolicy, QStyle, QWidget
 from app.gui.widgets import theme
 
 
-def label(text: str, role: str = "", parent: QWidget | None = None, *, wraps: bool = False) -> QLabel:
+def label(text: str, role: str = "", parent: QWidget | None = None, *, is_wrapped: bool = False) -> QLabel:
     """Make a label; its role ("title", "dim", "badge") selects the style."""
     made = QLabel(text, parent)
     made.setProperty("role", role)
-    made.setWordWrap(wraps)
+    made.setWordWrap(is_wrapped)
     return made
 
 

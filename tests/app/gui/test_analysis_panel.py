@@ -39,7 +39,7 @@ def is_shown(window: MainWindow, quantity: Quantity) -> bool:
 
 def show(window: MainWindow, wavefront: Wavefront | None) -> None:
     """Show a wavefront as the window does, without a camera."""
-    window.shown.settings = BENCH.reconstruction
+    window.shown.reconstruction = BENCH.reconstruction
     window.panels.wavefronts.show_wavefront(wavefront)
 
 
@@ -183,7 +183,7 @@ def test_views_without_values_are_shown_for_every_quantity(make_window: MakeWind
 def test_failing_analysis_is_shown_and_window_continues(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     measurement = make_measurement(dim_frame(), views())  # its solution cannot be evaluated
-    window.shown.settings = BENCH.reconstruction
+    window.shown.reconstruction = BENCH.reconstruction
     window.show_measurement(measurement)
     qtbot.waitUntil(lambda: "Analysis failed" in window.messages._notice)
     assert window.panels.wavefronts.grid.maps is not None

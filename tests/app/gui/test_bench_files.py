@@ -27,7 +27,7 @@ class Opened:
     def __init__(self, settings: QSettings) -> None:
         self.opened: list[Bench] = []
         self.cameras: list[FakeCamera] = []
-        self.window = MainWindow(make_for=self._make, settings=settings)
+        self.window = MainWindow(make_for=self._make, saved=settings)
 
     def _make(self, bench: Bench) -> Acquisition:
         self.opened.append(bench)

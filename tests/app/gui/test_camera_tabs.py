@@ -31,7 +31,7 @@ def window(make_window: MakeWindow) -> MainWindow:
     made = make_window()
     made.panels.camera.show_bench(SENSOR, LATTICE, FULL_SCALE)
     made.panels.camera.arrows_toggle.setChecked(False)
-    made.shown.settings = BENCH.reconstruction
+    made.shown.reconstruction = BENCH.reconstruction
     return made
 
 

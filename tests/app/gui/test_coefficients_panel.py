@@ -42,7 +42,7 @@ def open_tab(window: MainWindow, title: str) -> None:
 @pytest.fixture
 def window(make_window: MakeWindow, qtbot: QtBot) -> MainWindow:
     made = make_window()
-    made.shown.settings = BENCH.reconstruction
+    made.shown.reconstruction = BENCH.reconstruction
     made.show_measurement(measurement(0.5))
     open_tab(made, "Coefficients")
     panel = made.panels.coefficients

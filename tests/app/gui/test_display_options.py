@@ -35,7 +35,7 @@ from reconstruction.wavefront import Wavefront
 @pytest.fixture
 def window(make_window: MakeWindow, qtbot: QtBot) -> MainWindow:
     made = make_window()
-    made.shown.settings = BENCH.reconstruction
+    made.shown.reconstruction = BENCH.reconstruction
     made.panels.wavefronts.show_wavefront(bowl(3000.0))
     qtbot.waitUntil(lambda: bool(made.panels.wavefronts.grid.captions))
     return made
@@ -238,7 +238,7 @@ def test_columns_of_hexagonal_maps_are_straight(make_window: MakeWindow) -> None
     sensor = replace(SENSOR, arrangement="hexagonal")
     x_m = sensor.lenslet_centers_m[..., 0]
     window, tilted = make_window(), bowl()
-    window.shown.settings = BENCH.reconstruction
+    window.shown.reconstruction = BENCH.reconstruction
     views = np.broadcast_to(1e3 * x_m, (3, 3, *x_m.shape))
     window.panels.wavefronts.show_wavefront(
         Wavefront(sensor, tilted.field, tilted.displacement, tilted.solution, views, FREE)

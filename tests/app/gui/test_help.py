@@ -118,7 +118,7 @@ def test_about_names_version_and_libraries(make_window: MakeWindow) -> None:
 
 def test_tour_is_offered_once_and_ends(make_window: MakeWindow, tmp_path: Path) -> None:
     settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
-    window = make_window(settings=settings)
+    window = make_window(saved=settings)
     window.offer_tour()
     tour = window.findChild(Tour)
     assert tour is not None

@@ -272,7 +272,7 @@ def preset_name(window: MainWindow) -> QWidget:
 
 def settings_line(window: MainWindow, *, is_number: bool) -> QWidget:
     window.benches.edit()
-    dialog = window.benches.settings
+    dialog = window.benches.settings_dialog
     assert dialog is not None
     kinds = {"number", "integer"} if is_number else {"text"}
     for index in range(dialog.pages.count()):
@@ -465,7 +465,7 @@ def test_number_lines_of_the_settings_take_tab_and_leave_the_light_key_alone(
 ) -> None:
     window, camera = live
     window.benches.edit()
-    dialog = window.benches.settings
+    dialog = window.benches.settings_dialog
     assert dialog is not None
     activate(dialog, qtbot)
     for _ in range(50):

@@ -193,7 +193,7 @@ def test_changed_limit_is_judged_at_once(window: MainWindow) -> None:
 
 def test_limits_are_kept_between_two_starts(make_window: MakeWindow, tmp_path: Path) -> None:
     settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
-    first = make_window(settings=settings)
+    first = make_window(saved=settings)
     next(one for one in first.findChildren(QAction) if one.text() == "Limits of the history").trigger()
     assert first.panels.history.form.isVisible()
     first.shown.unit, first.shown.wavelength_m = Unit.NM, 462e-9
@@ -201,7 +201,7 @@ def test_limits_are_kept_between_two_starts(make_window: MakeWindow, tmp_path: P
     set_limits(first.panels.history, FILL, "20")
     first.panels.history.form.beep.click()
     first.close()
-    form = make_window(settings=settings).panels.history.form
+    form = make_window(saved=settings).panels.history.form
     assert [line.text() for line in (*form.lines[RMS], *form.lines[FILL])] == ["", "50 nm", "20 %", ""]
     assert form.beep.isChecked()
 

@@ -182,7 +182,7 @@ def test_another_bench_and_a_new_start_have_processes_of_their_own(
         assert window.controls.light.text() == "Light off"
         qtbot.waitUntil(lambda: is_measured(window))
         assert connection_of(window).bench == load_bench(other_toml)
-        window.light.switch(on=False)
+        window.light.switch(is_on=False)
         qtbot.waitUntil(lambda: is_dark(window))
         connection_of(window).start_recording(other_toml.parent / "run 1").result(HANG_S)
         qtbot.waitUntil(lambda: "run 1" in window.recording_bar.text.text())
@@ -323,7 +323,7 @@ def test_light_that_is_switched_off_while_the_instrument_starts_never_shines(
     def act(window: MainWindow) -> None:
         if is_read:
             qtbot.waitUntil(lambda: window.controller.acquisition is not None)
-        window.light.switch(on=True)
+        window.light.switch(is_on=True)
         assert window.light.is_switching_off is is_read  # the command that lights waits already
         qtbot.waitUntil(lambda: window.controller.acquisition is not None)
         stopped[0].send_signal(signal.SIGCONT)

@@ -175,13 +175,13 @@ def test_default_layout_is_restored_from_the_menu(window: MainWindow) -> None:
 
 
 def test_layout_survives_a_restart(make_window: MakeWindow, settings: QSettings) -> None:
-    first = make_window(settings=settings)
+    first = make_window(saved=settings)
     first.resizeDocks([dock(first, "Camera"), dock(first, "Quality")], [100, 900], Qt.Orientation.Vertical)
     dock(first, "Controls").close()
     dock(first, "History").setFloating(True)
     chosen = layout(first)
     first.close()
-    second = layout(make_window(settings=settings, resized=False))
+    second = layout(make_window(saved=settings, resized=False))
     assert second["Camera"][0].height() == pytest.approx(chosen["Camera"][0].height(), abs=12)
     assert second["Camera"][0].height() < second["Quality"][0].height()
     assert [title for title, state in second.items() if state[1]] == ["History"]
@@ -189,11 +189,11 @@ def test_layout_survives_a_restart(make_window: MakeWindow, settings: QSettings)
 
 
 def test_panels_of_a_minimised_window_are_open_after_a_restart(make_window: MakeWindow, settings: QSettings) -> None:
-    first = make_window(settings=settings)
+    first = make_window(saved=settings)
     layout(first)
     first.hide()
     first.close()
-    second = layout(make_window(settings=settings, resized=False))
+    second = layout(make_window(saved=settings, resized=False))
     assert {title for title, state in second.items() if state[2]} == {"Camera", "Wavefronts", "Quality", "Controls"}
 
 
@@ -204,7 +204,7 @@ def test_state_of_another_layout_is_ignored(make_window: MakeWindow, settings: Q
     dock(other, "Camera").close()
     settings.setValue("window/panels", other.saveState(0) if is_bytes else "nonsense")
     settings.setValue("window/left", QByteArray(b"sizes of version 0.1"))
-    assert layout(make_window(settings=settings)) == expected
+    assert layout(make_window(saved=settings)) == expected
 
 
 def test_plots_are_closed_and_opened_by_their_key(window: MainWindow, qtbot: QtBot) -> None:

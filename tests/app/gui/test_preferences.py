@@ -76,7 +76,7 @@ def test_preset_restores_exposure_and_mask_also_after_a_restart(
     make_window: MakeWindow, qtbot: QtBot, settings: QSettings
 ) -> None:
     camera = FakeCamera()
-    window = make_window(camera, settings=settings)
+    window = make_window(camera, saved=settings)
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
     dialog = presets_of(window)
@@ -100,7 +100,7 @@ def test_preset_restores_exposure_and_mask_also_after_a_restart(
 
 
 def test_empty_presets_are_explained_and_offer_nothing(make_window: MakeWindow, settings: QSettings) -> None:
-    window = make_window(settings=settings)
+    window = make_window(saved=settings)
     dialog = presets_of(window)
     assert dialog.about.text().startswith("There are no presets yet. ")
     assert not any(button.isEnabled() for button in (dialog.save, dialog.apply, dialog.delete))

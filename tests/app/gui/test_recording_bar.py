@@ -261,7 +261,7 @@ def test_replay_starts_another_window(
 @pytest.mark.slow
 def test_saved_seconds_and_recent_recordings(make_window: MakeWindow, qtbot: QtBot, tmp_path: Path) -> None:
     settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
-    window = make_window(FakeCamera(), settings=settings)
+    window = make_window(FakeCamera(), saved=settings)
     window.connect_devices()
     window.recording_bar.recordings_folder = tmp_path / "runs"
     qtbot.waitUntil(lambda: window.controller.is_settled)

@@ -39,8 +39,8 @@ def benches(make_window: MakeWindow, opened: list[Bench]) -> Benches:  # noqa: A
 
 
 def dialog_of(benches: Benches) -> SettingsDialog:
-    assert benches.settings is not None
-    return benches.settings
+    assert benches.settings_dialog is not None
+    return benches.settings_dialog
 
 
 def write(dialog: SettingsDialog, path: str, text: str) -> QLineEdit:

@@ -61,7 +61,7 @@ def settle() -> None:
 
 
 def low_window(make_window: MakeWindow, settings: QSettings | None = None) -> MainWindow:
-    window = make_window(settings=settings)
+    window = make_window(saved=settings)
     window.show_measurement(make_measurement(dim_frame(), views()))
     window.resize(SCREEN.size())
     settle()
@@ -99,7 +99,7 @@ def test_every_dialog_fits_on_the_screen(make_window: MakeWindow, qtbot: QtBot, 
         assert bar is not None
         assert not bar.isVisible()
     guide.close()
-    form = window.benches.settings
+    form = window.benches.settings_dialog
     assert form is not None
     qtbot.waitUntil(lambda: form._search is None)  # the search of the new bench
 
@@ -133,7 +133,7 @@ def test_camera_and_plots_take_turns_in_a_low_window(make_window: MakeWindow) ->
 
 def test_low_window_remembers_the_layout_of_a_tall_one(make_window: MakeWindow, settings: QSettings) -> None:
     low_window(make_window, settings).close()
-    window = make_window(settings=settings)
+    window = make_window(saved=settings)
     window.resize(1280, 800)
     settle()
     assert window.panels.camera.isVisible()

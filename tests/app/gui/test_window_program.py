@@ -24,7 +24,7 @@ def display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for room in ("commands.live", "cli.window"):
         monkeypatch.setattr(f"app.{room}.use_display", lambda: True)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    monkeypatch.setattr("app.gui.application.settings_file", lambda: None)
+    monkeypatch.setattr("app.gui.application.saved_state", lambda: None)
 
 
 def start(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
@@ -90,9 +90,9 @@ def test_faulty_bench_is_shown_in_the_window_and_not_again(monkeypatch: pytest.M
             if isinstance(window, MainWindow) and window.isVisible():
                 dialog = window.findChild(BenchDialog)
                 assert dialog is not None
-                assert dialog.isVisible()
-                seen.extend(label.text() for label in dialog.findChildren(QLabel))
-                window.close()
+                if dialog.isVisible():  # the file has been read
+                    seen.extend(label.text() for label in dialog.findChildren(QLabel))
+                    window.close()
         return bool(seen)
 
     monkeypatch.setattr("app.gui.splash.show_ending", lambda *_: pytest.fail("shown twice"))

@@ -135,7 +135,7 @@ def test_closing_the_window_finishes_the_recording(
     close: Callable[[MainWindow], object],
 ) -> None:
     settings, camera = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat), FakeCamera()
-    window = make_window(camera, settings=settings)
+    window = make_window(camera, saved=settings)
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
     window.recording_bar.recordings_folder = tmp_path / "runs"

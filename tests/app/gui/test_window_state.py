@@ -43,7 +43,7 @@ def test_window_opens_within_the_screen(make_window: MakeWindow, small_screen: Q
 
 
 def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings, tmp_path: Path) -> None:
-    first = make_window(settings=settings)
+    first = make_window(saved=settings)
     first.resize(1100, 700)  # wider than the screen of the tests
     first.status_line.times.show()
     first.panels.wavefronts.choice.setCurrentText(Quantity.UNCERTAINTY)
@@ -59,7 +59,7 @@ def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings
     first.recording_bar.use_recordings_folder(tmp_path)
     QApplication.processEvents()
     first.close()
-    second = make_window(settings=settings, resized=False)
+    second = make_window(saved=settings, resized=False)
     assert second.height() == 700
     assert second.status_line.times.isVisible()
     assert second.panels.wavefronts.quantity is Quantity.UNCERTAINTY
@@ -80,7 +80,7 @@ def test_damaged_or_outdated_state_is_ignored(make_window: MakeWindow, settings:
     settings.setValue("window/geometry", "nonsense")
     settings.setValue("view/quantity", "a quantity of another version")
     settings.setValue("folders/recordings", str(tmp_path / "removed"))
-    window = make_window(settings=settings)
+    window = make_window(saved=settings)
     assert window.panels.wavefronts.quantity is Quantity.WAVEFRONT
     assert window.recording_bar.recordings_folder.name == "svwfs"
     window.close()
