@@ -268,8 +268,14 @@ class Reconstructor:
             per_px = self.sensor.slope_per_px
             slopes, covariance = displacement.coefficients * per_px, displacement.covariance * per_px**2
             weights *= self._certainty
-            pitch_m, arrangement = self.sensor.lenslet_pitch_m, self.sensor.arrangement
-            solution = ZonalSolution(slopes, displacement.valid, pitch_m, weights, covariance, arrangement)
+            solution = ZonalSolution(
+                slopes=slopes,
+                valid=displacement.valid,
+                pitch_m=self.sensor.lenslet_pitch_m,
+                arrangement=self.sensor.arrangement,
+                weights=weights,
+                slope_covariance=covariance,
+            )
         else:
             solution = self._modal(displacement, weights=weights)
             if self.may_be_layered:  # results of all frames have the same modes

@@ -141,12 +141,12 @@ def modes_at_views(field: Field, modes: FieldModes) -> tuple[Floats, Booleans]:
     return np.moveaxis(modes.values(x, y[:, None]), 0, -1).copy(), field.contains(x, y[:, None])
 
 
-def without_tilt(phase: Floats, arrangement: Arrangement = "square") -> Floats:
+def without_tilt(phase: Floats, arrangement: Arrangement) -> Floats:
     """Subtract the best-fitting plane from wavefronts (..., lenslet_row, lenslet_column), ignoring NaN."""
     return without_low_orders(phase, tilt=True, defocus=False, arrangement=arrangement)
 
 
-def without_low_orders(phase: Floats, *, tilt: bool, defocus: bool, arrangement: Arrangement = "square") -> Floats:
+def without_low_orders(phase: Floats, *, tilt: bool, defocus: bool, arrangement: Arrangement) -> Floats:
     """Subtract piston and, where asked, tilt and defocus, ignoring NaN, from (..., lenslet_row, lenslet_column), rad.
 
     Defocus is the paraboloid u^2 + v^2 about the middle of the lattice; it is fitted together with the tilt, whether

@@ -11,9 +11,11 @@ import numpy as np
 
 from drivers.interface import Camera, CameraCapabilities, Devices, DeviceTimeout, Frame, LightSource, Range, Stage
 from reconstruction.arrays import Floats
+from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
 
 PITCH_PX = 16.0
 SIDE_PX = 160
+_CAMERA, _LIGHT = SimulatedCameraSettings(), SimulatedLightSettings()
 
 
 def squares(width_px: float = 8.0, background: float = 0.0) -> Floats:
@@ -38,20 +40,20 @@ class LampScene:
     counts_per_a_s: float  # of the brightest pixel
     exposure_range_s: Range
     image: Floats = field(default_factory=squares)
-    current_range_a: Range = Range(0.0, 1.0)
+    current_range_a: Range = Range(0.0, _LIGHT.maximum_current_a)
     droop: float = 1.0  # light ~ current to this power
     exposure_step_s: float = 1e-5
-    bits: int = 16
-    offset_counts: float = 500.0
+    bits: int = _CAMERA.bits
+    offset_counts: float = _CAMERA.offset_counts
     read_noise_counts: float = 6.4
-    counts_per_electron: float = 1 / 5.8
+    counts_per_electron: float = 1 / _CAMERA.electrons_per_count
     well_counts: float = 1e9
-    nonlinearity: float = 0.0  # share that is lost of a signal at full scale
+    nonlinearity: float = _CAMERA.nonlinearity  # share that is lost of a signal at full scale
     ambient_counts_per_s: float = 0.0
     flicker: float = 0.0  # relative
     hot_pixels: int = 0
     cosmic_rays: int = 0  # in each frame
-    seed: int = 1
+    seed: int = Simulation().seed
 
 
 class ManyFramesCamera(Camera):
@@ -168,7 +170,7 @@ class DrawnStage(Stage):
 
 
 def exposure_bench(
-    scene: LampScene, *, exposure_s: float, current_a: float = 0.35, is_on: bool = False
+    scene: LampScene, *, exposure_s: float, current_a: float = _LIGHT.current_a, is_on: bool = False
 ) -> tuple[Devices, ManyFramesCamera, Lamp]:
     """The devices of a scene, then its camera and its lamp under their own types."""
     lamp = Lamp(scene.current_range_a, current_a, is_on=is_on)

@@ -18,16 +18,16 @@ from reconstruction.arrays import Booleans, Floats
 from reconstruction.geometry import Arrangement, lenslet_centers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ZonalSolution:
     """Slopes that are integrated to a wavefront on request."""
 
     slopes: Floats  # of every field mode, rad/m, (lenslet_row, lenslet_column, field_mode, xy)
     valid: Booleans  # (lenslet_row, lenslet_column)
     pitch_m: float
+    arrangement: Arrangement
     weights: Floats | None = None  # in any unit, (lenslet_row, lenslet_column)
     slope_covariance: Floats | None = None  # (rad/m)^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)
-    arrangement: Arrangement = "square"
 
     def wavefront(self, field_modes: Floats) -> Floats:
         """Wavefront, rad, for values (..., field_mode) of the field modes; see `ModalSolution`."""
@@ -70,12 +70,7 @@ class _Southwell:
 
 
 def zonal_wavefront(
-    slopes: Floats,
-    valid: Booleans,
-    *,
-    pitch_m: float,
-    weights: Floats | None = None,
-    arrangement: Arrangement = "square",
+    slopes: Floats, valid: Booleans, *, pitch_m: float, weights: Floats | None = None, arrangement: Arrangement
 ) -> Floats:
     """Integrate slopes to wavefronts without piston, all leading axes at once.
 

@@ -142,8 +142,8 @@ class ForwardModel:
         *,
         shape: tuple[int, int],
         pupil_samples: int,
+        pixel_fill_factor: float,
         border_lenslets: int = 0,
-        pixel_fill_factor: float = 1.0,
         threads: int = THREADS,
     ) -> None:
         require(

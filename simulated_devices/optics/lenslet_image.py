@@ -42,7 +42,7 @@ class LensletImage:
         *,
         width: int,
         pupil_samples: int,
-        pixel_fill_factor: float = 1.0,
+        pixel_fill_factor: float,
     ) -> None:
         lit = source.area_m2 > 0
         self._light = source.area_m2[lit]  # (point,)

@@ -85,7 +85,13 @@ def test_zonal_error_bars_are_the_scatter_of_noisy_wavefronts() -> None:
     covariance = (root @ np.swapaxes(root, -1, -2))[:, :, None, :, None, :]
     noise = np.einsum("rcab,nrcb->nrca", root, generator.normal(size=(4000, *X.shape, 2)))
     scatter = zonal_wavefront(noise, valid, pitch_m=1.0, arrangement="hexagonal").std(axis=0)
-    solution = ZonalSolution(np.zeros((*X.shape, 1, 2)), valid, 1.0, None, covariance, "hexagonal")
+    solution = ZonalSolution(
+        slopes=np.zeros((*X.shape, 1, 2)),
+        valid=valid,
+        pitch_m=1.0,
+        arrangement="hexagonal",
+        slope_covariance=covariance,
+    )
     np.testing.assert_allclose(solution.sigma(np.ones(1)), scatter, rtol=0.08)
 
 

@@ -87,7 +87,9 @@ class SmallBench:
             pitch_px=31.25,
             rotation_rad=rotation_rad,
         )
-        self.model = ForwardModel(self.sensor, self.lattice, field, shape=self.frame_shape, pupil_samples=12)
+        self.model = ForwardModel(
+            self.sensor, self.lattice, field, shape=self.frame_shape, pupil_samples=12, pixel_fill_factor=1.0
+        )
         self.source = source or source_points("square", Source(), object_samples=19)
         self.reference = self.model.irradiance(self.source) * 1e14
         y, x = np.meshgrid(self.sensor.pupil_y_m, self.sensor.pupil_x_m, indexing="ij")

@@ -22,7 +22,7 @@ def model_of(bench: SmallBench, source: SourcePoints, width: int) -> LensletImag
 
     def model(area_m2: Floats) -> LensletImage:
         points = SourcePoints(position_m=source.position_m, area_m2=area_m2)
-        return LensletImage(bench.sensor, bench.field, points, width=width, pupil_samples=12)
+        return LensletImage(bench.sensor, bench.field, points, width=width, pupil_samples=12, pixel_fill_factor=1.0)
 
     return model(source.area_m2 / model(source.area_m2).image().sum())
 

@@ -27,7 +27,13 @@ def bowl(tilt_rad_per_m: float = 0.0) -> Wavefront:
     variance = np.full(slopes.shape, 100.0**2)
     valid = np.ones(U.shape, np.bool_)
     displacement = converged(LegendreModes(3), slopes / SENSOR.slope_per_px, variance / SENSOR.slope_per_px**2)
-    solution = ZonalSolution(slopes, valid, SENSOR.lenslet_pitch_m, slope_covariance=diagonal_covariance(variance))
+    solution = ZonalSolution(
+        slopes=slopes,
+        valid=valid,
+        pitch_m=SENSOR.lenslet_pitch_m,
+        arrangement="square",
+        slope_covariance=diagonal_covariance(variance),
+    )
     return Wavefront.of(SENSOR, FIELD, displacement, solution)
 
 

@@ -129,7 +129,8 @@ def _residual_rad(frames: TimedFrames, coefficients: Floats) -> float:
     coefficients = coefficients.reshape(sensor.lenslet_rows, sensor.lenslet_columns, *coefficients.shape[1:])
     valid = np.asarray(np.isfinite(coefficients).all(axis=(2, 3)))
     slopes = _slopes(frames, np.swapaxes(coefficients, 2, 3))
-    return float(np.nanmean(rms(zonal_wavefront(slopes, valid, pitch_m=sensor.lenslet_pitch_m) - frames.truth)))
+    found = zonal_wavefront(slopes, valid, pitch_m=sensor.lenslet_pitch_m, arrangement=sensor.arrangement)
+    return float(np.nanmean(rms(found - frames.truth)))
 
 
 def _zonal_times(frames: TimedFrames, budget_s: float) -> dict[str, float]:
@@ -142,7 +143,7 @@ def _zonal_times(frames: TimedFrames, budget_s: float) -> dict[str, float]:
     bare = _bare_southwell(sensor.lenslet_rows, sensor.lenslet_columns, sensor.lenslet_pitch_m)
 
     def ours() -> Floats:
-        return zonal_wavefront(slopes, valid, pitch_m=sensor.lenslet_pitch_m)
+        return zonal_wavefront(slopes, valid, pitch_m=sensor.lenslet_pitch_m, arrangement=sensor.arrangement)
 
     times_s = medians_s({"ours": ours, "bare": lambda: bare(slopes)}, budget_s)
     return {
@@ -238,7 +239,9 @@ def _our_image(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
     """Prepare the image of a square of object points."""
     bench, (rows, columns) = frames.bench, frames.reference.shape
     samples = bench.simulation.pupil_samples
-    model = ForwardModel(bench.sensor, frames.lattice, bench.field, shape=(rows, columns), pupil_samples=samples)
+    model = ForwardModel(
+        bench.sensor, frames.lattice, bench.field, shape=(rows, columns), pupil_samples=samples, pixel_fill_factor=1.0
+    )
     x_m, y_m = model.sample_x_m[None, :], model.sample_y_m[:, None]
     bend = (_BEND_RAD_PER_M2 * (x_m**2 + y_m**2)).astype(np.float32)
     position_m = _positions_m(frames, _POINTS)
@@ -297,13 +300,18 @@ def _timed(frames: TimedFrames, warp: Warp, budget_s: float) -> dict[str, float]
     reconstructor.solve(before)  # computes the factors of the lenslets' weights once
     prepare_s = time.perf_counter() - start_s
     displacement = reconstructor.register(frames.frame, start=before)
-    slopes = displacement.coefficients * frames.bench.sensor.slope_per_px
-    weights = reconstructor.weights_of(displacement)
-    zonal = ZonalSolution(slopes, displacement.valid, frames.bench.sensor.lenslet_pitch_m, weights)
+    sensor = frames.bench.sensor
+    zonal = ZonalSolution(
+        slopes=displacement.coefficients * sensor.slope_per_px,
+        valid=displacement.valid,
+        pitch_m=sensor.lenslet_pitch_m,
+        arrangement=sensor.arrangement,
+        weights=reconstructor.weights_of(displacement),
+    )
     times_s = medians_s(
         {
             "register_s": partial(reconstructor.register, frames.frame, start=before),  # warm
-            "zonal_s": partial(Wavefront.of, frames.bench.sensor, frames.bench.field, displacement, zonal),
+            "zonal_s": partial(Wavefront.of, sensor, frames.bench.field, displacement, zonal),
             "modal_s": partial(reconstructor.solve, displacement),  # modes chosen from the lattice
             # counts to all views and coefficients: register and modal
             "frame_s": lambda: reconstructor.solve(reconstructor.register(frames.frame, start=before)),

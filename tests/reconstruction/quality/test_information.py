@@ -35,13 +35,13 @@ def uneven_source() -> SourcePoints:
 
 
 SOURCE = uneven_source()
-MODEL = LensletImage(SENSOR, FIELD, SOURCE, width=CELL_PX, pupil_samples=SAMPLES)
+MODEL = LensletImage(SENSOR, FIELD, SOURCE, width=CELL_PX, pupil_samples=SAMPLES, pixel_fill_factor=1.0)
 
 
 @pytest.mark.parametrize("neglect_propagation", [False, True])
 def test_information_matches_finite_differences_of_forward_model(neglect_propagation: bool) -> None:
     field = replace(FIELD, neglect_propagation=neglect_propagation)
-    model = LensletImage(SENSOR, field, SOURCE, width=CELL_PX, pupil_samples=SAMPLES)
+    model = LensletImage(SENSOR, field, SOURCE, width=CELL_PX, pupil_samples=SAMPLES, pixel_fill_factor=1.0)
     information, basis = layered_information(model, LIGHT, NOISE, sensor=SENSOR, modes=MODES, field_modes=FIELD_MODES)
     some = np.random.default_rng(2).standard_normal((information.shape[0], 3))  # combinations of the basis
     coefficients = basis @ some  # (pupil_mode - 1, field_mode, 3)
@@ -52,6 +52,7 @@ def test_information_matches_finite_differences_of_forward_model(neglect_propaga
         FIELD,
         shape=(rows, columns),
         pupil_samples=SAMPLES,
+        pixel_fill_factor=1.0,
     )
     half_x_m, half_y_m = SENSOR.pupil_half_width_m
 

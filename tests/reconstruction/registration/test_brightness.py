@@ -23,7 +23,9 @@ def prepared(bench: SmallBench, peak_e: float, *, is_modelled: bool = True) -> t
     reference = ReferenceSubimages(
         bench.reference, sensor=bench.sensor, lattice=bench.lattice, field=bench.field, noise=KnownNoise(noise)
     )
-    model = LensletImage(bench.sensor, bench.field, bench.source, width=reference.width, pupil_samples=12)
+    model = LensletImage(
+        bench.sensor, bench.field, bench.source, width=reference.width, pupil_samples=12, pixel_fill_factor=1.0
+    )
     given = model if is_modelled else None
     return GaussNewton(reference, LegendreModes(15), conserve_flux=False, may_rotate=False, model=given), model
 

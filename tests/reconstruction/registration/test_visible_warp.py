@@ -61,7 +61,9 @@ def test_hidden_displacements_leave_the_edges_of_a_square_still(small_bench: Sma
 def test_similar_displacements_share_parameters(small_bench: SmallBench) -> None:
     """Any displacement of the modelled image, hidden or not, is found as the smoothest one that looks like it."""
     method, reference = registration(small_bench, "quadratic"), small_bench.subimages()
-    model = LensletImage(small_bench.sensor, FIELD, small_bench.source, width=reference.width, pupil_samples=12)
+    model = LensletImage(
+        small_bench.sensor, FIELD, small_bench.source, width=reference.width, pupil_samples=12, pixel_fill_factor=1.0
+    )
     points, per_rad = len(model.position), 2 / small_bench.sensor.lenslet_pitch_m / small_bench.sensor.slope_per_px
     tilts = model.derivatives(1, np.ones((1, points)), np.zeros((1, points, 2)))
     moved = np.stack([tilts[0, 1, 0], tilts[1, 0, 0]]) / per_rad  # by a pixel along x and y
@@ -118,7 +120,9 @@ def test_pixels_left_out_raise_the_scatter_by_less_than_two_percent(
         field=bench.field,
         noise=KnownNoise(CameraNoise(1.0, read_noise)),
     )
-    model = LensletImage(bench.sensor, FIELD, bench.source, width=reference.width, pupil_samples=12)
+    model = LensletImage(
+        bench.sensor, FIELD, bench.source, width=reference.width, pupil_samples=12, pixel_fill_factor=1.0
+    )
 
     def prepare() -> GaussNewton:
         return GaussNewton(reference, LegendreModes(15), conserve_flux=False, may_rotate=False, model=model)

@@ -16,13 +16,13 @@ SLOPES = np.stack([0.3 + 0.1 * X - 0.08 * Y, -0.7 - 0.08 * X + 0.04 * Y], axis=-
 
 
 def test_quadratic_wavefront_is_exact() -> None:
-    wavefront = zonal_wavefront(SLOPES, np.ones((ROWS, COLUMNS), bool), pitch_m=PITCH_M)
+    wavefront = zonal_wavefront(SLOPES, np.ones((ROWS, COLUMNS), bool), pitch_m=PITCH_M, arrangement="square")
     np.testing.assert_allclose(wavefront, QUADRATIC - QUADRATIC.mean(), atol=1e-10)
 
 
 def test_leading_axes_are_integrated_at_once() -> None:
     both = np.stack([SLOPES, -2 * SLOPES])
-    wavefronts = zonal_wavefront(both, np.ones((ROWS, COLUMNS), bool), pitch_m=PITCH_M)
+    wavefronts = zonal_wavefront(both, np.ones((ROWS, COLUMNS), bool), pitch_m=PITCH_M, arrangement="square")
     np.testing.assert_allclose(wavefronts[1], -2 * wavefronts[0], atol=1e-10)
 
 
@@ -31,7 +31,7 @@ def test_lost_lenslet_is_nan_and_does_not_affect_others() -> None:
     valid[2, 3] = False
     slopes = SLOPES.copy()
     slopes[2, 3] = np.nan
-    wavefront = zonal_wavefront(slopes, valid, pitch_m=PITCH_M)
+    wavefront = zonal_wavefront(slopes, valid, pitch_m=PITCH_M, arrangement="square")
     assert np.isnan(wavefront[2, 3])
     expected = QUADRATIC - QUADRATIC[valid].mean()
     np.testing.assert_allclose(wavefront[valid], expected[valid], atol=1e-10)
@@ -40,7 +40,7 @@ def test_lost_lenslet_is_nan_and_does_not_affect_others() -> None:
 def test_only_largest_connected_set_is_known() -> None:
     valid = np.ones((ROWS, COLUMNS), bool)
     valid[:, 2] = False
-    wavefront = zonal_wavefront(SLOPES, valid, pitch_m=PITCH_M)
+    wavefront = zonal_wavefront(SLOPES, valid, pitch_m=PITCH_M, arrangement="square")
     assert np.isnan(wavefront[:, :3]).all()
     assert np.isfinite(wavefront[:, 3:]).all()
 
@@ -50,7 +50,7 @@ def test_lenslets_without_neighbours_are_unknown(lenslets: list[tuple[int, int]]
     valid = np.zeros((ROWS, COLUMNS), bool)
     for place in lenslets:
         valid[place] = True
-    assert np.isnan(zonal_wavefront(SLOPES, valid, pitch_m=PITCH_M)).all()
+    assert np.isnan(zonal_wavefront(SLOPES, valid, pitch_m=PITCH_M, arrangement="square")).all()
 
 
 def test_least_squares_matches_dense_solution() -> None:
@@ -65,7 +65,7 @@ def test_least_squares_matches_dense_solution() -> None:
                     rows.append(equation.ravel())
                     data.append((slopes[r, c, axis] + slopes[r2, c2, axis]) / 2 * PITCH_M)
     expected = np.linalg.lstsq(np.array(rows), np.array(data), rcond=None)[0].reshape(ROWS, COLUMNS)
-    wavefront = zonal_wavefront(slopes, np.ones((ROWS, COLUMNS), bool), pitch_m=PITCH_M)
+    wavefront = zonal_wavefront(slopes, np.ones((ROWS, COLUMNS), bool), pitch_m=PITCH_M, arrangement="square")
     np.testing.assert_allclose(wavefront, expected - expected.mean(), atol=1e-10)
 
 
@@ -86,7 +86,14 @@ def test_weighted_least_squares_and_sigma_match_dense_solution() -> None:
     spread = generator.normal(size=(ROWS, COLUMNS, 4, 4))
     covariance = (spread @ np.swapaxes(spread, 2, 3)).reshape(ROWS, COLUMNS, 2, 2, 2, 2)
     view = np.array([0.7, -1.2])
-    solution = ZonalSolution(slopes, np.ones((ROWS, COLUMNS), bool), PITCH_M, weights, covariance)
+    solution = ZonalSolution(
+        slopes=slopes,
+        valid=np.ones((ROWS, COLUMNS), bool),
+        pitch_m=PITCH_M,
+        arrangement="square",
+        weights=weights,
+        slope_covariance=covariance,
+    )
 
     at_view = np.einsum("q,rcqa->rca", view, slopes).reshape(-1, 2)
     expected = np.einsum("nla,la->n", by_slope, at_view).reshape(ROWS, COLUMNS)

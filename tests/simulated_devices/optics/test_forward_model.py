@@ -155,7 +155,13 @@ def test_tilt_of_one_lenslet_moves_its_light_alone(arrangement: Arrangement, bor
     """A phase of 1 rad at the edge of the aperture."""
     sensor, lattice = replace(SENSOR, arrangement=arrangement), replace(LATTICE, arrangement=arrangement)
     optics = ForwardModel(
-        sensor, lattice, FIELD, shape=(ROWS, COLUMNS), pupil_samples=SAMPLES, border_lenslets=border_lenslets
+        sensor,
+        lattice,
+        FIELD,
+        shape=(ROWS, COLUMNS),
+        pupil_samples=SAMPLES,
+        border_lenslets=border_lenslets,
+        pixel_fill_factor=1.0,
     )
     axis = SourcePoints(position_m=np.zeros((1, 2)), area_m2=np.ones(1))
     still = optics.irradiance(axis)

@@ -127,7 +127,7 @@ def test_tilt_moves_light_like_its_object_points(n: int, m: int) -> None:
 def test_stretched_square_keeps_its_brightness_only_in_real_light(field: Field, of_middle: float) -> None:
     """A tilt that grows along x stretches the square; with conserved flux its brightness falls by as much."""
     bright = checkerboard(cells=1, object_samples=37)
-    image = LensletImage(SENSOR, field, bright, width=WIDTH, pupil_samples=SAMPLES)
+    image = LensletImage(SENSOR, field, bright, width=WIDTH, pupil_samples=SAMPLES, pixel_fill_factor=1.0)
     x = image.position[:, :1].T
     stretch = image.derivatives(1, x, np.eye(1, 2) + 0 * image.position[None])[0, 1, 0]
     middle = WIDTH // 2
@@ -138,7 +138,7 @@ def test_stretched_square_keeps_its_brightness_only_in_real_light(field: Field, 
 
 def test_light_is_the_area_of_the_points() -> None:
     point = SourcePoints(position_m=np.zeros((1, 2)), area_m2=np.array([3.0]))
-    image = LensletImage(SENSOR, FIELD, point, width=WIDTH, pupil_samples=60).image()
+    image = LensletImage(SENSOR, FIELD, point, width=WIDTH, pupil_samples=60, pixel_fill_factor=1.0).image()
     # On each axis, diffraction by a square leaves about 1 / (pi^2 m) of the light beyond m zeros on both sides.
     zeros = WIDTH / 2 / (SENSOR.wavelength_m * SENSOR.lenslet_focal_length_m / SENSOR.lenslet_pitch_m / 16e-6)
     assert image.sum() == pytest.approx(3.0 * (1 - 1 / (np.pi**2 * zeros)) ** 2, rel=0.004)
