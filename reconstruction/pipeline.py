@@ -12,7 +12,7 @@ import numpy as np
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, Outcomes, RegistrationMethod
 from reconstruction.errors import ReconstructionError, TooManyModes
-from reconstruction.frame.pixels import TOO_BRIGHT, AboveDark, KnownCamera, find_bad_pixels
+from reconstruction.frame.pixels import TOO_BRIGHT, UNKNOWN_CAMERA, AboveDark, KnownCamera, find_bad_pixels
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.layers.layer_search import search_layers
 from reconstruction.layers.layer_solver import FrameEquations, LayerModes, LayerSolver
@@ -146,7 +146,7 @@ class Reconstructor:
         field: Field,
         registration: RegistrationSettings,
         reconstruction: ReconstructionSettings,
-        camera: KnownCamera = KnownCamera(),  # noqa: B008 - immutable
+        camera: KnownCamera = UNKNOWN_CAMERA,
         own: OwnMethods = NO_OWN,
         lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None = None,
     ) -> None:

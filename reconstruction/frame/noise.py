@@ -121,6 +121,9 @@ class KnownNoise:
     curve: TransferCurve | None = None  # variance of the reference's frames against their light
 
 
+UNKNOWN_NOISE = KnownNoise()
+
+
 def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance: Image) -> TransferCurve | None:
     """Measure the noise of one frame from the variance of each pixel against its light; None with too few frames.
 

@@ -12,7 +12,7 @@ from scipy import ndimage
 from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.linearity import LINEAR, Linearity
-from reconstruction.frame.noise import KnownNoise
+from reconstruction.frame.noise import UNKNOWN_NOISE, KnownNoise
 from reconstruction.runtime.compilation import compiled
 
 _SATURATED_FRACTION = 0.01  # of the image's pixels; with more, it is rejected
@@ -35,7 +35,10 @@ class KnownCamera:
     dark: Counts | None = None  # (row, column); None: the background is the darkest percent of each image
     full_scale: float = math.inf  # count from which on a pixel is saturated
     linearity: Linearity | None = None  # corrected in every image, dark subtracted
-    noise: KnownNoise = KnownNoise()  # of images so corrected
+    noise: KnownNoise = UNKNOWN_NOISE  # of images so corrected
+
+
+UNKNOWN_CAMERA = KnownCamera()
 
 
 class AboveDark:

@@ -18,13 +18,20 @@ import numpy as np
 
 from reconstruction.arrays import Booleans, Counts, Floats
 from reconstruction.displacement import Displacement, Outcome
-from reconstruction.frame.pixels import BACKGROUND_PERCENT, CLIPPED, TOO_BRIGHT, KnownCamera, clipped_fraction
+from reconstruction.frame.pixels import (
+    BACKGROUND_PERCENT,
+    CLIPPED,
+    TOO_BRIGHT,
+    UNKNOWN_CAMERA,
+    KnownCamera,
+    clipped_fraction,
+)
 from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.polynomials import number_up_to
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.quality._stray_light import StrayLight
-from reconstruction.quality.verdict import Fault, Quality
+from reconstruction.quality.verdict import NO_FAULT, Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings, Warp
 
@@ -74,8 +81,8 @@ class FrameJudge:
         reference: ReferenceSubimages,
         settings: RegistrationSettings,
         *,
-        camera: KnownCamera = KnownCamera(),  # noqa: B008 - immutable
-        of_reference: Quality = Quality(),  # noqa: B008 - immutable
+        camera: KnownCamera = UNKNOWN_CAMERA,
+        of_reference: Quality = NO_FAULT,
     ) -> None:
         """Prepare; `of_reference` is the reference's own quality, which all its frames share."""
         self._sensor, field = reference.sensor, reference.field

@@ -15,6 +15,7 @@ from reconstruction.modes.layered_modes import layered_basis
 from reconstruction.modes.pupil_modes import PupilModes, local_wavefronts
 from reconstruction.registration.subimages import LensletModel
 
+GAIN_ALONE = LegendreModes(1)  # brightness of a source that changes everywhere alike
 _DEGREE = 5  # of the local wavefronts
 _LIGHT_STEP = 0.05  # relative; the information of one lenslet is computed once per step and scaled by the light
 
@@ -27,7 +28,7 @@ def layered_information(
     sensor: Sensor,
     modes: PupilModes,
     field_modes: LegendreModes,
-    brightness: LegendreModes = LegendreModes(1),  # noqa: B008 - immutable
+    brightness: LegendreModes = GAIN_ALONE,
 ) -> tuple[Floats, Floats]:
     """Fisher information of a frame about layered wavefronts, near the reference.
 
@@ -40,7 +41,7 @@ def layered_information(
     modes, field_modes
         R_p, piston first, and T_q.
     brightness : LegendreModes
-        Polynomials over the field in which the brightness of each subimage's source is unknown; the gain alone if one.
+        Polynomials over the field in which the brightness of each subimage's source is unknown.
 
     Returns
     -------

@@ -61,6 +61,9 @@ class Quality:
         return Quality(reasons, self.unjudged or other.unjudged)
 
 
+NO_FAULT = Quality()
+
+
 def sequence_quality(before: Counts, frame: Counts, elapsed_s: float) -> Quality:
     """Find a camera that repeats itself, from two frames (row, column) and the time between them on its clock."""
     reasons: dict[Fault, str] = {}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import CovarianceSource, Displacement, Outcome
 from reconstruction.errors import ReconstructionError, UnusableSettings
-from reconstruction.frame.noise import KnownNoise
+from reconstruction.frame.noise import UNKNOWN_NOISE, KnownNoise
 from reconstruction.frame.pixels import repaired
 from reconstruction.frame.spline import sample, spline_coefficients
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, require
@@ -60,7 +60,7 @@ class ReferenceSubimages:
         sensor: Sensor,
         lattice: Lattice,
         field: Field,
-        noise: KnownNoise = KnownNoise(),  # noqa: B008 - immutable
+        noise: KnownNoise = UNKNOWN_NOISE,
         bad: Booleans | None = None,
         excluded: Iterable[tuple[int, int]] = (),
     ) -> None:

@@ -16,7 +16,7 @@ from app.results.dataset import rotation_of
 from app.results.frame_tallies import ROTATES
 from reconstruction.frame.linearity import MeasuredLinearity
 from reconstruction.lattice.search import Survey
-from reconstruction.quality.verdict import Quality
+from reconstruction.quality.verdict import NO_FAULT, Quality
 from reconstruction.wavefront import Wavefront
 
 _SLOW_S = 1.0  # a frame shown for longer is explained
@@ -69,12 +69,7 @@ def liveness(status: Status | None, failure: str, activity: Activity, measuremen
     return Liveness("STALE" if reason else "", reason, is_grey=bool(reason))
 
 
-def warning(
-    status: Status,
-    problem: str = "",
-    wavefront: Wavefront | None = None,
-    quality: Quality = Quality(),  # noqa: B008 - immutable
-) -> str:
+def warning(status: Status, problem: str = "", wavefront: Wavefront | None = None, quality: Quality = NO_FAULT) -> str:
     """Return why wavefronts are missing or doubtful and which keys help; empty if all is well.
 
     Without light, or with a reference for other frames, a `problem` of the newest frame is a consequence, unless it is
