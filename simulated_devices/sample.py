@@ -21,7 +21,7 @@ from simulated_devices.optics.phase_screen import (
     shape_to_pv_and_rms,
     smooth_screen,
 )
-from simulated_devices.optics.propagated_light import PropagatedLight, margin_m
+from simulated_devices.optics.propagated_light import PropagatedLight, Propagation
 from simulated_devices.optics.screen_light import RayMap, ScreenLight, truth_wavefront, view_positions_m
 from simulated_devices.settings import Screen, Simulation
 
@@ -98,8 +98,10 @@ def _guard_m(simulation: Simulation, sensor: Sensor, field: Field, rays: RayMap,
     screen, pupil_m = simulation.screen, 2 * max(sensor.pupil_half_width_m)
     of_screen, of_pupil = scale / (math.sqrt(2) * screen.correlation_length_m), math.sqrt(6) / pupil_m
     slope_rad_per_m = _EXTREME * screen.rms_rad * (of_screen + of_pupil)
-    distance_m = rays.propagation_m(field.collimator_focal_length_m)
-    return min(footprint_m, scale * margin_m(slope_rad_per_m, distance_m, sensor.wavenumber_rad_per_m))
+    propagation = Propagation(
+        distance_m=rays.propagation_m(field.collimator_focal_length_m), wavenumber_rad_per_m=sensor.wavenumber_rad_per_m
+    )
+    return min(footprint_m, scale * propagation.margin_m(slope_rad_per_m))
 
 
 @lru_cache(maxsize=2)

@@ -207,7 +207,14 @@ def compare_correctors(
         raise ValueError("the wavefront is the same at every field position: correctors at all distances are alike")
 
     def made_at(ratio: float) -> Correction:
-        return best_correction(wavefronts, positions_m, bench.sensor, bench.field, ratio, corrector)
+        return best_correction(
+            wavefronts,
+            positions_m=positions_m,
+            sensor=bench.sensor,
+            field=bench.field,
+            ratio=ratio,
+            corrector=corrector,
+        )
 
     curve, made = _corrections(made_at, ratio)
     uncorrected_rad = float(np.sqrt(np.nanmean(rms(wavefronts) ** 2)))

@@ -100,7 +100,7 @@ def field_positions_m(field: Field) -> Floats:
 
 
 def best_correction(
-    wavefronts: Floats, positions_m: Floats, sensor: Sensor, field: Field, ratio: float, corrector: Corrector
+    wavefronts: Floats, *, positions_m: Floats, sensor: Sensor, field: Field, ratio: float, corrector: Corrector
 ) -> Correction:
     """Find the best command of a corrector for the wavefronts of some field positions (position, xy).
 

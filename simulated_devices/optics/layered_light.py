@@ -19,10 +19,8 @@ from simulated_devices.optics.propagated_light import (
     EDGE,
     LARGEST_STEP_RAD,
     FieldSpline,
-    edge_taper,
-    fresnel_propagated,
+    Propagation,
     largest_step_rad,
-    margin_m,
     unwrapped_phase,
 )
 from simulated_devices.optics.screen_light import RayMap, ScreenLight
@@ -50,18 +48,18 @@ class LayeredLight:
         at which the field is wanted.
         """
         require({"a layered sample needs at least one layer": len(layers) > 0})
-        self._wavenumber_rad_per_m = sensor.wavenumber_rad_per_m
         layers = sorted(layers, key=lambda layer: -layer.distance_m)
         slope_rad_per_m = sum(largest_step_rad(one.phase.samples_rad) / one.phase.sample_spacing_m for one in layers)
         spacing_m = min(layer.phase.sample_spacing_m for layer in layers)
         spacing_m = min(spacing_m, LARGEST_STEP_RAD / max(slope_rad_per_m, 1.0))
         places_m = [layer.distance_m for layer in layers]
-        self._steps_m = [here - there for here, there in zip(places_m, [*places_m[1:], 0.0], strict=True)]
+        steps_m = [here - there for here, there in zip(places_m, [*places_m[1:], 0.0], strict=True)]
         if field.neglect_propagation:
-            self._steps_m = [0.0] * len(layers)
-        margins_m = [
-            margin_m(slope_rad_per_m, step_m, self._wavenumber_rad_per_m) if step_m else 0.0 for step_m in self._steps_m
+            steps_m = [0.0] * len(layers)
+        self._propagations = [
+            Propagation(distance_m=step_m, wavenumber_rad_per_m=sensor.wavenumber_rad_per_m) for step_m in steps_m
         ]
+        margins_m = [each.margin_m(slope_rad_per_m) for each in self._propagations]
         self._spacing_m = spacing_m
         self._x_m, self._y_m = (
             _grid(half_m + sum(margins_m[1:]) + EDGE * spacing_m, spacing_m) for half_m in pupil_half_width_m
@@ -109,12 +107,11 @@ class LayeredLight:
 
     def _propagated(self, field: NDArray[np.complex64] | NDArray[np.complex128], index: int) -> NDArray[np.complex128]:
         """Propagate a field from one layer to the next; its rim is lost."""
-        step_m = self._steps_m[index]
-        if step_m == 0:
+        propagation = self._propagations[index]
+        if propagation.distance_m == 0:
             return np.asarray(field, np.complex128)
-        taper = edge_taper(field.shape, self._spacing_m, step_m, self._wavenumber_rad_per_m)
-        tapered = np.asarray(field * taper, np.complex128)
-        return fresnel_propagated(tapered, self._spacing_m, step_m, self._wavenumber_rad_per_m)
+        tapered = np.asarray(field * propagation.taper(field.shape, sample_spacing_m=self._spacing_m), np.complex128)
+        return propagation(tapered, sample_spacing_m=self._spacing_m)
 
 
 def _grid(half_width_m: float, spacing_m: float) -> Floats:

@@ -8,6 +8,7 @@ A bicubic spline gives it between its samples; products with sparse bases evalua
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
@@ -65,50 +66,50 @@ _ROUNDING = 1e-6  # samples
 _TAPER = 2.0  # Fresnel lengths
 
 
-def fresnel_propagated(
-    field: NDArray[np.complex128], sample_spacing_m: float, distance_m: float, wavenumber_rad_per_m: float
-) -> NDArray[np.complex128]:
-    """Propagate a periodic field (row, column) by `distance_m`, which may be negative.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Propagation:
+    """Fresnel propagation of light over a distance, which may be negative."""
 
-    A positive phase slope moves light towards +x: the transfer function is exp(-i z (kx^2 + ky^2) / 2k).
-    """
-    ky, kx = (2 * math.pi * fft.fftfreq(count, sample_spacing_m) for count in field.shape)
-    along_y, along_x = (np.exp(-0.5j * distance_m / wavenumber_rad_per_m * k**2) for k in (ky, kx))
-    spectrum = fft.fft2(field)
-    spectrum *= along_y[:, None]
-    spectrum *= along_x
-    return np.asarray(fft.ifft2(spectrum, overwrite_x=True), np.complex128)
+    distance_m: float
+    wavenumber_rad_per_m: float
 
+    def __call__(self, field: NDArray[np.complex128], *, sample_spacing_m: float) -> NDArray[np.complex128]:
+        """Propagate a periodic field (row, column).
 
-def fresnel_length_m(distance_m: float, wavenumber_rad_per_m: float) -> float:
-    """Width sqrt(lambda z) over which diffraction blurs an edge."""
-    return math.sqrt(2 * math.pi / wavenumber_rad_per_m * abs(distance_m))
+        A positive phase slope moves light towards +x: the transfer function is exp(-i z (kx^2 + ky^2) / 2k).
+        """
+        ky, kx = (2 * math.pi * fft.fftfreq(count, sample_spacing_m) for count in field.shape)
+        along_y, along_x = (np.exp(-0.5j * self.distance_m / self.wavenumber_rad_per_m * k**2) for k in (ky, kx))
+        spectrum = fft.fft2(field)
+        spectrum *= along_y[:, None]
+        spectrum *= along_x
+        return np.asarray(fft.ifft2(spectrum, overwrite_x=True), np.complex128)
 
+    def margin_m(self, slope_rad_per_m: float) -> float:
+        """Width of a field's rim from which light of such a slope may reach the middle, with diffraction.
 
-def margin_m(slope_rad_per_m: float, distance_m: float, wavenumber_rad_per_m: float) -> float:
-    """Width of the rim of a field from which light may reach the middle, by refraction and diffraction.
+        The outer half of what diffraction needs is for the `taper`.
+        """
+        return slope_rad_per_m / self.wavenumber_rad_per_m * abs(self.distance_m) + 2 * _TAPER * self._fresnel_length_m
 
-    The outer half of what diffraction needs is for the taper, `edge_taper`.
-    """
-    refraction_m = slope_rad_per_m / wavenumber_rad_per_m * abs(distance_m)
-    return refraction_m + 2 * _TAPER * fresnel_length_m(distance_m, wavenumber_rad_per_m)
+    def taper(self, shape: tuple[int, ...], *, sample_spacing_m: float) -> Floats:
+        """Amplitude (row, column) that falls to 0 at the edge so gently that little of it is diffracted."""
+        width = max(1.0, _TAPER * self._fresnel_length_m / sample_spacing_m)
+        along_y, along_x = (
+            np.sin(np.pi / 2 * np.minimum(np.minimum(index + 0.5, index[::-1] + 0.5) / width, 1)) ** 2
+            for index in map(np.arange, shape)
+        )
+        return np.asarray(np.outer(along_y, along_x), np.float64)
+
+    @property
+    def _fresnel_length_m(self) -> float:
+        """Width sqrt(lambda z) over which diffraction blurs an edge."""
+        return math.sqrt(2 * math.pi / self.wavenumber_rad_per_m * abs(self.distance_m))
 
 
 def largest_step_rad(phase_rad: Floats) -> float:
     """Largest change of the phase (row, column) between neighbours, rad."""
     return max(float(np.abs(np.diff(phase_rad, axis=axis)).max()) for axis in range(2))
-
-
-def edge_taper(
-    shape: tuple[int, ...], sample_spacing_m: float, distance_m: float, wavenumber_rad_per_m: float
-) -> Floats:
-    """Amplitude (row, column) that falls to 0 at the edge so gently that little of it is diffracted."""
-    width = max(1.0, _TAPER * fresnel_length_m(distance_m, wavenumber_rad_per_m) / sample_spacing_m)
-    along_y, along_x = (
-        np.sin(np.pi / 2 * np.minimum(np.minimum(index + 0.5, index[::-1] + 0.5) / width, 1)) ** 2
-        for index in map(np.arange, shape)
-    )
-    return np.asarray(np.outer(along_y, along_x), np.float64)
 
 
 class PropagatedLight(FieldSpline):
@@ -132,12 +133,13 @@ class PropagatedLight(FieldSpline):
         require({"distance_m must be positive: light does not spread from the mask itself": rays.pupil_scale > 0})
         self.ray_map = RayMap(pupil_scale=1.0, field_scale=rays.ratio)
         self.per_shift = 1 / rays.pupil_scale
-        distance_m = rays.propagation_m(collimator_focal_length_m)
+        propagation = Propagation(
+            distance_m=rays.propagation_m(collimator_focal_length_m), wavenumber_rad_per_m=wavenumber_rad_per_m
+        )
         step_rad = largest_step_rad(screen.samples_rad)
         finer = max(1, math.ceil(step_rad / LARGEST_STEP_RAD))
         spacing_m = screen.sample_spacing_m / rays.pupil_scale / finer
-        slope_rad_per_m = step_rad / finer / spacing_m
-        margin = margin_m(slope_rad_per_m, distance_m, wavenumber_rad_per_m) / spacing_m + EDGE
+        margin = propagation.margin_m(step_rad / finer / spacing_m) / spacing_m + EDGE
         fine = [(count - 1) * finer + 1 for count in screen.samples_rad.shape]
         used = [half_m / rays.pupil_scale / spacing_m for half_m in half_width_m[::-1]]
         # The rim of the screen is part of the margin.
@@ -152,8 +154,8 @@ class PropagatedLight(FieldSpline):
         field = np.exp(1j * np.pad(_resampled(screen, finer), around, mode="reflect", reflect_type="odd"))
         if amplitude is not None:
             field *= np.pad(_resampled(amplitude, finer), around, mode="reflect")
-        field *= edge_taper(field.shape, spacing_m, distance_m, wavenumber_rad_per_m)
-        field = fresnel_propagated(field, spacing_m, distance_m, wavenumber_rad_per_m)
+        field *= propagation.taper(field.shape, sample_spacing_m=spacing_m)
+        field = propagation(field, sample_spacing_m=spacing_m)
         rows, columns = (_middle(*sizes) for sizes in zip(pads, fine, used, strict=True))
         self._samples = field[rows, columns]
         super().__init__(self._samples, spacing_m)

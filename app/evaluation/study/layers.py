@@ -105,7 +105,9 @@ def predicted_and_simulated(
         name = f"{corrector.count} {corrector.influence.capitalize()} modes"
         progress(f"{name} at {at_m * 1e3:.0f} mm", (index - 1) / len(cases))
         ratio = -at_m / bench.field.collimator_focal_length_m
-        made = best_correction(before, positions_m, bench.sensor, bench.field, ratio, corrector)
+        made = best_correction(
+            before, positions_m=positions_m, sensor=bench.sensor, field=bench.field, ratio=ratio, corrector=corrector
+        )
         corrected, after = measured(_through(renderer, mask, made), index)
         predicted_rad, simulated_rad = made.mean_residual_rad, float(np.sqrt(np.nanmean(rms(after) ** 2)))
         most_rad = (1 + _AGREEMENT) * predicted_rad

@@ -42,7 +42,9 @@ def correction() -> Correction:
     positions_m = field_positions_m(BENCH.field)
     before = np.array([wavefront.at(x_m, y_m) for x_m, y_m in positions_m])
     shapes = Corrector("legendre", 66)
-    return best_correction(before, positions_m, BENCH.sensor, BENCH.field, -LAYER_M / F1_M, shapes)
+    return best_correction(
+        before, positions_m=positions_m, sensor=BENCH.sensor, field=BENCH.field, ratio=-LAYER_M / F1_M, corrector=shapes
+    )
 
 
 def left_rad(made: Correction, change: Callable[[Floats], Floats], distance_m: float = LAYER_M) -> float:

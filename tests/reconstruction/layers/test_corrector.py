@@ -31,7 +31,9 @@ def wavefronts(ratio: float, *, bend: float = 0.7, lost: int = 0) -> Floats:
 
 
 def correct(phases: Floats, ratio: float, corrector: Corrector) -> Correction:
-    return best_correction(phases, POSITIONS_M, SENSOR, FIELD, ratio, corrector)
+    return best_correction(
+        phases, positions_m=POSITIONS_M, sensor=SENSOR, field=FIELD, ratio=ratio, corrector=corrector
+    )
 
 
 @pytest.mark.parametrize("influence", ["legendre", "zernike"])
@@ -70,7 +72,9 @@ def test_strehl_of_a_residual() -> None:
     """Without useful shapes the Strehl ratio is |<exp(i phi)>|^2 of the wavefront itself."""
     phases = np.zeros((1, SENSOR.lenslet_rows, SENSOR.lenslet_columns))
     phases[0, :, ::2] = 0.4  # no tilt, as the columns are symmetric
-    made = best_correction(phases, np.zeros((1, 2)), SENSOR, FIELD, 0.0, Corrector("legendre", 3))
+    made = best_correction(
+        phases, positions_m=np.zeros((1, 2)), sensor=SENSOR, field=FIELD, ratio=0.0, corrector=Corrector("legendre", 3)
+    )
     assert made.strehl[0] == pytest.approx(np.abs(np.mean(np.exp(1j * phases))) ** 2, rel=1e-9)
 
 
@@ -95,7 +99,14 @@ def test_impossible_correctors_are_refused(influence: str, count: int, sentence:
 
 def test_positions_without_lenslets_are_left_out() -> None:
     phases = wavefronts(0.8)
-    part = best_correction(phases[1:], POSITIONS_M[1:], SENSOR, FIELD, 0.3, Corrector("legendre", 10))
+    part = best_correction(
+        phases[1:],
+        positions_m=POSITIONS_M[1:],
+        sensor=SENSOR,
+        field=FIELD,
+        ratio=0.3,
+        corrector=Corrector("legendre", 10),
+    )
     phases[0] = np.nan
     made = correct(phases, 0.3, Corrector("legendre", 10))
     np.testing.assert_allclose(made.command, part.command, atol=1e-9)

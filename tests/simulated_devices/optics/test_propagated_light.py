@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
-from simulated_devices.optics.propagated_light import PropagatedLight, fresnel_propagated, unwrapped_phase
+from simulated_devices.optics.propagated_light import PropagatedLight, Propagation, unwrapped_phase
 from simulated_devices.optics.screen_light import RayMap, ScreenLight
 from simulated_devices.sample import point_field
 
@@ -169,10 +169,11 @@ def test_intensity_is_van_vlecks_determinant() -> None:
 def test_light_keeps_its_energy_and_comes_back() -> None:
     generator = np.random.default_rng(3)
     field = generator.normal(size=(60, 72)) + 1j * generator.normal(size=(60, 72))
-    there = fresnel_propagated(field, SPACING_M, 0.3, WAVENUMBER)
+    forth, back = (Propagation(distance_m=way_m, wavenumber_rad_per_m=WAVENUMBER) for way_m in (0.3, -0.3))
+    there = forth(field, sample_spacing_m=SPACING_M)
     assert np.abs(there - field).max() > 0.5
     assert np.sum(np.abs(there) ** 2) == pytest.approx(np.sum(np.abs(field) ** 2), rel=1e-12)
-    np.testing.assert_allclose(fresnel_propagated(there, SPACING_M, -0.3, WAVENUMBER), field, atol=1e-12)
+    np.testing.assert_allclose(back(there, sample_spacing_m=SPACING_M), field, atol=1e-12)
 
 
 def test_positive_slope_moves_light_to_positive_x() -> None:
