@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from threading import Thread
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,9 +88,10 @@ def _tail_normal(probability: float) -> float:
 
 @compiled
 def _fill_normal(bits: NDArray[np.uint64], deviates: NDArray[np.float64], in_tail: NDArray[np.uint8]) -> None:
-    """Fill with `normal` of each; the first loop has no branch, so that it runs on several numbers at a time.
+    """Fill `deviates` (N,) with `normal` of each of the `bits` (N,).
 
-    `in_tail` is scratch for a multiple of 8 numbers, at least as many.
+    The first loop has no branch, so that it runs on several numbers at a time. `in_tail` is scratch for a multiple of 8
+    numbers, at least N.
     """
     for index in range(len(bits)):
         cell = (bits[index] & _LOW) >> _IN_CELL
@@ -149,7 +151,7 @@ def multiplied(electrons: float, em_gain: float, key: np.uint64) -> float:
 def _fill_many_multiplied(
     means: Image, em_gain: float, deviates: NDArray[np.float64], electrons: NDArray[np.float64]
 ) -> None:
-    """Fill `electrons` after the register by normal deviates, for many electrons before it.
+    """Fill `electrons` after the register, from `means` before it, many each, and normal deviates; all (column,).
 
     Shot noise and register are one expansion, from the first three cumulants of a compound Poisson process.
     """
@@ -162,20 +164,33 @@ def _fill_many_multiplied(
         electrons[column] = mean * em_gain + math.sqrt(mean * variance) * z + third / (6 * variance) * (z * z - 1)
 
 
+class Chip(NamedTuple):
+    """The sensor chip in one frame; `expose_rows` takes its numbers in single precision."""
+
+    quantum_efficiency: float
+    background_e: float  # mean of dark current and clock-induced charge
+    full_well_e: float
+    em_gain: float  # 1 without the register
+    register_full_well_e: float
+    loss_per_e: float  # share that the nonlinearity takes of a signal, for each electron of it
+    read_noise_e: float
+    counts_per_e: float
+    offset_counts: float
+    full_scale: float
+
+
 @compiled
-def expose_rows(
-    photons: Image, key: np.uint64, parameters: Image, start: int, end: int, counts: NDArray[np.uint16]
-) -> None:
-    """Fill rows start ... end of `counts` from mean `photons` (row, column); `parameters` as `Detector` lists them."""
-    efficiency, background, full_well, em_gain, register_well, loss, read_noise, per_electron, offset, top = parameters
+def expose_rows(photons: Image, key: np.uint64, chip: Chip, rows: tuple[int, int], counts: NDArray[np.uint16]) -> None:
+    """Fill rows from the first to before the second of `counts` from mean `photons`, both (row, column)."""
+    em_gain, full_well = chip.em_gain, chip.full_well_e
     columns = photons.shape[1]
     bits, means = np.empty(columns, np.uint64), np.empty(columns, np.float32)
     deviates, electrons = np.empty(columns), np.empty(columns)
     in_tail = np.zeros(-(-columns // 8) * 8, np.uint8)
-    for row in range(start, end):
+    for row in range(rows[0], rows[1]):
         for column in range(columns):
             bits[column] = splitmix64(key ^ (np.uint64(row * columns + column) * _MIX_2))
-            means[column] = photons[row, column] * efficiency + background
+            means[column] = photons[row, column] * chip.quantum_efficiency + chip.background_e
         _fill_normal(bits, deviates, in_tail)
         if em_gain > 1:
             _fill_many_multiplied(means, em_gain, deviates, electrons)
@@ -188,12 +203,12 @@ def expose_rows(
         for column in range(columns):
             bits[column] >>= _32
         _fill_normal(bits, deviates, in_tail)
-        well = register_well if em_gain > 1 else full_well
+        well = chip.register_full_well_e if em_gain > 1 else full_well
         for column in range(columns):
             signal = min(electrons[column], well)
-            signal -= loss * signal * signal
-            value = (signal + read_noise * deviates[column]) * per_electron + offset
-            counts[row, column] = np.uint16(min(max(value + 0.5, 0.0), top))
+            signal -= chip.loss_per_e * signal * signal
+            value = (signal + chip.read_noise_e * deviates[column]) * chip.counts_per_e + chip.offset_counts
+            counts[row, column] = np.uint16(min(max(value + 0.5, 0.0), chip.full_scale))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,9 +238,7 @@ class Detector:
         """Counts of one frame, (row, column), from the mean photons on each pixel during the exposure."""
         edges = [len(photons) * part // THREADS for part in range(THREADS + 1)]
         counts = np.empty(photons.shape, np.uint16)
-        jobs = [
-            self._pool.submit(self._expose, photons, exposure, start, end, counts) for start, end in pairwise(edges)
-        ]
+        jobs = [self._pool.submit(self._expose, photons, exposure, rows, counts) for rows in pairwise(edges)]
         for job in jobs:
             job.result()
         return counts
@@ -238,35 +251,37 @@ class Detector:
         def work() -> NDArray[np.uint16]:
             received = photons()
             counts = np.empty(received.shape, np.uint16)
-            self._expose(received, exposure, 0, len(received), counts)
+            self._expose(received, exposure, (0, len(received)), counts)
             return counts
 
         return self._pool.submit(work)
 
     def _expose(
-        self, photons: NDArray[np.float32], exposure: ExposureSettings, start: int, end: int, counts: NDArray[np.uint16]
+        self,
+        photons: NDArray[np.float32],
+        exposure: ExposureSettings,
+        rows: tuple[int, int],
+        counts: NDArray[np.uint16],
     ) -> None:
-        """Fill rows start ... end of the counts."""
+        """Fill rows of the counts; see `expose_rows`."""
         settings, is_em = self._settings, exposure.amplifier == "em"
         background_e = settings.dark_current_e_per_s * exposure.exposure_s + settings.clock_induced_charge_e
-        parameters = np.array(
-            [
-                settings.quantum_efficiency,
-                background_e,
-                settings.full_well_e,
-                exposure.em_gain if is_em else 1.0,
-                settings.register_full_well_e,
-                settings.loss_per_e,
-                settings.em_read_noise_e[exposure.readout_speed - 1] if is_em else settings.normal_read_noise_e,
-                1 / settings.electrons_per_count,
-                settings.offset_counts,
-                2**settings.bits - 1,
-            ],
-            np.float32,
+        read_noise_e = settings.em_read_noise_e[exposure.readout_speed - 1] if is_em else settings.normal_read_noise_e
+        chip = Chip(
+            quantum_efficiency=settings.quantum_efficiency,
+            background_e=background_e,
+            full_well_e=settings.full_well_e,
+            em_gain=exposure.em_gain if is_em else 1.0,
+            register_full_well_e=settings.register_full_well_e,
+            loss_per_e=settings.loss_per_e,
+            read_noise_e=read_noise_e,
+            counts_per_e=1 / settings.electrons_per_count,
+            offset_counts=settings.offset_counts,
+            full_scale=2**settings.bits - 1,
         )
         hashed_seed = int(splitmix64(np.uint64(self._seed)))  # Numba returns it as Python's integer
         key = np.uint64(splitmix64(np.uint64((hashed_seed + exposure.index) % 2**64)))
-        expose_rows(photons, key, parameters, start, end, counts)
+        expose_rows(photons, key, Chip._make(map(np.float32, chip)), rows, counts)
 
 
 @cache
