@@ -136,8 +136,15 @@ class LayeredWavefronts:
             whitened = (design.rows @ fit.polynomials).reshape(frame.weighted.shape)
             return np.asarray(np.matvec(errors.colour, whitened))
 
-        root, parameters = Deferred(root_covariance), self._parameters
-        return ModalSolution(coefficients, known, root, estimate.freedom, displacement, parameters, Deferred(fitted))
+        return ModalSolution(
+            coefficients=coefficients,
+            _known=known,
+            _root_covariance=Deferred(root_covariance),
+            _freedom=estimate.freedom,
+            _displacement=displacement,
+            _parameters=self._parameters,
+            _fitted=Deferred(fitted),
+        )
 
     def in_these_modes(self, free: ModalSolution) -> ModalSolution:
         """A wavefront that was found without layers, in as many pupil modes as with them."""

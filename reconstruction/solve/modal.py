@@ -50,7 +50,7 @@ def known_modes(modes: PupilModes, used: Booleans, *, extrapolate: bool) -> Know
     return KnownModes(modes, used, values)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ModalSolution:
     """Dual-orthogonal coefficients of one wavefront; error bars are computed on request."""
 
@@ -248,8 +248,15 @@ class ModalSolver:
             root = equations.scaled * deviation.astype(np.float32)
             return root.reshape(len(coefficients) - 1, coefficients.shape[1], -1)
 
-        known, root, parameters = equations.known, Deferred(root_covariance), self._parameters
-        return ModalSolution(coefficients, known, root, estimate.freedom, displacement, parameters, Deferred(fitted))
+        return ModalSolution(
+            coefficients=coefficients,
+            _known=equations.known,
+            _root_covariance=Deferred(root_covariance),
+            _freedom=estimate.freedom,
+            _displacement=displacement,
+            _parameters=self._parameters,
+            _fitted=Deferred(fitted),
+        )
 
     def quality(self, displacement: Displacement, *, weights: Floats | None = None) -> FitQuality:
         """Fit quality of wavefronts with the smoothness prior; `weights` as for the fit."""

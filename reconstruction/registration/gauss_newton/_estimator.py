@@ -209,8 +209,8 @@ class GaussNewton:
             reference, modes, np.outer(near, near), conserve_flux=conserve_flux, may_rotate=may_rotate
         )
         brightness = None
-        if model is not None and reference.noise is not None and not conserve_flux:
-            brightness = source_brightness(model, reference.noise, reference, modes, pixels, basis)
+        if model is not None and not conserve_flux:
+            brightness = source_brightness(model, reference, modes, pixels, basis)
         images = SteepestDescent(reference, modes, pixels, basis, conserve_flux=conserve_flux, brightness=brightness)
         self._warp = prepare_template(images, reference.noise)
         self.parameters = self._warp.grid.basis.astype(np.float64)  # orthonormal rows, as the compiled fit has them

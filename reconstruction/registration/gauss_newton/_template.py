@@ -145,19 +145,18 @@ class SteepestDescent:
 
 
 def source_brightness(
-    model: LensletModel,
-    noise: CameraNoise,
-    reference: ReferenceSubimages,
-    modes: PolynomialModes,
-    pixels: Booleans,
-    basis: Floats,
-) -> Floats:
+    model: LensletModel, reference: ReferenceSubimages, modes: PolynomialModes, pixels: Booleans, basis: Floats
+) -> Floats | None:
     """Images of the source, its brightness multiplied by Legendre polynomials over the field, (mode, row, column).
 
     They are blurred after they are multiplied: a subimage times a brightness that grows by the share b per px would be
     one that is displaced by b times the square of the blur's width. Of quadratic and cubic polynomials, those with the
-    less expected error of the displacements in the rows of `basis`, on `pixels` (width, width).
+    less expected error of the displacements in the rows of `basis`, on `pixels` (width, width). None if the noise,
+    which decides, is unknown.
     """
+    noise = reference.noise
+    if noise is None:
+        return None
     images = np.stack([model.image(values) for values in _CUBIC.values(*model.position.T)])
     blur, _ = mean_interpolation(images.shape[-1])
     cubic = np.asarray(blur @ images @ blur.T)  # interpolated like the subimages
