@@ -23,7 +23,7 @@ from app.results.coefficients import FieldMaps
 from reconstruction.displacement import Displacement, RegistrationMethod
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Sensor
-from reconstruction.modes.field_modes import polynomial_modes as polynomial_modes_of_field
+from reconstruction.modes.field_modes import orthogonal_modes
 from reconstruction.modes.polynomials import legendre_products, zernike_products
 from reconstruction.modes.pupil_modes import BASES, PupilModes, polynomial_modes, pupil_modes
 from reconstruction.pipeline import OwnRegistration
@@ -83,7 +83,7 @@ class WrappedWarps:
     """A method of another type that does what Gauss-Newton does."""
 
     def __init__(self, reference: ReferenceSubimages, field: Field) -> None:
-        modes = polynomial_modes_of_field(field, 3)
+        modes = orthogonal_modes(field, 3)
         self._inner = GaussNewton(reference, modes, conserve_flux=False, may_rotate=False)
 
     def __getattr__(self, name: str) -> Any:

@@ -19,7 +19,7 @@ from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
-from reconstruction.modes.field_modes import PolynomialModes, gradient_basis, polynomial_modes
+from reconstruction.modes.field_modes import PolynomialModes, gradient_basis, orthogonal_modes
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.solve.expected_errors import MeanGradients
@@ -135,7 +135,7 @@ def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:
 def modes_of(bench: Bench, coefficients: Floats) -> tuple[PupilModes, PolynomialModes]:
     """Return the pupil modes and field modes of coefficients e_pq of a bench, (pupil_mode, field_mode)."""
     pupil, field = coefficients.shape
-    field_modes = polynomial_modes(bench.field, field)
+    field_modes = orthogonal_modes(bench.field, field)
     return pupil_modes(bench.sensor, bench.reconstruction.basis, pupil), field_modes
 
 

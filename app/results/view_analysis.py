@@ -15,7 +15,7 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, Outcome, field_means
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.pixels import AboveDark, find_bad_pixels
-from reconstruction.frame.spline import sample
+from reconstruction.frame.spline import interpolate
 from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.quality.image_quality import psf, psf_angles_rad, psf_reach_rad
@@ -60,7 +60,7 @@ def inspect_lenslet(measurement: Measurement, row: int, column: int) -> LensletI
     coefficients = subimages.spline(light, saturated=saturated)
     index, square = row * columns + column, (subimages.width, subimages.width)
     reference = subimages.light[index].astype(np.float64)
-    frame, _ = sample(coefficients, subimages.position_px[index])
+    frame, _ = interpolate(coefficients, subimages.position_px[index])
     fitted = residual = None
     if displacement.valid[row, column]:
         is_fitted = (np.abs(subimages.offset_px) <= subimages.half_width_px + subimages.blur_px).all(axis=1)
@@ -111,7 +111,7 @@ def _warped(
     moved_px = offset_px + modes.values(x, y).T @ by_mode
     position_px = subimages.center_px[index] + moved_px @ subimages.turn
     edge = np.array(coefficients.shape[::-1]) - 1
-    values, _ = sample(coefficients, np.clip(position_px, 0, edge))
+    values, _ = interpolate(coefficients, np.clip(position_px, 0, edge))
     gradients = getattr(modes, "gradients", None)  # interpolation between stars has none
     if gradients is None or not calibration.bench.field.neglect_propagation:
         return np.asarray(values, np.float64), np.ones(len(values))

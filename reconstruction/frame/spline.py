@@ -59,17 +59,17 @@ def _beyond(columns: int) -> NDArray[np.intp]:
     return np.array([_mirrored_index(k, columns) for k in range(-_REACH, columns + _REACH) if not 0 <= k < columns])
 
 
-def sample(coefficients: Image, position_px: Floats) -> tuple[Floats, Floats]:
+def interpolate(coefficients: Image, position_px: Floats) -> tuple[Floats, Floats]:
     """Interpolate at positions (..., xy) inside the image: values (...) and gradients (..., xy) per pixel."""
     values, gradients = np.empty(position_px.shape[:-1]), np.empty(position_px.shape)
     image = np.require(coefficients, np.float32, ("C", "W"))  # so that Numba compiles one signature only
     position = np.require(position_px, np.float64, ("C", "W"))
-    _sample(image, position.reshape(-1, 2), values.reshape(-1), gradients.reshape(-1, 2))
+    _interpolate(image, position.reshape(-1, 2), values.reshape(-1), gradients.reshape(-1, 2))
     return values, gradients
 
 
 @compiled
-def _sample(coefficients: Image, position_px: Floats, values: Floats, gradients: Floats) -> None:
+def _interpolate(coefficients: Image, position_px: Floats, values: Floats, gradients: Floats) -> None:
     rows, columns = coefficients.shape
     for n in range(values.size):
         left, above = np.floor(position_px[n, 0]), np.floor(position_px[n, 1])
@@ -89,7 +89,7 @@ def _sample(coefficients: Image, position_px: Floats, values: Floats, gradients:
         values[n], gradients[n, 0], gradients[n, 1] = value, slope_x, slope_y
 
 
-def sample_evenly(coefficients: Image, start_px: Floats, steps_px: Floats, shape: tuple[int, int]) -> Image:
+def interpolate_evenly(coefficients: Image, start_px: Floats, steps_px: Floats, shape: tuple[int, int]) -> Image:
     """Interpolate on a turned grid, without gradients; beyond its borders the image is mirrored.
 
     It takes a third of the time of SciPy's affine transform: taking a reference repeats it up to twenty times.
@@ -108,12 +108,12 @@ def sample_evenly(coefficients: Image, start_px: Floats, steps_px: Floats, shape
     values = np.empty(shape, np.float32)
     image = np.require(coefficients, np.float32, ("C", "W"))  # so that Numba compiles one signature only
     start, steps = (np.require(each, np.float64, ("C", "W")) for each in (start_px, steps_px))
-    _sample_evenly(image, start, steps, values)
+    _interpolate_evenly(image, start, steps, values)
     return values
 
 
 @compiled
-def _sample_evenly(coefficients: Image, start_px: Floats, steps_px: Floats, values: Image) -> None:
+def _interpolate_evenly(coefficients: Image, start_px: Floats, steps_px: Floats, values: Image) -> None:
     rows, columns = coefficients.shape
     for row in range(values.shape[0]):
         for column in range(values.shape[1]):
@@ -155,7 +155,7 @@ def _noise_power_table() -> tuple[Floats, Floats]:
     impulse = np.zeros((65, 65), np.float32)
     impulse[32, 32] = 1.0
     x_px = fraction[:, None] + np.arange(12, 52)
-    weights, _ = sample(spline_coefficients(impulse), np.stack([x_px, np.full_like(x_px, 32.0)], axis=-1))
+    weights, _ = interpolate(spline_coefficients(impulse), np.stack([x_px, np.full_like(x_px, 32.0)], axis=-1))
     return fraction, np.sum(weights**2, axis=1)
 
 

@@ -8,7 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.frame.spline import sample_evenly
+from reconstruction.frame.spline import interpolate_evenly
 from reconstruction.geometry import Lattice, centered_steps
 
 _FEWEST_SAMPLES = 16  # across a cell
@@ -79,7 +79,7 @@ def cut(coefficients: Image, lattice: Lattice) -> Cells:
     columns, rows = last - first + 1
     beside = 0 if lattice.arrangement == "square" else samples // 2  # samples by which odd rows lie to the right
     size_px = np.array([1.0, lattice.row_spacing]) * lattice.pitch_px
-    sampled = sample_evenly(
+    sampled = interpolate_evenly(
         coefficients,
         lattice.to_camera_px((first - 0.5 + 0.5 / samples) * size_px),
         size_px[:, None] / samples * lattice.turn,

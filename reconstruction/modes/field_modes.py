@@ -72,7 +72,7 @@ class ZernikeModes(PolynomialModes):
     _family = _Family(zernike_products, zernike, zernike_gradients)
 
 
-def polynomial_modes(field: Field, count: int) -> PolynomialModes:
+def orthogonal_modes(field: Field, count: int) -> PolynomialModes:
     """Return the first `count` polynomials that are orthogonal over a field."""
     return (ZernikeModes if field.shape == "circle" else LegendreModes)(count)
 

@@ -12,7 +12,7 @@ import numpy as np
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.frame.noise import TransferCurve
 from reconstruction.frame.pixels import CLIPPED, TOO_BRIGHT, KnownCamera, clipped_fraction
-from reconstruction.frame.spline import sample
+from reconstruction.frame.spline import interpolate
 from reconstruction.geometry import Lattice, Sensor, centered_steps, lenslet_centers
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
@@ -198,7 +198,7 @@ def _deformations_px(reference: ReferenceSubimages) -> Floats:
     u, v = reference.offset_px.T / reference.half_width_px
     position_px, turn = reference.position_px[lit], reference.turn
     for _ in range(_PASSES):
-        light, gradient = sample(reference.spline_coefficients, position_px)
+        light, gradient = interpolate(reference.spline_coefficients, position_px)
         brightness = np.maximum(light.sum(axis=1), np.finfo(np.float32).tiny)[:, None]
         light, mean_gradient = light / brightness, (gradient / brightness[..., None]).mean(axis=0) @ turn.T
         mean = light.mean(axis=0)

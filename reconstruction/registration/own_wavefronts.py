@@ -10,7 +10,7 @@ import numpy as np
 
 from reconstruction.arrays import Floats
 from reconstruction.displacement import TRANSMISSION_MODES
-from reconstruction.frame.spline import mean_interpolation, sample
+from reconstruction.frame.spline import interpolate, mean_interpolation
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
 
 OWN_WAVEFRONTS = [(n, 3 - n) for n in range(4)]  # (n, m) of P_m(xi) P_n(eta)
@@ -67,7 +67,7 @@ def _fitted(reference: ReferenceSubimages, images: Floats) -> tuple[Floats, Floa
         if alignment < _ALIGNMENTS:
             moved_px = moved_px - shift / gain
             position_px = reference.position_px[reference.lit] + (moved_px @ reference.turn)[:, None]
-            light, _ = sample(reference.spline_coefficients, np.clip(position_px, 0, edge))
+            light, _ = interpolate(reference.spline_coefficients, np.clip(position_px, 0, edge))
     variance = (light - fitted @ differences) ** 2 @ fit**2
     return (fitted / gain)[:, -len(images) :].T, (variance / gain**2)[:, -len(images) :].T
 

@@ -12,7 +12,7 @@ from reconstruction.displacement import CovarianceSource, Displacement, Outcome
 from reconstruction.errors import ReconstructionError, UnusableSettings
 from reconstruction.frame.noise import UNKNOWN_NOISE, KnownNoise
 from reconstruction.frame.pixels import repaired
-from reconstruction.frame.spline import sample, spline_coefficients
+from reconstruction.frame.spline import interpolate, spline_coefficients
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, require
 from reconstruction.modes.field_modes import FieldModes
 
@@ -104,7 +104,7 @@ class ReferenceSubimages:
 
         self.bad = np.zeros(reference.shape, np.bool_) if bad is None else bad  # (row, column)
         self.spline_coefficients = self.spline(reference)  # of the whole frame, (row, column)
-        self.light, gradient = sample(self.spline_coefficients, self.position_px)  # (L, N)
+        self.light, gradient = interpolate(self.spline_coefficients, self.position_px)  # (L, N)
         self.gradient = gradient @ self.turn.T  # per pixel, lattice frame, (L, N, xy)
         self.usable = self._usable()  # (L, N)
         self.contrast = self.light.std(axis=1)  # (L,)
@@ -129,7 +129,7 @@ class ReferenceSubimages:
 
     def cut(self, light: Image) -> Floats:
         """Cut another frame (row, column) into the same windows: (L, width, width)."""
-        values, _ = sample(self.spline(light), self.position_px)
+        values, _ = interpolate(self.spline(light), self.position_px)
         return values.reshape(-1, self.width, self.width)
 
     def touched(self, pixels: Booleans) -> Booleans:

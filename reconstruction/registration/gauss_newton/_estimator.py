@@ -25,7 +25,7 @@ from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import TRANSMISSION_MODES, Displacement, Outcome, Transmission
 from reconstruction.frame.spline import noise_power, noise_power_polynomial
 from reconstruction.geometry import Field
-from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis, polynomial_modes
+from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis, orthogonal_modes
 from reconstruction.registration.gauss_newton._alignment import FrameData
 from reconstruction.registration.gauss_newton._lenslet_fits import (
     CONVERGED_PX,
@@ -38,7 +38,7 @@ from reconstruction.registration.gauss_newton._lenslet_fits import (
     new_work_arrays,
 )
 from reconstruction.registration.gauss_newton._template import (
-    LINEAR,
+    LINEAR_TERMS,
     SteepestDescent,
     Template,
     coefficient_covariance,
@@ -170,7 +170,7 @@ def prepare(
     reference: ReferenceSubimages, settings: RegistrationSettings, field: Field, model: LensletModel | None
 ) -> WarpRegistration:
     """Prepare the method `gauss_newton` with the warp of the settings."""
-    modes = polynomial_modes(field, FIELD_MODES[settings.warp or "quadratic"])
+    modes = orthogonal_modes(field, FIELD_MODES[settings.warp or "quadratic"])
     return GaussNewton(
         reference,
         modes,
@@ -215,7 +215,7 @@ class GaussNewton:
         self._warp = prepare_template(images, reference.noise)
         self.parameters = self._warp.grid.basis.astype(np.float64)  # orthonormal rows, as the compiled fit has them
         self.hidden = (2 * modes.count if may_rotate else len(gradient_basis(modes))) - len(self.parameters)
-        self.brightness_terms = LINEAR if brightness is None else len(brightness)
+        self.brightness_terms = LINEAR_TERMS if brightness is None else len(brightness)
         self._search = prepare_search(reference)
         self._errors = ErrorPropagation(self._warp)
         self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (MISFIT * self._warp.contrast) ** 2

@@ -19,7 +19,7 @@ from scipy import ndimage
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import TRANSMISSION_MODES
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.frame.spline import mean_interpolation, sample, spline_coefficients
+from reconstruction.frame.spline import interpolate, mean_interpolation, spline_coefficients
 from reconstruction.geometry import require
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis
 from reconstruction.registration.correlation import normalised
@@ -34,7 +34,7 @@ from reconstruction.registration.subimages import LensletModel, ReferenceSubimag
 # as large, although the scatter is smaller.
 _MODEL_ERROR = 0.02
 _NOTHING = 1e-12  # share of a lenslet's information that is none; keeps a division from one by zero
-LINEAR, _CUBIC = 3, LegendreModes(10)  # brightness over the field; linear without a model of the lenslets
+LINEAR_TERMS, _CUBIC = 3, LegendreModes(10)  # brightness over the field; linear without a model of the lenslets
 # RMS of a brightness in each cubic polynomial, for the choice: behind a sample with 8 % RMS of absorption over 0.5 mm.
 _CUBIC_RMS = 0.011
 _UNSEEN = 1e-6  # singular value over the largest, below which a reference does not show a parameter
@@ -102,7 +102,7 @@ class SteepestDescent:
         self.conserves_flux, self.source_brightness = conserve_flux, brightness
         u, v = reference.offset_px[pixels.ravel()].T / reference.half_width_px
         self._values = modes.values(u, v)
-        count = LINEAR if brightness is None else len(brightness)
+        count = LINEAR_TERMS if brightness is None else len(brightness)
         self._over_field = LegendreModes(max(count, TRANSMISSION_MODES.count)).values(u, v)
         self._nuisance = slice(1, count)
         self._image, self._blurred = np.ones_like(u), np.zeros_like(self._over_field)
@@ -186,7 +186,7 @@ def respond(template: Template, image: Floats, changes: Floats, own: Sequence[Ow
     row, column = np.nonzero(images.pixels)
     parts, unit = np.stack([image, *(wavefront.image for wavefront in own)]), np.max(image)
     at_pixels = np.stack([column, row], -1).astype(float)
-    slopes = [sample(spline_coefficients(np.asarray(part / unit, np.float32)), at_pixels)[1] for part in parts]
+    slopes = [interpolate(spline_coefficients(np.asarray(part / unit, np.float32)), at_pixels)[1] for part in parts]
     still_light, still_gradient = parts[:, row, column], unit * np.stack(slopes)
     blur, slope = mean_interpolation(images.reference.width)
     moved_light = (blur @ parts @ blur.T)[:, row, column]

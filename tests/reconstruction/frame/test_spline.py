@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from reconstruction.frame.spline import sample, sample_evenly, spline_coefficients
+from reconstruction.frame.spline import interpolate, interpolate_evenly, spline_coefficients
 from reconstruction.registration.gauss_newton._warped_sampling import new_scratch, sample_warped, window_of
 
 
@@ -33,7 +33,7 @@ def test_samples_match_scipy() -> None:
     rng = np.random.default_rng(1)
     image = rng.uniform(0, 1, (40, 60)).astype(np.float32)
     position = rng.uniform([0, 0], [59, 39], (200, 2))
-    values, _ = sample(spline_coefficients(image), position)
+    values, _ = interpolate(spline_coefficients(image), position)
     expected = ndimage.map_coordinates(image, [position[:, 1], position[:, 0]], order=3, mode="mirror")
     np.testing.assert_allclose(values, expected, atol=1e-5)
 
@@ -42,7 +42,7 @@ def test_samples_match_scipy() -> None:
 def test_samples_on_a_turned_grid_match_scipy_also_beyond_the_borders(shape: tuple[int, int]) -> None:
     image = np.random.default_rng(6).uniform(0, 1, shape).astype(np.float32)
     start_px, steps_px = np.array([-4.3, 2.6]), np.array([[1.1, -0.2], [0.3, 0.9]])
-    samples = sample_evenly(spline_coefficients(image), start_px, steps_px, (50, 70))
+    samples = interpolate_evenly(spline_coefficients(image), start_px, steps_px, (50, 70))
     row, column = np.indices(samples.shape)
     x, y = (start_px[axis] + column * steps_px[0, axis] + row * steps_px[1, axis] for axis in range(2))
     expected = ndimage.map_coordinates(image, [y, x], order=3, mode="mirror")
@@ -53,11 +53,13 @@ def test_gradients_match_numerical_derivatives() -> None:
     rng = np.random.default_rng(2)
     coefficients = spline_coefficients(ndimage.gaussian_filter(rng.uniform(0, 1, (40, 60)), 2).astype(np.float32))
     position = rng.uniform([3, 3], [56, 36], (50, 2))
-    _, gradients = sample(coefficients, position)
+    _, gradients = interpolate(coefficients, position)
     step = 1e-5
     for axis in range(2):
         shift = step * np.eye(2)[axis]
-        slope = (sample(coefficients, position + shift)[0] - sample(coefficients, position - shift)[0]) / (2 * step)
+        slope = (interpolate(coefficients, position + shift)[0] - interpolate(coefficients, position - shift)[0]) / (
+            2 * step
+        )
         np.testing.assert_allclose(gradients[:, axis], slope, atol=1e-6)
 
 
