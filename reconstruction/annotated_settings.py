@@ -17,7 +17,7 @@ from typing_extensions import Doc
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limit:
-    """The allowed values of a setting. Every number of a tuple obeys the bounds, which are named as in Python."""
+    """The allowed values of a setting; every number of a tuple obeys the bounds."""
 
     choices: tuple[Any, ...] = ()
     min_length: int = 0  # of a text

@@ -1,4 +1,4 @@
-"""Coefficients of a modal wavefront as functions of the field position, e_p(x, y), and as double Zernikes.
+"""Coefficients of a modal wavefront over the field, e_p(x, y), and as double Zernikes.
 
 All modes are polynomials, so that a change of their basis is exact; the covariance of e_pq gives the errors.
 """
@@ -71,12 +71,12 @@ class FieldCoefficients:
         return math.ceil((math.sqrt(8 * count + 1) - 3) / 2)  # lowest degree up to which there are as many
 
     def double_zernikes(self, field_order: int | None = None) -> tuple[Floats, Floats]:
-        """Double Zernike coefficients over the circles inscribed in field and pupil, and their standard deviations.
+        """Double Zernike coefficients and their standard deviations.
 
-        GalSim's convention: wavefront = sum_kj d[k, j] Z_k(field) Z_j(pupil), k and j as Noll counts, from 1; the row
-        k = 0 and the column j = 0 are unused, and zero. Both are (k, j), rad. The highest radial order over the field
-        is by default that of the field modes, which is exact. `ReconstructionError` if the coefficients are not those
-        of Zernike modes, or the field modes have no such order.
+        The circles are those inscribed in field and pupil. GalSim's convention: wavefront = sum_kj d[k, j] Z_k(field)
+        Z_j(pupil), k and j as Noll counts, from 1; the row k = 0 and the column j = 0 are unused, and zero. Both are
+        (k, j), rad. The highest radial order over the field is by default that of the field modes, which is exact.
+        `ReconstructionError` if the coefficients are not those of Zernike modes, or the field modes have no such order.
         """
         if self.basis != "zernike":
             raise ReconstructionError("double Zernikes are made of Zernike modes, not of Legendre modes")
@@ -100,9 +100,10 @@ class FieldCoefficients:
 
 
 def fit_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = None) -> FieldCoefficients:
-    """Express a modal fit in Zernike modes over the pupil's inscribed circle, or in Legendre modes over the lattice.
+    """Express a modal fit in Zernike or Legendre modes.
 
-    Zernike modes have unit RMS over the circle, in Noll's order; Legendre modes are those of `modes.legendre`. The
+    Zernike modes have unit RMS over the pupil's inscribed circle, in Noll's order; Legendre modes, over the lattice,
+    are those of `modes.legendre`. The
     highest degree, `order`, is by default that of the fit, which is exact. `ReconstructionError` if there is no such
     basis, the fit has no such degree, or no lenslet in the pupil is known.
     """
@@ -129,7 +130,7 @@ def fit_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = None)
 
 
 def _pupil_projection(modes: PupilModes, onto: PupilModes, sensor: Sensor, basis: PupilBasis) -> Floats:
-    """Coefficients of the pupil modes in those of a basis, (mode, pupil_mode); exact, for both are polynomials."""
+    """Coefficients of the pupil modes in those of a basis, (mode, pupil_mode); exact."""
     if basis != "zernike":
         flat, fitted = (each.products.reshape(len(each.degree), -1).T for each in (onto, modes))
         return np.asarray(np.linalg.lstsq(flat, fitted)[0])
@@ -145,7 +146,7 @@ def _pupil_projection(modes: PupilModes, onto: PupilModes, sensor: Sensor, basis
 
 
 def _field_projection(modes: FieldModes, order: int) -> Floats:
-    """Coefficients of the field modes in Zernike modes over the field's inscribed circle, (mode, field_mode)."""
+    """Coefficients of the field modes in Zernike modes over the inscribed circle, (mode, field_mode)."""
     return zernike_projection(modes.values, _degree(modes), number_up_to(order))
 
 

@@ -15,7 +15,7 @@ _UNKNOWN = 0.85  # grey of what is NaN
 
 
 def picture_of_views(views: Floats) -> NDArray[np.uint8]:
-    """Wavefronts (view_row, view_column, row, column) side by side, blue below 0 and red above: (row, column, RGB)."""
+    """Wavefronts (view_row, view_column, row, column), blue below 0, red above: (row, column, RGB)."""
     framed = np.pad(views, ((0, 0), (0, 0), (0, 1), (0, 1)), constant_values=np.nan)
     tiled = np.concatenate(np.concatenate(framed, axis=1), axis=1)[:-1, :-1]
     most = np.nanmax(np.abs(tiled), initial=0.0) or 1.0

@@ -304,7 +304,7 @@ class Reconstructor:
 
     @cached_property
     def smooth(self) -> ModalSolver:
-        """Solver with as many Legendre modes as the lattice carries: the refinement models wavefronts with these."""
+        """Solver with all Legendre modes that the lattice carries; refinement models wavefronts by them."""
         has_them = self.reconstruction.basis == "legendre" and self.reconstruction.pupil_modes is None
         return self._modal if self._modal is not None and has_them else self._solver("legendre", None)
 
@@ -357,9 +357,9 @@ class Reconstructor:
         return prepare(min(warps, key=lambda warp: self._expected_error_rad2(warp, prepare(warp))))
 
     def _expected_error_rad2(self, warp: Warp, prepared: _Registration) -> float:
-        """Mean expected square error of the views with a warp, if every lenslet were as certain as the mean valid one.
+        """Mean expected square error of the views with a warp: predicted noise and systematic error.
 
-        It is the predicted noise and the measured systematic error.
+        Every lenslet counts as certain as the mean valid one.
         """
         at_rest, parameters, sensor = prepared.at_rest, prepared.parameters, self.sensor
         if prepared.hidden or not at_rest.valid.any():  # nothing determines it
@@ -390,7 +390,7 @@ class Reconstructor:
             return None, str(error)
 
     def _respond(self) -> tuple[Sensitivity, str]:
-        """Response of the registration, or mean gradients, and why there is no response although it is wanted."""
+        """Response of the registration, or mean gradients and why a wanted response is missing."""
         warps = self._prepared.warps
         problem = ""
         is_wanted = self.reconstruction.response and not self.registration.rotation  # it holds for gradients only
@@ -402,7 +402,7 @@ class Reconstructor:
         return MeanGradients(self.sensor, self._prepared.parameters if warps is None else warps.alike), problem
 
     def _solver(self, basis: PupilBasis, count: int | None) -> ModalSolver:
-        """Solver with that many pupil modes; if None with all that the lattice carries, and the smoothness prior."""
+        """Solver with that many pupil modes; None: all that the lattice carries, with the prior."""
         at_rest, parameters = self._prepared.at_rest, self._prepared.parameters
         lenslets = np.count_nonzero(at_rest.valid)
         if count is not None and 0 < lenslets < count:  # known before minutes of preparation

@@ -87,7 +87,7 @@ class Refinement:
         return Bias(bias, found.coefficients, wavefront.views)
 
     def rounds(self, displacement: Displacement, most: int, sample: AssumedSample = FREE) -> Iterator[Round]:
-        """Refine displacements in at most `most` rounds; stop before a round that fits the measured ones worse."""
+        """Refine displacements in up to `most` rounds; stop before one that fits the measured ones worse."""
         bias = self.bias(self._reconstructor.solve(displacement, sample=sample))
         for _ in range(most):
             wavefront = self._reconstructor.solve(displacement, bias=bias.displacement, sample=sample)
@@ -105,7 +105,7 @@ class Refinement:
         return PupilGrid(modes, self._reconstructor.sensor, self._model.sample_x_m, self._model.sample_y_m)
 
     def _field(self, solution: ModalSolution, modes: PolynomialModes) -> PointField:
-        """Light of each object point on the pupil samples, gathered as the wavefront's change over the field tells."""
+        """Light of each object point on the pupil samples, gathered by the wavefront's change over the field."""
         bench_field, coefficients = self._reconstructor.field, solution.coefficients
         grid = self._grid(solution.modes)
         half_width_m = bench_field.half_width_m

@@ -63,7 +63,9 @@ class Wavefront:
         return value, sigma
 
     def at(self, x_m: ArrayLike, y_m: ArrayLike) -> Floats:
-        """Wavefront at field positions, rad, (..., lenslet_row, lenslet_column), without piston; NaN where unknown.
+        """Wavefront at field positions, rad, (..., lenslet_row, lenslet_column); NaN where unknown.
+
+        It has no piston.
 
         Parameters
         ----------
@@ -107,7 +109,7 @@ def rms(phase: Floats) -> Floats:
 
 
 def mean_rms(views: Floats) -> float:
-    """Mean RMS, rad, of the known views (view_row, view_column, lenslet_row, lenslet_column); NaN without any."""
+    """Mean RMS, rad, of known views (view_row, view_column, lenslet_row, lenslet_column); else NaN."""
     each = rms(views)
     known = np.isfinite(each)
     return float(np.mean(each[known])) if known.any() else np.nan
@@ -147,10 +149,10 @@ def without_tilt(phase: Floats, arrangement: Arrangement) -> Floats:
 
 
 def without_low_orders(phase: Floats, *, tilt: bool, defocus: bool, arrangement: Arrangement) -> Floats:
-    """Subtract piston and, where asked, tilt and defocus, ignoring NaN, from (..., lenslet_row, lenslet_column), rad.
+    """Subtract piston and, where asked, tilt and defocus, ignoring NaN.
 
-    Defocus is the paraboloid u^2 + v^2 about the middle of the lattice; it is fitted together with the tilt, whether
-    that is subtracted or not.
+    From wavefronts (..., lenslet_row, lenslet_column), rad. Defocus is the paraboloid u^2 + v^2 about the middle of the
+    lattice; it is fitted together with the tilt, whether that is subtracted or not.
     """
     if not (tilt or defocus):
         return without_piston(phase)

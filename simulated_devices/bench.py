@@ -1,4 +1,4 @@
-"""The simulated bench: light, mask, sample and optics, on which the three devices act; its light and its stage."""
+"""The simulated bench, on which three devices act: light, mask, sample and optics."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSe
 
 
 def played_state(time_s: float, *, states: int, rendered: int, duration_s: float) -> int:
-    """State shown since 0 s: 0, 1, 2 ... to the last and back; the last rendered one instead of those that are not."""
+    """State shown since 0 s: 0, 1, 2 ... to the last and back, of those that are rendered."""
     step = math.floor(time_s / duration_s) % max(2 * states - 2, 1)
     return min(step, 2 * states - 2 - step, rendered - 1)
 
@@ -74,10 +74,10 @@ class ReceivedLight:
 
 
 class SimulatedBench:
-    """A bench whose images are rendered once and then played; used by one thread, but any may `change` the light.
+    """A bench whose images are rendered once and then played.
 
-    The constructor renders the reference and the first state, unless they are cached; `progress` receives 0 ... 1 over
-    both. A child process renders the other states.
+    One thread uses it, but any may `change` the light. The constructor renders the reference and the first state,
+    unless they are cached; `progress` receives 0 ... 1 over both. A child process renders the other states.
     """
 
     def __init__(

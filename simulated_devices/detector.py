@@ -75,7 +75,7 @@ def normal(bits: np.uint64) -> float:
 
 @compiled
 def _tail_normal(probability: float) -> float:
-    """Quantile of the normal distribution by the rational approximation of its tails (Acklam 2003; relative 1.2e-9)."""
+    """Quantile of a normal distribution's tails, a rational approximation (Acklam 2003; relative 1.2e-9)."""
     q = math.sqrt(-2.0 * math.log(min(probability, 1.0 - probability)))
     numerator = -7.784894002430293e-03 * q - 3.223964580411365e-01
     numerator = (numerator * q - 2.400758277161838) * q - 2.549732539343734
@@ -109,7 +109,7 @@ def _fill_normal(bits: NDArray[np.uint64], deviates: NDArray[np.float64], in_tai
 
 @compiled
 def poisson(mean: float, z: float, bits: np.uint64) -> float:
-    """Poisson deviate: by inversion for a small mean, by Cornish-Fisher to order 1/mean for a larger one.
+    """Poisson deviate: by inversion for a small mean, by Cornish-Fisher for a larger one.
 
     `z` is the normal deviate of the same bits.
     """
@@ -151,9 +151,10 @@ def multiplied(electrons: float, em_gain: float, key: np.uint64) -> float:
 def _fill_many_multiplied(
     means: Image, em_gain: float, deviates: NDArray[np.float64], electrons: NDArray[np.float64]
 ) -> None:
-    """Fill `electrons` after the register, from `means` before it, many each, and normal deviates; all (column,).
+    """Fill `electrons` after the register, from many `means` before it and normal deviates.
 
-    Shot noise and register are one expansion, from the first three cumulants of a compound Poisson process.
+    All are (column,). Shot noise and register are one expansion, from the first three cumulants of a compound Poisson
+    process.
     """
     t = math.sqrt(em_gain * (em_gain - 1))
     s = em_gain - t

@@ -170,7 +170,7 @@ class Renderer:
 
 
 class ImageCache:
-    """Images of one scene on disk, `folder / fingerprint / mask-state.npy`; stays empty if it cannot be written."""
+    """Images of one scene on disk, `folder / fingerprint / mask-state.npy`; empty if not writable."""
 
     def __init__(self, cache_folder: Path, scene: Scene) -> None:
         self._shape = scene.rows, scene.columns
@@ -223,7 +223,7 @@ def _age(folder: Path) -> float:
 
 
 def rendering_ahead(scene: Scene, mask: str, cache_folder: Path) -> BackgroundProcess:
-    """Start a child process that renders the states of one mask that the cache lacks; if closed, one is lost."""
+    """Start a child process that renders the states of one mask that the cache lacks."""
     process = BackgroundProcess(render_missing)
     process.send((scene, mask, cache_folder))
     return process

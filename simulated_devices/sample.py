@@ -1,4 +1,4 @@
-"""The sample: its screen from a seed or a file, where rays meet it, its light at the lenslets and its drift."""
+"""The sample: its screen from a seed or a file, its rays, its light at the lenslets, its drift."""
 
 import math
 from collections.abc import Callable
@@ -106,7 +106,7 @@ def _guard_m(simulation: Simulation, sensor: Sensor, field: Field, rays: RayMap,
 
 @lru_cache(maxsize=2)
 def generated(seed: int, **shape: Any) -> Floats:
-    """Call `smooth_screen` once for all strengths of the screen of a seed; with fine sampling it takes seconds."""
+    """Call `smooth_screen` once for all strengths of a seed's screen: fine ones take seconds."""
     return smooth_screen(np.random.default_rng(seed), **shape)
 
 
@@ -149,7 +149,7 @@ def _absorbing(simulation: Simulation, side: int, size: ScreenSize) -> Floats:
 def point_field(
     light: SampleLight, sample_x_m: Floats, sample_y_m: Floats, shift_m: tuple[float, float] = (0.0, 0.0)
 ) -> PointField:
-    """Field of each object point at the pupil samples (m), behind a sample that is moved by `shift_m` (x, y)."""
+    """Field of each object point at pupil samples (m) behind a sample moved by `shift_m` (x, y)."""
     rays = light.ray_map
     pupil_x_m, pupil_y_m = (
         rays.pupil_scale * along_m - light.per_shift * moved_m
@@ -203,7 +203,7 @@ class Sample:
         return truth_wavefront(self.light.phase, self.light.ray_map, self.sensor, self.field, moved_m)
 
     def intensity(self, shift_m: tuple[float, float] = (0.0, 0.0)) -> Floats:
-        """Light of every view at the lenslet centres relative to that without sample, shaped like the wavefront."""
+        """Light of every view at the lenslets over that without sample, shaped like the wavefront."""
         x_m, y_m = view_positions_m(self.light.ray_map, self.sensor, self.field, self._moved_m(shift_m))
         return np.asarray(np.abs(self.light.at(x_m, y_m)) ** 2, np.float64)
 
@@ -219,7 +219,7 @@ def ray_map(screen: Screen, field: Field) -> RayMap:
 
 
 def make_sample(simulation: Simulation, sensor: Sensor, field: Field, *, phase_scale: float = 1.0) -> Sample:
-    """Make the screen from its file or from the seed, large enough for every ray of every state, and its light.
+    """Make the screen, from file or seed, large enough for every ray of every state, and its light.
 
     A screen from the seed without `pv_rad` is scaled so that the mean over the views of the piston-removed RMS at
     the lenslet centres, before any drift, is `rms_rad`; with `pv_rad`, the screen itself has that PV and that RMS.
@@ -291,5 +291,5 @@ def mean_view_rms(wavefront: Floats) -> float:
 
 
 def scintillation(intensity: Floats) -> float:
-    """RMS of A^2 - 1, A^2 the light at the lenslets, of any shape, over that without sample; 0 if it is uniform."""
+    """RMS of A^2 - 1, A^2 the light (...) at the lenslets over that without sample; 0 if uniform."""
     return float(np.sqrt(np.mean((intensity - 1) ** 2)))

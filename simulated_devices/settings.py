@@ -124,7 +124,7 @@ class Simulation(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedCameraSettings(Checked):
-    """Electron-multiplying camera; the defaults are typical of a Hamamatsu C9100-23B, air-cooled to -65 degC."""
+    """Electron-multiplying camera, by default like a Hamamatsu C9100-23B, air-cooled to -65 degC."""
 
     driver: Literal["simulated"] = "simulated"
     rows: Annotated[int, Ge(8), Le(8192)] = 512

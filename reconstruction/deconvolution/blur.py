@@ -66,7 +66,7 @@ class _Tile:
 
 
 class SpaceVariantBlur:
-    """Blur of an object by point-spread functions that change over an image, and its adjoint; prepared once.
+    """Space-variant blur of an object, and its adjoint; prepared once.
 
     The object is larger than the image by the reach on every side, because light from beyond the edge arrives, too.
 
@@ -149,7 +149,7 @@ class SpaceVariantBlur:
 
 
 def _expansion(kernels: Floats) -> tuple[Floats, Floats]:
-    """Mean kernel and principal changes (term, row, column), and the weight of each change at each node."""
+    """Mean of `kernels` and their principal changes, (term, row, column), with weights (node, term - 1)."""
     mean = kernels.mean(axis=0)
     changes = (kernels - mean).reshape(len(kernels), -1)
     energy, vectors = np.linalg.eigh(changes @ changes.T)  # in increasing order

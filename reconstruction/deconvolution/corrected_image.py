@@ -101,10 +101,10 @@ def _richardson_lucy(light: Values, blur: SpaceVariantBlur, noise: CameraNoise |
 def _wiener(
     light: Values, blur: SpaceVariantBlur, noise: CameraNoise | None, counted: Booleans, iterations: int
 ) -> Iterator[_Step]:
-    """Wiener filter for a space-variant blur: the most probable object for white noise and a spectrum of 1/frequency^2.
+    """Wiener filter for a space-variant blur.
 
-    The object minimises |light - blurred|^2 + strength |gradient|^2 by conjugate gradients, with a strength that is
-    lowered by factors of 4.
+    It is the most probable object for white noise and a spectrum of 1/frequency^2. The object minimises |light -
+    blurred|^2 + strength |gradient|^2 by conjugate gradients, with a strength that is lowered by factors of 4.
     """
     if noise is None:
         raise ValueError(
@@ -121,7 +121,7 @@ def _wiener(
 
 
 def regularised(light: Values, blur: SpaceVariantBlur, strength: float, start: Values, iterations: int) -> Values:
-    """Minimise |light - blurred|^2 + strength |gradient|^2 by conjugate gradients: the object (row, column)."""
+    """Minimise |light - blurred|^2 + strength |gradient|^2 over objects (row, column)."""
 
     def normal(flat: Values) -> Values:
         scene = flat.reshape(start.shape)

@@ -14,7 +14,7 @@ _FEWEST_SAMPLES = 64  # across the pupil
 
 
 def psf_reach_px(imaging: Imaging, sensor: Sensor, field: Field, phase: Floats) -> int:
-    """Half the width in pixels that holds nearly all light of wavefronts (..., lenslet_row, lenslet_column), rad."""
+    """Half the width that holds nearly all light of wavefronts (..., lenslet_row, lenslet_column), rad."""
     geometry_px = psf_reach_rad(phase, sensor) * field.collimator_focal_length_m / imaging.pixel_m
     return math.ceil(geometry_px + DIFFRACTION * imaging.blur_px(sensor, field))
 

@@ -37,7 +37,7 @@ _MOST_ERROR = 0.005  # standard error of the light over the signal at the highes
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linearity(Checked):
-    """Nonlinearity of the camera, measured by `svwfs calibrate --linearity`; q is the signal over the highest one."""
+    """Nonlinearity of the camera, of `svwfs calibrate --linearity`; q is the signal over the highest one."""
 
     quadratic: Annotated[float, Ge(-0.5), Le(0.5), Doc("Light is signal (1 + quadratic q + cubic q^2)")]
     cubic: Annotated[float, Ge(-0.5), Le(0.5)] = 0.0
@@ -98,12 +98,13 @@ class MeasuredLinearity:
 
 
 class Exposures:
-    """Signals of pixels of like brightness in exposures of one still image, in the order in which they were taken."""
+    """Signals of pixels of like brightness in exposures of one still image, in their order."""
 
     def __init__(self, brightest: Image, full_scale: float) -> None:
-        """Choose the pixels by the signal of the longest exposure (row, column); `full_scale` is in counts above dark.
+        """Choose the pixels by the signal of the longest exposure (row, column).
 
-        Raises `ReconstructionError` if too few pixels are lit, or if that exposure does not reach half of full scale.
+        It and `full_scale` are counts above the dark. Raises `ReconstructionError` if too few pixels are lit, or if
+        that exposure does not reach half of full scale.
         """
         self._top = float(np.percentile(brightest, 99.9))
         if not self._top >= _LEAST_FILL * full_scale:
@@ -207,7 +208,7 @@ class _Fit:
         return max(float(scatter), _LEAST_FLICKER), self._when.T @ found[levels.shape[1] :]
 
     def solve(self) -> tuple[Floats, Floats, float]:
-        """Quadratic and cubic term, late beginning over the longest exposure, ...; covariance; reduced chi-square."""
+        """Solve for curve, late beginning over the longest exposure, ...; covariance; chi-square."""
         from scipy import optimize  # noqa: PLC0415 - benches, whose settings are here, are read without it
 
         count, bins = self._sigma.shape

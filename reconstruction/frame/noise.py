@@ -44,16 +44,16 @@ class CameraNoise(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TransferCurve:
-    """Variance of pixels against their light, in bins, (bin,): a straight line if counts are proportional to light."""
+    """Variance of pixels against their light, in bins: a line if counts are proportional to light."""
 
-    light: Floats  # counts, rising
-    variance: Floats  # counts^2
+    light: Floats  # counts, rising, (bin,)
+    variance: Floats  # counts^2, (bin,)
     read_variance: float  # without light, counts^2
     relative_error: float = 0.0  # of each variance, at least
 
     @property
     def noise(self) -> CameraNoise | None:
-        """Fit a line through the read noise, all bins with the same relative error; None with too little light."""
+        """Fit a line through the read noise, with equal relative errors; None with too little light."""
         light, variance = self._bright
         if not light.size or np.min(variance) <= self.read_variance:
             return None
@@ -73,7 +73,7 @@ class TransferCurve:
         return float(np.clip(-(bend + _CHANCE * error) * np.max(self.light), 0, 1))
 
     def difference(self, other: "TransferCurve", averaged: float) -> float:
-        """Share of the variance per count by which two images of one camera differ, beyond chance; 0 if unknown.
+        """Share of the variance per count by which two images differ, beyond chance; 0 if unknown.
 
         A response that is not linear bends the line of variance against light (photon transfer, J. R. Janesick 2007),
         and images of the same response have the same bend. The other one is the mean of `averaged` frames. Uneven
@@ -90,7 +90,7 @@ class TransferCurve:
 
     @property
     def _bend(self) -> tuple[float, float] | None:
-        """Relative change of the variance per count with light, and its standard error, 1/count; None if unknown."""
+        """Relative change of the variance per count with light and its standard error, 1/count."""
         light, variance = self._bright
         if len(light) <= _TERMS or np.min(variance) <= self.read_variance:
             return None
@@ -125,11 +125,11 @@ UNKNOWN_NOISE = KnownNoise()
 
 
 def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance: Image) -> TransferCurve | None:
-    """Measure the noise of one frame from the variance of each pixel against its light; None with too few frames.
+    """Measure the noise of one frame from the variance of pixels against their light.
 
-    The photon-transfer method (J. R. Janesick, Photon Transfer, SPIE 2007): the slope is the counts per photoelectron
-    times the excess noise, the variance without light is the read noise. Medians over bins of equal light, corrected
-    for the chi-square distribution of sample variances, reject hot pixels.
+    None with too few frames. The photon-transfer method (J. R. Janesick, Photon Transfer, SPIE 2007): the slope is the
+    counts per photoelectron times the excess noise, the variance without light is the read noise. Medians over bins of
+    equal light, corrected for the chi-square distribution of sample variances, reject hot pixels.
 
     `mean` and `variance` (row, column) are those of each pixel over the `frames`, counts above the dark and counts^2;
     `dark_variance` is that without light.
@@ -145,7 +145,7 @@ def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance:
 
 
 def image_transfer(light: Image, blur_px: float) -> TransferCurve | None:
-    """Estimate the noise of a single image (row, column), counts above the dark, from what no optics can show.
+    """Estimate the noise of one image (row, column), counts above the dark, from what no optics shows.
 
     The light of lenslets holds no spatial frequency, along x or y, above the inverse of the blur: the distance at which
     the image of a point first vanishes, wavelength times focal length over lenslet pitch. Beyond it there is only
@@ -176,7 +176,7 @@ def image_transfer(light: Image, blur_px: float) -> TransferCurve | None:
 
 
 def _typical_square(deviations: Floats) -> float:
-    """Mean square of normal deviates (pixel,) without hot pixels; it scatters less than their median square."""
+    """Mean square of normal deviates (pixel,) without hot pixels; steadier than their median square."""
     squares = deviations**2
     median = np.median(squares) / _MEDIAN_SQUARE
     return float(np.mean(squares, where=squares <= _OUTLYING * median) / _INNER_SQUARE)

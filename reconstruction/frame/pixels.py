@@ -1,4 +1,4 @@
-"""From the counts of an image to its light: dark, nonlinearity, saturated and clipped pixels, dead and hot pixels."""
+"""Light of an image from its counts: dark, nonlinearity; saturated, clipped, dead and hot pixels."""
 
 import math
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ UNKNOWN_CAMERA = KnownCamera()
 
 
 class AboveDark:
-    """Subtracts a camera's dark, if there is one, from images of one shape, and corrects the nonlinearity."""
+    """Subtracts the dark from images of one shape, and corrects the nonlinearity."""
 
     def __init__(self, shape: tuple[int, ...], camera: KnownCamera) -> None:
         self._shape, self._full_scale, self._linearity = shape, camera.full_scale, camera.linearity
@@ -96,7 +96,7 @@ class AboveDark:
 def _subtract(
     image: Counts, dark: Image, curve: Image, least: np.float32, light: Image, saturated: Booleans
 ) -> int:  # `curve` as `Linearity.curve` lists it
-    """Subtract the dark, correct the nonlinearity, mark pixels of at least so many counts, and return their number."""
+    """Subtract the dark, correct the nonlinearity, mark and count pixels of at least so many counts."""
     full: int = 0
     square, cube, highest, end = curve
     for row in range(image.shape[0]):
@@ -146,7 +146,7 @@ def clip_level(counts: Counts, *, scatter: float = 0.0, read_noise: float = 0.0)
 
 
 def is_piled_up(piled: int, below: int) -> bool:
-    """True if so many pixels within one step of the highest count are clipped, by those within the next one."""
+    """True if pixels within a step of the highest count are clipped, by those within the next one."""
     return bool(piled > _PILED_UP * (below + _BY_CHANCE))
 
 
@@ -170,7 +170,7 @@ _FURTHER = np.pad(np.zeros((3, 3), np.bool_), 1, constant_values=True)  # the 16
 
 
 def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | None = None) -> Booleans:
-    """Find dead and hot pixels in a reference and optionally its dark (row, column), counts: bool (row, column).
+    """Find dead and hot pixels in a reference, and its dark, (row, column), counts: bool (row, column).
 
     Conservative: a pixel is bad only if neither a diffraction-limited image nor noise can explain it.
     """
@@ -193,7 +193,7 @@ def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | 
 
 
 def _stands_out(image: Floats, some: Booleans) -> Booleans:
-    """True for pixels, of `some`, that differ from their neighbours' mean far more than the pixels around them do."""
+    """True for those of `some` pixels that differ from their neighbours' mean far more than those around."""
     if not some.any():
         return some
     cross = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
@@ -203,7 +203,7 @@ def _stands_out(image: Floats, some: Booleans) -> Booleans:
 
 
 def repaired(light: NDArray[Any], bad: Booleans) -> Image:
-    """Copy of an image (row, column), its bad pixels replaced by good neighbours; a spline would spread them."""
+    """Copy of an image (row, column) with bad pixels replaced by neighbours: a spline would spread them."""
     row, column = np.nonzero(bad)
     if not row.size:
         return light

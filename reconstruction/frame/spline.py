@@ -35,7 +35,7 @@ _STRIP = 64  # rows; fixed, so that the result does not depend on the number of 
 
 
 def spline_coefficients(image: NDArray[np.uint16] | Image, *, threads: int = 1) -> Image:
-    """B-spline coefficients of an image (row, column), mirrored at its borders; the same for any number of threads."""
+    """B-spline coefficients of an image (row, column), mirrored at its borders."""
     light = np.require(image, np.float32, ("C", "W"))  # so that Numba compiles one signature only
     coefficients = np.empty(light.shape, np.float32)
     threads = 1 if light.size < _SHARED_FROM_PX else threads
@@ -60,7 +60,7 @@ def _beyond(columns: int) -> NDArray[np.intp]:
 
 
 def interpolate(coefficients: Image, position_px: Floats) -> tuple[Floats, Floats]:
-    """Interpolate at positions (..., xy) inside the image: values (...) and gradients (..., xy) per pixel."""
+    """Interpolate at positions (..., xy) in the image: values (...) and gradients (..., xy) per pixel."""
     values, gradients = np.empty(position_px.shape[:-1]), np.empty(position_px.shape)
     image = np.require(coefficients, np.float32, ("C", "W"))  # so that Numba compiles one signature only
     position = np.require(position_px, np.float64, ("C", "W"))
@@ -133,7 +133,7 @@ def _interpolate_evenly(coefficients: Image, start_px: Floats, steps_px: Floats,
 
 
 def noise_power(position_px: Floats) -> Floats:
-    """Variance of an interpolated value over that of a pixel, for white noise, at positions (..., xy): (...).
+    """Variance of interpolated white noise over that of a pixel, at positions (..., xy): (...).
 
     It is 1 on a pixel and 0.76 halfway between two, because interpolation averages.
     """
@@ -143,7 +143,7 @@ def noise_power(position_px: Floats) -> Floats:
 
 
 def noise_power_polynomial() -> Floats:
-    """Coefficients (4,), rising powers, of `noise_power` along one axis as a cubic of t (1 - t), t a pixel fraction."""
+    """Coefficients (4,) of `noise_power` along one axis as a cubic of t (1 - t), t a pixel fraction."""
     fraction, power = _noise_power_table()
     return np.asarray(np.polynomial.polynomial.polyfit(fraction * (1 - fraction), power, 3))
 
@@ -217,7 +217,7 @@ def _add_to(neighbour: Image, row: Image) -> None:
 
 @inlined
 def _convolve(line: Image, distance: int, middle: np.float32, others: np.float32, row: Image) -> None:
-    """Convolve a line with three numbers at a distance from one another; it loses that distance at both ends."""
+    """Convolve a line with three numbers some distance apart, which it loses at both ends."""
     left, center, right = line[: row.size], line[distance : distance + row.size], line[2 * distance :]
     for n in range(row.size):
         row[n] = middle * center[n] + others * (left[n] + right[n])
@@ -237,7 +237,7 @@ _WAVES = 256  # spatial frequencies that are averaged
 
 
 def mean_interpolation(pixels: int) -> tuple[Floats, Floats]:
-    """Values and slopes of lines of pixels after interpolation at random fractions: matrices (pixel, pixel).
+    """Values and slopes of lines interpolated at random pixel fractions: matrices (pixel, pixel).
 
     Beyond its ends a line is dark.
     """

@@ -1,4 +1,4 @@
-"""Fit of pitch, rotation and centre to the light of the cells, and tests of whether the lattice is real.
+"""Fit of pitch, rotation and centre of a lattice to its cells, and whether it is real.
 
 Rough pitch and rotation follow from the spectrum of a frame. A square lattice has two spectral peaks, one for its rows
 and one for its columns, a hexagonal one three, 60 degrees apart. They are searched for together, so that neither noise
@@ -75,7 +75,7 @@ def strongest_peak(image: Image, pitch_px: float, arrangement: Arrangement) -> P
 
 
 def without_peaks(image: Image) -> Image:
-    """Limit each pixel (row, column) to the brightest of its four neighbours: quicker than `find_bad_pixels`."""
+    """Limit each pixel (row, column) to its brightest neighbour: quicker than `find_bad_pixels`."""
     return np.asarray(np.minimum(image, cv2.dilate(image, _BESIDE)))
 
 
@@ -91,7 +91,7 @@ def _padded(shape: tuple[int, ...]) -> list[int]:
 
 
 def _amplitude(light: Image, pitch_px: float) -> Image:
-    """Amplitude spectrum (row, column), zero frequency first, without the background; only the needed columns."""
+    """Amplitude spectrum (row, column), without the background; only the needed columns."""
     repeating = light - ndimage.uniform_filter(light, max(2, round(pitch_px)), mode="mirror")
     for axis, length in enumerate(light.shape):
         fade = np.hanning(length + 2)[1:-1].astype(np.float32)
@@ -180,14 +180,14 @@ def _fills_both_axes(cells: Cells) -> bool:
 
 
 def _evened(harmonics: NDArray[np.complex128], brightest: int) -> NDArray[np.complex128]:
-    """Limit the harmonics of cells (N, xy) to those of the `brightest`-th, because one may be a reflection."""
+    """Limit the harmonics of cells (N, xy) to those of the `brightest`-th: one may be a reflection."""
     size = np.abs(harmonics)
     most = np.sort(size, axis=0)[-min(brightest, len(size))]
     return np.asarray(harmonics * np.minimum(1, most / np.maximum(size, _NOTHING)))
 
 
 def _growth(cells: Cells, harmonics: NDArray[np.complex128]) -> tuple[float, float]:
-    """Relative stretch and turn of the lattice, from the phase differences of the harmonics (N, xy) of neighbours."""
+    """Relative stretch and turn of the lattice, by the phases of the harmonics (N, xy) of neighbours."""
     first = cells.index.min(axis=0)
     columns, rows = cells.index.max(axis=0) - first + 1
     grid = np.zeros((rows, columns, 2), np.complex128)
@@ -212,7 +212,7 @@ def _sign(cells: Cells) -> Floats:
 
 
 def _similarity(position: Floats, displacement: Floats, weight: Floats) -> tuple[Floats, float, float, Floats]:
-    """Robust fit of a move, a stretch and a turn to displacements (N, xy), in pitches; also the residuals."""
+    """Robust fit of move, stretch and turn to displacements (N, xy), in pitches; and residuals."""
     counts = weight
     for _ in range(_REWEIGHTINGS):
         counts = counts / counts.sum()

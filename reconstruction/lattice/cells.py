@@ -1,4 +1,4 @@
-"""Cells of a lattice: cutting them out of a frame, comparing them, and subtracting the light between them."""
+"""Cells of a lattice, cut out of a frame: their comparison, and the light between them."""
 
 import math
 from dataclasses import dataclass, replace
@@ -45,7 +45,7 @@ class Cells:
         return np.stack([self.light.sum(axis=1) @ wave, self.light.sum(axis=2) @ wave], axis=-1)
 
     def offset(self, cycles: Floats) -> Floats:
-        """Offset of light from the middle of its cell, in pitches, from the phases (..., xy) of the harmonics.
+        """Offset of light from its cell's middle, in pitches, from phases (..., xy) of the harmonics.
 
         That along x is weak where cells of a hexagonal lattice hold halves of two rows: y must be known first.
         """
@@ -53,7 +53,7 @@ class Cells:
 
 
 def cell_index(lattice: Lattice, shape: tuple[int, int], *, only_partial: bool = False) -> NDArray[np.intp]:
-    """Cells, columns and rows from the centre, that lie entirely on a frame of that shape (row, column): (N, xy).
+    """Cells, (column, row) from the centre, that lie entirely on a frame of that shape: (N, xy).
 
     With `only_partial`, those that lie on it only in part.
     """

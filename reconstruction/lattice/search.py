@@ -100,7 +100,7 @@ def survey(
 
 
 def _are_alike(reference: Counts, dark: Counts, pitch_px: float) -> bool:
-    """True if both images have the same structure of the size of a cell; hot pixels and an uneven offset are none."""
+    """True if both images (row, column) have the same structure of the size of a cell."""
     smooth = [ndimage.median_filter(np.asarray(image, np.float32), 3) for image in (reference, dark)]
     first, second = (image - ndimage.uniform_filter(image, round(pitch_px)) for image in smooth)
     return bool(np.vdot(first, second) > _SAME * np.linalg.norm(first) * np.linalg.norm(second))
@@ -134,7 +134,7 @@ def _refusal(pitch_px: float, why: str) -> str:
 
 
 def _may_show(light: Image, pitch_px: float, arrangement: Arrangement) -> bool:
-    """False if the spectrum of a frame with many cells shows no lattice of that pitch, its half or double: quick."""
+    """False if the spectrum shows no lattice of that pitch, its half or double; True with few cells."""
     if light.size < _MANY * pitch_px**2:
         return True
     light = without_peaks(light)
@@ -143,7 +143,7 @@ def _may_show(light: Image, pitch_px: float, arrangement: Arrangement) -> bool:
 
 
 def _fitted(light: Image, sensor: Sensor, pitch_px: float) -> tuple[Fit | None, str]:
-    """Fit a lattice of about that pitch to the light of a frame (row, column), or return the reason why not."""
+    """Fit a lattice of about that pitch to a frame's light (row, column), or return why there is none."""
     if pitch_px < SMALLEST_PITCH_PX or min(light.shape) < 2 * pitch_px:
         return None, "its pitch is too small or too large"
     brightest = max(1, sensor.lenslet_rows * sensor.lenslet_columns // _DARK_AT_MOST)
@@ -253,7 +253,7 @@ class _Grid:
         self._whole[self.place], self.lit[self.place] = True, fit.match.is_lit
 
     def block(self, wanted: tuple[int, int], shape: tuple[int, int]) -> _Block | None:
-        """Block of the `wanted` rows and columns with most light; of equal ones that nearest to the frame's middle."""
+        """Block of the `wanted` rows and columns with most light, the nearest to the middle of a `shape`."""
         if wanted[0] > len(self.lit) or wanted[1] > len(self.lit.T):
             return None
         fits = np.array(sliding_window_view(self._whole, wanted).all(axis=(2, 3)))
@@ -284,12 +284,12 @@ def _extent(lit: Booleans) -> tuple[slice, slice]:
 
 
 def _is_cut(lit: slice, whole: int, wanted: int) -> bool:
-    """True if lit rows (or columns) end at one edge of the frame, too few, with unlit ones on the other side."""
+    """True if too few lit rows (or columns) end at one edge, with unlit ones on the other side."""
     return bool(lit.stop - lit.start < wanted < whole and (lit.start == 0) != (lit.stop == whole))
 
 
 def _occupied(lit: Booleans, axis: int, wanted: int) -> Floats:
-    """Number of lit rows (or columns) in each block of `wanted`; one that is half lit counts fully, (block,)."""
+    """Lit rows (or columns) in each block of `wanted`, (block,); one that is half lit counts fully."""
     count = lit.sum(axis=axis)
     usual = np.median(np.sort(count)[-wanted:])
     return np.convolve(np.minimum(1, count / max(_OCCUPIED * usual, 1)), np.ones(wanted), "valid")

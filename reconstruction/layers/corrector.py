@@ -1,4 +1,4 @@
-"""Best command of a corrector conjugate to some distance, and the residual that it leaves over the field.
+"""Best command of a corrector conjugate to some distance, and its residual over the field.
 
 A corrector at the ratio r adds the phase C(u + r x) to the wavefront of the field position x (`layer_modes`). The best
 command minimises the mean variance over the field positions, each without piston.
@@ -43,7 +43,7 @@ class Corrector:
             raise ValueError("the number of actuators must be a square, such as 144")
 
     def shapes(self, x: Floats, y: Floats) -> Floats:
-        """Phases per unit of command at normalised positions, broadcast together: (k, ...); modes without piston."""
+        """Phases per unit of command at normalised positions (...), without piston: (k, ...)."""
         if self.influence == "legendre":
             return legendre(self.count, x, y)[1:]
         if self.influence == "zernike":
@@ -79,9 +79,9 @@ class Correction:
         return np.tensordot(self.command, shapes, axes=1)
 
     def phase_map(self, pixels: int) -> tuple[Floats, Floats, Floats]:
-        """Positions x (column,) and y (row,) over the footprint, m, and the phase there without piston, (row, column).
+        """Positions x (column,) and y (row,) over the footprint, m, and the phase there, (row, column).
 
-        There are `pixels` along the longer side.
+        It has no piston. There are `pixels` along the longer side.
         """
         x_m, y_m = (
             np.linspace(-half_m, half_m, max(2, round(pixels * half_m / max(self.half_width_m))))

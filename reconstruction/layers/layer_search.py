@@ -104,7 +104,7 @@ def is_within(fit: LayerFit) -> bool:
 
 
 def explains(fit: FitQuality, any_wavefront: FitQuality, *, is_blind: bool = False) -> bool:
-    """True if a fit explains displacements, but for errors of the registration that any wavefront explains."""
+    """True if a fit explains displacements as well as registration errors allow."""
     not_noise = math.sqrt(max(1 - 1 / max(any_wavefront.chi_square, 1.0), 0.0)) * any_wavefront.misfit
     systematic = max(_SYSTEMATIC_IF_BLIND if is_blind else _SYSTEMATIC, _SYSTEMATIC_SHARE * not_noise)
     return fit.misfit < _NOTHING and _beyond(fit, any_wavefront) < systematic
@@ -211,7 +211,7 @@ def _curvature(cost: Callable[[Floats], float], at: Floats) -> Floats:
 
 
 def _inverse(curvature: Floats) -> Floats:
-    """Inverse of a matrix of second derivatives; where there is no minimum, the variance is that of the grid."""
+    """Inverse of second derivatives (n, n); without a minimum, the variance is that of the grid."""
     values, vectors = np.linalg.eigh(curvature)
     return np.asarray((vectors * (1 / np.maximum(values, 1 / _SPACING**2))) @ vectors.T)
 

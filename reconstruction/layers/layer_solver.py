@@ -32,7 +32,7 @@ _FIELD_NODES = {"square": 12, "circle": 24}  # along each axis; exact on a squar
 
 
 def field_projection(field: Field, field_modes: FieldModes) -> tuple[Floats, Floats]:
-    """Nodes along both axes of the field, (node,), and the projection on its modes, (field_mode, node_y, node_x)."""
+    """Nodes along the field's axes, (node,), and projection on its modes, (field_mode, node_y, node_x)."""
     nodes, weights = series.leggauss(_FIELD_NODES[field.shape])
     inside = field.contains(nodes, nodes[:, None])
     values = field_modes.values(nodes, nodes[:, None]) * inside
@@ -97,7 +97,7 @@ class LayerDesign:
 
 
 class LayerModes:
-    """Projection of a layer's polynomials up to some degree on pupil modes times field modes; one ratio per call.
+    """Projection of a layer's polynomials on pupil modes times field modes.
 
     Both are Legendre polynomials P_i(x) P_j(y) without the constant, ordered as `legendre_orders`.
     """
@@ -166,7 +166,7 @@ class Layer:
         return np.asarray(np.linalg.norm(self._on(x_m, y_m, self.root_covariance, self._first), axis=-1))
 
     def _on(self, x_m: Floats, y_m: Floats, coefficients: Floats, first: int) -> Floats:
-        """Values at positions s of polynomials with coefficients (k, n), from the polynomial `first` on: (..., n)."""
+        """Polynomials from `first` on, with coefficients (k, n), at positions s (...): (..., n)."""
         x, y = np.asarray(x_m / self.half_width_m[0]), np.asarray(y_m / self.half_width_m[1])
         outside = np.maximum(np.abs(x), np.abs(y)) > 1 + 1e-9
         products = legendre_products(len(coefficients) + 1)[first:]
@@ -188,7 +188,7 @@ class LayerFit:
     ratio_covariance: Floats  # of the layers' ratios, (layer, layer); 0 if they were given
 
     def wavefront(self, sensor: Sensor, x_m: float, y_m: float) -> Floats:
-        """Wavefront of a field position at the lenslet centres, rad, without piston, (lenslet_row, lenslet_column)."""
+        """Wavefront of a field position, rad, without piston, (lenslet_row, lenslet_column)."""
         u_m, v_m = np.moveaxis(sensor.lenslet_centers_m, -1, 0)
         each = [layer.phase(u_m + layer.ratio * x_m, v_m + layer.ratio * y_m, with_tilt=True) for layer in self.layers]
         total = np.sum(each, axis=0)
@@ -210,7 +210,7 @@ def principal(gram: Floats) -> tuple[Floats, Floats]:
 
 
 def along_principal(frame: Whitened, columns: Floats, singular: Floats, vectors: Floats) -> Components:
-    """Components of a frame whose displacements, projected on the columns of the design matrix, are `columns` (n,)."""
+    """Components of a frame; `columns` (n,) are the design matrix's products with its displacements."""
     along = np.divide(columns @ vectors, singular, where=singular > 0, out=np.zeros_like(singular))
     return Components(singular, along, frame.total, frame.number)
 

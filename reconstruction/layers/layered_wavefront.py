@@ -33,7 +33,7 @@ _NEGLIGIBLE_RAD = 1e-20  # denormal numbers take fifty times as long as others o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AssumedSample:
-    """Assumption about the sample: layers at some ratios of field to pupil position, or none: any wavefront."""
+    """Assumed sample: layers at some ratios of field to pupil position, or none: any wavefront."""
 
     ratios: tuple[float, ...] = ()
     covariance: Floats | None = None  # of the ratios, (layer, layer); None if they are known

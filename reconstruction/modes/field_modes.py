@@ -93,7 +93,7 @@ def gradient_basis(modes: PolynomialModes) -> Floats:
 
 
 class SampledModes:
-    """Displacements at the nodes of a grid, row by row, interpolated by Lagrange polynomials: c_q is that at node q."""
+    """Lagrange polynomials of a grid, row by row: c_q is the displacement at node q."""
 
     def __init__(self, x: Floats, y: Floats) -> None:
         """Take nodes at all combinations of the normalised x (column,) and y (row,)."""

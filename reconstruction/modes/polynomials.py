@@ -42,7 +42,7 @@ def legendre_names(count: int) -> tuple[str, ...]:
 
 
 def legendre_products(count: int) -> Floats:
-    """First `count` polynomials as products P_m(x) P_n(y): 1 at (k, n, m), (count, degree + 1, degree + 1)."""
+    """First `count` polynomials as products P_m(x) P_n(y), (count, n, m): 1 at (k, n, m)."""
     m, n, degree = _order_arrays(count)
     products = np.zeros((count, degree + 1, degree + 1))
     products[np.arange(count), n, m] = 1.0
@@ -57,7 +57,7 @@ def legendre(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
 
 
 def legendre_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
-    """Gradients of the first `count` polynomials at (x, y), per unit of x and y: (count, *broadcast shape, xy)."""
+    """Gradients of the first `count` polynomials at (x, y): (count, *broadcast shape, xy)."""
     m, n, degree = _order_arrays(count)
     (along_x, slope_x), (along_y, slope_y) = (
         [_of_each(of, at, degree) for of in (series.legvander, legendre_slopes)] for at in np.broadcast_arrays(x, y)
@@ -66,14 +66,14 @@ def legendre_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
 
 
 def legendre_slopes(x: Floats, degree: int) -> Floats:
-    """Derivatives of P_0 ... P_degree at x: (*shape of x, degree + 1), as NumPy's `legvander` has the values."""
+    """Derivatives of P_0 ... P_degree at x, arranged as by `legvander`: (*shape of x, degree + 1)."""
     derive = series.legder(np.eye(degree + 1))
     return np.asarray(series.legvander(x, len(derive) - 1) @ derive)
 
 
 @cache
 def legendre_projection(degree: int, exact: int) -> tuple[Floats, Floats]:
-    """Projection of functions on P_0 ... P_degree from nodes in [-1, 1]: nodes (node,), weights (node, degree + 1).
+    """Projection on P_0 ... P_degree over [-1, 1]: nodes (node,) and weights (node, degree + 1).
 
     It is exact for polynomials up to the degree `exact`. The arrays are read-only.
     """
@@ -145,7 +145,7 @@ def zernike_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
 
 
 def zernike_products(count: int, half_x: float = 1.0, half_y: float = 1.0) -> Floats:
-    """First `count` modes, x = half_x xi, y = half_y eta, as sums of products P_m(xi) P_n(eta): (count, n, m)."""
+    """First `count` modes at (half_x xi, half_y eta) as sums of P_m(xi) P_n(eta): (count, n, m)."""
     degree = max(n for n, _ in noll_orders(count))
     nodes, parts = legendre_projection(degree, degree)
     values = zernike(count, nodes * half_x, nodes[:, None] * half_y)  # (count, y, x)

@@ -75,7 +75,7 @@ BASES: dict[PupilBasis, Basis] = {
 
 
 def aperture_rule(arrangement: Arrangement) -> tuple[Floats, Floats]:
-    """Positions about a lenslet's centre, in pitches, (node, xy), and weights, (node,), of a mean over its aperture.
+    """Positions, in pitches, (node, xy), and weights, (node,), of a mean over a lenslet's aperture.
 
     Gauss-Legendre rules, exact up to degree 16 of a gradient's mode.
     """
@@ -137,7 +137,7 @@ def polynomial_modes(sensor: Sensor, products: Floats, inside: Booleans | None =
 
 
 def _cell_means(centers: Floats, half_cell: float, half_m: float, degree: int) -> tuple[Floats, Floats]:
-    """Means of P_0 ... P_degree and of their derivatives, 1/m, over cells along one axis: (cell, degree + 1) each."""
+    """Means over cells of P_0 ... P_degree and their derivatives, 1/m: (cell, degree + 1) each."""
     nodes, weights = series.leggauss(degree // 2 + 1)
     at = centers[:, None] + half_cell * nodes
     mean, slope = (
@@ -148,7 +148,7 @@ def _cell_means(centers: Floats, half_cell: float, half_m: float, degree: int) -
 
 
 def _products_at(sensor: Sensor, position: Floats, degree: int) -> tuple[Floats, Floats, Floats]:
-    """P_n P_m and their derivatives along x and y, 1/m, away from the lenslet centres by a position in pitches."""
+    """P_n P_m and derivatives along x and y, 1/m, at a position (xy,), pitches, in each lenslet."""
     half_m = np.array(sensor.pupil_half_width_m)
     at = (sensor.lenslet_centers_m + position * sensor.lenslet_pitch_m) / half_m
     (of_x, of_y), (slope_x, slope_y) = (
@@ -161,7 +161,7 @@ def _products_at(sensor: Sensor, position: Floats, degree: int) -> tuple[Floats,
 
 
 def _on_grid(products: Floats, of_y: Floats, of_x: Floats) -> Floats:
-    """Sums of products P_n P_m, (mode, n, m), whose factors are given by row (row, n) and by column (column, m)."""
+    """Sums of P_n P_m, (mode, n, m), for factors by row (row, n) and column (column, m)."""
     return np.asarray(of_y @ (products @ of_x.T))
 
 
@@ -194,7 +194,7 @@ class PupilGrid:
 
 
 def local_wavefronts(products: Floats, sensor: Sensor, degree: int, rows: NDArray[np.intp] | None = None) -> Floats:
-    """Project pupil modes on the products P_m(xi) P_n(eta) over each lenslet, up to the `degree` of m and n.
+    """Project pupil modes on products P_m(xi) P_n(eta) over each lenslet, m, n <= `degree`.
 
     xi and eta are -1 ... 1 over the square around the aperture of a lenslet. From `products` (pupil_mode, n, m), see
     `PupilModes`, to the coefficients (lenslet_row, lenslet_column, n, m, pupil_mode) in some `rows` of lenslets, or in

@@ -53,7 +53,7 @@ class StrayLight:
         self._inverse = np.linalg.pinv(self._plane) if self._is_measured else self._plane.T
 
     def rise(self, frame: Counts) -> float:
-        """Rise per pitch that is beyond chance, over the brightest, of a frame (pixel,), counts; 0 if unknown.
+        """Rise per pitch of a frame (pixel,), counts, beyond chance, over the brightest; 0 if unknown.
 
         A plane is fitted by least squares to what the gaps of each lenslet have more than in the reference; the scatter
         about it gives the standard error, as in any linear regression.

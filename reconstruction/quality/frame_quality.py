@@ -1,4 +1,4 @@
-"""Quality of frames measured against one reference, from what their reconstruction has found and some of their pixels.
+"""Quality of frames measured against one reference, by their reconstruction and some pixels.
 
 Valid lenslets do not make a wavefront true. A blurred or doubled image, or one with wrong grey values, matches after a
 wrong warp, but not well; a torn or turned frame matches well, but with slopes that belong to no wavefront.
@@ -207,7 +207,7 @@ class FrameJudge:
         return _rms(deformation), _rms(away)
 
     def _slope_misfit_px(self, displacement: Displacement, variance: Floats) -> float:
-        """RMS misfit of the mean displacements to the smooth wavefront that fits them best, beyond the noise, px.
+        """RMS misfit of the mean displacements to the best smooth wavefront, beyond the noise, px.
 
         `variance` (lenslet_row, lenslet_column) of the mean displacements, px^2.
         """
@@ -229,14 +229,14 @@ _LOOK = "another mask, focus, motion, a ghost, a sample that absorbs or wrong gr
 
 
 def _sharpness(reference: ReferenceSubimages) -> float:
-    """RMS gradient of the lit subimages over their contrast, 1/px: 0.31 for the paper's square, 1.04 for its stars."""
+    """RMS gradient of lit subimages over contrast, 1/px: 0.31 for the paper's square, 1.04 for its stars."""
     lit = reference.lit
     square = np.mean(np.sum(reference.gradient[lit] ** 2, axis=-1)) / np.mean(reference.contrast[lit] ** 2)
     return math.sqrt(float(square))
 
 
 def _enough_frames(reference: ReferenceSubimages, most_noise: float) -> int:
-    """Number of averaged frames from which on the noise of the reference does not distort the displacements."""
+    """Number of averaged frames from which on noise of the reference distorts no displacements."""
     if reference.noise is None:
         return 0
     variance = reference.noise.variance(np.maximum(reference.light[reference.lit], 0.0))
@@ -259,7 +259,7 @@ def _misfit(displacement: Displacement) -> float:
 
 
 def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
-    """Parts of a lattice, of about 16 x 16 lenslets each; all begin with an even row. None if they are too few."""
+    """Parts of about 16 x 16 lenslets, which begin with an even row; none if lenslets are too few."""
     rows, columns = (np.linspace(0, side, -(-side // _TILE) + 1).astype(int).tolist() for side in shape)
     rows[1:-1] = [row - row % 2 for row in rows[1:-1]]
     for top, bottom in pairwise(rows):
@@ -271,7 +271,7 @@ def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
 
 @lru_cache(maxsize=64)
 def _gradients(sensor: Sensor, rows: int, columns: int, valid_bytes: bytes) -> Floats:
-    """Orthonormal basis of the mean gradients of smooth wavefronts on rows x columns lenslets, (2 * valid, n)."""
+    """Orthonormal basis of the mean gradients of smooth wavefronts on lenslets, (2 * valid, n)."""
     part = replace(sensor, lenslet_rows=rows, lenslet_columns=columns)
     valid: Booleans = np.frombuffer(valid_bytes, np.bool_).reshape(rows, columns)
     most = _MODES_SHARE * 2 * valid.size
@@ -283,7 +283,7 @@ def _gradients(sensor: Sensor, rows: int, columns: int, valid_bytes: bytes) -> F
 
 @lru_cache(maxsize=8)
 def _growth(modes: PolynomialModes) -> Floats:
-    """Relative growth of a subimage's area per displacement in each mode: (field_mode, xy), normalised positions."""
+    """Relative growth of a subimage's area per displacement, normalised, (field_mode, xy)."""
     return modes.gradients(0.0, 0.0)
 
 

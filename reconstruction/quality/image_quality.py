@@ -86,9 +86,10 @@ def mtf(phase: Floats, sensor: Sensor) -> Mtf:
 
 
 def psf_reach_rad(phase: Floats, sensor: Sensor) -> float:
-    """Largest angle at which light of the wavefronts (..., lenslet_row, lenslet_column) arrives, for nearly all of it.
+    """Angle within which nearly all light of wavefronts arrives.
 
-    From the slopes between neighbouring lenslets, plus diffraction. NaN if no two neighbours are known.
+    They are (..., lenslet_row, lenslet_column), rad. From the slopes between neighbouring lenslets, plus diffraction.
+    NaN if no two neighbours are known.
     """
     views = aligned(phase, sensor.arrangement).reshape(-1, *phase.shape[-2:])
     along_x, along_y = np.diff(views) / sensor.lenslet_pitch_m, np.diff(views, axis=1) / sensor.row_spacing_m
@@ -128,7 +129,7 @@ def _transmission(phase: Floats) -> NDArray[np.complex64]:
 
 @lru_cache(maxsize=8)
 def _to_samples(lenslets: int) -> Floats:
-    """Spline interpolation from lenslet centres, one more on either side, to the samples: (sample, lenslet + 2)."""
+    """Spline interpolation from lenslets and one more on either side to samples: (sample, lenslet + 2)."""
     centers = centered_steps(lenslets + 2)
     at = centered_steps(lenslets * SAMPLES) / SAMPLES
     return np.asarray(scipy.interpolate.make_interp_spline(centers, np.eye(lenslets + 2), k=3)(at))
@@ -144,7 +145,7 @@ def _frequencies(lenslets: int, spacing_m: float, sensor: Sensor) -> Floats:
 
 
 def _overlap(field: NDArray[np.complex64] | NDArray[np.float32]) -> Floats:
-    """Magnitude of the normalised autocorrelation along the last axis: (..., shift), from 0 to all samples."""
+    """Magnitude of the normalised autocorrelation along the last axis: (..., shift)."""
     samples = field.shape[-1]
     spectrum = (np.abs(np.fft.fft(field, 2 * samples, axis=-1)) ** 2).sum(axis=-2, dtype=np.float64)
     correlation = np.abs(np.fft.ifft(spectrum, axis=-1))[..., : samples + 1]
@@ -161,7 +162,7 @@ _STIFFNESS = 1e-7  # of first differences, which decide where too few lenslets a
 
 
 def extrapolate(phase: Floats) -> Floats:
-    """Extrapolate wavefronts (..., lenslet_row, lenslet_column), rad, by one lenslet on every side: all finite.
+    """Extrapolate wavefronts (..., lenslet_row, lenslet_column), rad, by one lenslet on every side.
 
     Known values stay; the others minimise third differences, so that second-degree polynomials continue exactly. A
     wavefront without any known value becomes zero.
@@ -208,9 +209,10 @@ _CUBIC = 3
 
 
 def aligned(phase: Floats, arrangement: Arrangement) -> Floats:
-    """Move each row of wavefronts (..., lenslet_row, lenslet_column) by a quarter of a pitch: columns become straight.
+    """Straighten the columns of wavefronts (..., lenslet_row, lenslet_column), rad.
 
-    A cubic spline interpolates along each row. Lenslets stay unknown (NaN); a square lattice is returned as it is.
+    Each row moves by a quarter of a pitch. A cubic spline interpolates along each row. Lenslets stay unknown (NaN); a
+    square lattice is returned as it is.
     """
     if arrangement == "square":
         return phase

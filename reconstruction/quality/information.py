@@ -1,4 +1,4 @@
-"""Fisher information of a frame about the wavefront, and the Cramer-Rao bound of every unbiased estimator.
+"""Fisher information of a frame about the wavefront, and the Cramer-Rao bound.
 
 A pixel with light I and variance V adds (dI/da)(dI/db) / V to the information about a and b. The derivatives are those
 of a model of one lenslet. The offset of each subimage is unknown, too, and the brightness of its source over the field.
@@ -91,7 +91,7 @@ def lenslet_information(light: Floats, derivatives: Floats, noise: CameraNoise, 
 def wavefront_bound(
     information: Floats, basis: Floats, field: Field, modes: PupilModes, field_modes: LegendreModes
 ) -> Floats:
-    """Cramer-Rao bound of the wavefront at the views, the standard deviation of the best unbiased estimator.
+    """Cramer-Rao bound of the views: standard deviation of the best unbiased estimator.
 
     `information` and `basis` are from `layered_information`. The bound is (view_row, view_column, lenslet_row,
     lenslet_column), rad, without piston. `ReconstructionError` if the frame carries no information about some

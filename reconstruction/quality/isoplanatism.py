@@ -19,9 +19,9 @@ _ACROSS = 7  # positions across the field
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StructureCurve:
-    """RMS difference, without piston, of the wavefronts of all pairs of positions, binned by their separation.
+    """RMS difference of the wavefronts of all pairs of positions, binned by separation.
 
-    A bin is NaN if none of its pairs is known.
+    Wavefronts have no piston. A bin is NaN if none of its pairs is known.
     """
 
     separation_m: Floats  # root mean square of the pairs in the bin, (separation,), rising
@@ -76,16 +76,17 @@ def isoplanatism(wavefront: Wavefront) -> Isoplanatism:
 
 
 def field_cell_middles_m(field: Field, across: int) -> Floats:
-    """Middles of `across` x `across` equal parts of the field's width that lie in the field: (position, xy)."""
+    """Middles of `across` x `across` equal parts of the field's square, inside it: (position, xy)."""
     steps = centered_steps(across) * 2 / across
     position = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     return position[field.contains(*position.T)] * field.half_width_m
 
 
 def structure_curve(phase: Floats, position_m: Floats, *, bin_m: float) -> StructureCurve:
-    """Compare all pairs of wavefronts (position, lenslet_row, lenslet_column), rad, of positions (position, xy).
+    """Compare all pairs of wavefronts (position, lenslet_row, lenslet_column), rad.
 
-    Bins are `bin_m` wide, centred on multiples of it. A pair is compared over the lenslets known in both.
+    `position_m` is (position, xy). Bins are `bin_m` wide, centred on multiples of it. A pair is compared over the
+    lenslets known in both.
     """
     first, second = np.triu_indices(len(phase), 1)
     difference_rad = rms(phase[first] - phase[second])

@@ -82,7 +82,7 @@ def reference_quality(
 
 
 def linearity_quality(curve: TransferCurve | None, image: str) -> Quality:
-    """Judge by the noise of an image, which is "frame" or "reference", whether its counts are proportional to light."""
+    """Judge by its noise whether counts of an image, "frame" or "reference", are proportional to light."""
     loss = 0.0 if curve is None else curve.loss
     reason = (
         f"bright counts of the {image} are compressed, by their noise, which is {100 * loss:.0f} % too small: lower the"
@@ -92,7 +92,7 @@ def linearity_quality(curve: TransferCurve | None, image: str) -> Quality:
 
 
 def likeness_quality(frame: TransferCurve | None, reference: TransferCurve | None, averaged: float) -> Quality:
-    """Judge by their noise whether grey values of a frame and of a reference, of so many frames, mean the same."""
+    """Judge by noise whether grey values of a frame and a reference, of so many frames, mean the same."""
     differ = 0.0 if frame is None or reference is None else frame.difference(reference, averaged)
     reason = (
         "grey values of the frame and of the reference are not alike, by their noise, which differs by"
@@ -117,9 +117,10 @@ def lattice_error_px(lattice: Lattice, other: Lattice, sensor: Sensor) -> float:
 
 
 def lit_elsewhere(light: Floats, lattice: Lattice, shown: Lattice, sensor: Sensor) -> int:
-    """Number of lenslets that are lit in another lattice beyond those lit in this one; `light` (row, column), counts.
+    """Number of lenslets lit in another lattice beyond those lit in this one.
 
-    Off by a whole pitch, a lattice fits as well as before, but its last row lies in the dark.
+    `light` is (row, column), counts. Off by a whole pitch, a lattice fits as well as before, but its last row lies in
+    the dark.
     """
     here, there = (_contrast(light, each, sensor) for each in (lattice, shown))
     least = _DARK * np.median(there)
@@ -137,7 +138,7 @@ def _contrast(light: Floats, lattice: Lattice, sensor: Sensor) -> Floats:
 
 
 def leaked_light(dark: Floats, light: Floats) -> float:
-    """Share of the reference's light in the dark, from the dark's regression on it; 1 if the dark is brighter.
+    """Share of the reference's light in the dark, by regression; 1 if the dark is brighter.
 
     `light` (row, column) is the reference minus the dark, counts.
     """
@@ -158,7 +159,7 @@ _PASSES = 2  # that measure shifts and take them away
 
 
 def sample_quality(reference: ReferenceSubimages) -> Quality:
-    """Judge whether a reference contains a sample; of a point source, of which nothing can be stretched, never."""
+    """Judge whether a reference contains a sample; a point source cannot be stretched."""
     shared_px = shared_deformation_px(reference) if reference.half_width_px > reference.blur_px else 0.0
     reason = (
         f"the reference's subimages are deformed by {shared_px:.2f} px: was the sample in the beam, or is it the frame?"
@@ -167,7 +168,7 @@ def sample_quality(reference: ReferenceSubimages) -> Quality:
 
 
 def shared_deformation_px(reference: ReferenceSubimages) -> float:
-    """RMS over the field of the linear displacements that neighbouring subimages share, beyond those of all, px.
+    """RMS linear displacement over the field that neighbouring subimages share, beyond that of all, px.
 
     That of the whole lattice or of one of its halves, whichever is the most; 0 if there are no neighbours.
     """
@@ -179,7 +180,7 @@ def shared_deformation_px(reference: ReferenceSubimages) -> float:
 
 
 def _shared_square(deformations: Floats) -> float:
-    """Median product of neighbours, less what is chance; a median ignores lenslets at the edge of the light."""
+    """Median product of neighbours, less chance; a median ignores lenslets at the edge of the light."""
     neighbours = ((deformations[:-1], deformations[1:]), (deformations[:, :-1], deformations[:, 1:]))
     products = np.concatenate([np.sum(one * other, axis=-1).ravel() for one, other in neighbours])
     known = products[np.isfinite(products)]

@@ -14,7 +14,7 @@ from reconstruction.wavefront import Wavefront, modes_at_views, without_piston
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlopeFit:
-    """Wavefronts without piston, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown."""
+    """Views without piston, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN if unknown."""
 
     measured: Floats  # from the slopes
     fitted: Floats  # by the pupil modes
@@ -42,7 +42,7 @@ def slope_fit(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> SlopeF
 
 
 def _fit(views: Floats, modes: PupilModes) -> Floats:
-    """Least-squares fit of the modes to each view; views with the same known lenslets share a decomposition."""
+    """Least-squares fit of the modes to each view; equal known lenslets share a decomposition."""
     flat = views.reshape(-1, *views.shape[2:])
     known = np.isfinite(flat) & modes.inside
     fitted = np.full_like(flat, np.nan)

@@ -1,4 +1,4 @@
-"""Verdict on the quality of an image: its faults, each with a plain reason; those of a repeated image."""
+"""Verdict on the quality of an image: its faults, each with a plain reason."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ NO_FAULT = Quality()
 
 
 def sequence_quality(before: Counts, frame: Counts, elapsed_s: float) -> Quality:
-    """Find a camera that repeats itself, from two frames (row, column) and the time between them on its clock."""
+    """Find a camera that repeats itself, by two frames (row, column) and the time between them."""
     reasons: dict[Fault, str] = {}
     if before.shape == frame.shape and np.array_equal(before, frame):
         reasons[Fault.FROZEN] = "this frame is identical to the one before: the camera repeats itself"

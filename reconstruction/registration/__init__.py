@@ -1,4 +1,4 @@
-"""Registration: displacement of each subimage relative to the reference, by the method of the settings."""
+"""Registration: displacement of each subimage from the reference, by the method of the settings."""
 
 from importlib import import_module
 from typing import cast, get_args
@@ -15,7 +15,7 @@ _MODULES = {"correlation_fft": "correlation"}  # of the other methods, the modul
 def prepare_registration(
     reference: ReferenceSubimages, settings: RegistrationSettings, field: Field, model: LensletModel | None = None
 ) -> RegistrationMethod:
-    """Prepare the method of the settings for one reference: `prepare` of the module of its name in this room.
+    """Prepare the method of the settings for one reference: `prepare` of the module of its name.
 
     `model` is that of the reference's lenslets, if there is one that fits.
     """

@@ -1,4 +1,4 @@
-"""Registration by the centroids of stars: the paper's reference method, for an array of pinholes as the source.
+"""Registration by the centroids of stars: the paper's reference method, for a pinhole mask.
 
 A star's displacement is the difference of its centroids in frame and reference. A small window on the subpixel grid
 follows each star: the background (median of its border) and a fraction of the star's height are subtracted, negative
@@ -53,7 +53,7 @@ class Centroids:
     """Registration by stars, whose positions in the reference are found when prepared."""
 
     def __init__(self, reference: ReferenceSubimages, *, star_x: Floats, star_y: Floats) -> None:
-        """Prepare for stars at all combinations of star_x (column,) and star_y (row,), normalised and ascending.
+        """Prepare for stars at all star_x (column,) and star_y (row,), normalised and ascending.
 
         Raise `ReconstructionError` if the reference shows no stars.
         """
@@ -147,7 +147,7 @@ class Centroids:
         return np.asarray(~(strayed | left | faint) & (stars.step_px < _CONVERGED_PX))
 
     def _variance(self, stars: _Stars, difference: Floats) -> Floats:
-        """Variance of the displacement along one axis, px^2, (L, S), from the `difference` (L, S, N) on the border."""
+        """Variance of displacements along one axis, px^2, (L, S), by the `difference` (L, S, N) on the border."""
         noise = np.mean(difference[..., self._border] ** 2, axis=-1)
         weight = np.maximum(stars.window - _THRESHOLD * stars.height[..., None], 0)
         arm = (weight > 0) @ (self._offset_px**2).mean(axis=1)

@@ -56,11 +56,12 @@ class Circulation:
 
 
 def measure_circulation(displacement: Displacement, half_width_px: float) -> Circulation | None:
-    """Measure the rotation of the subimages and judge their circulation; `half_width_px` is that of the field in one.
+    """Measure the rotation of the subimages and judge their circulation.
 
-    The rotation of a lenslet is the rigid one that fits its circulation best. Systematic errors are `_SYSTEMATIC_PX`
-    and a share of the local deformation; lenslets have them in common, so that they remain in the mean. A median over
-    the lenslets gives chi-square, so that a few bad lenslets do not decide.
+    `half_width_px` is that of the field in a subimage. The rotation of a lenslet is the rigid one that fits its
+    circulation best. Systematic errors are `_SYSTEMATIC_PX` and a share of the local deformation; lenslets have them in
+    common, so that they remain in the mean. A median over the lenslets gives chi-square, so that a few bad lenslets do
+    not decide.
 
     None if the registration excludes rotation, or leaves it out because the source hides it, or does not know how
     errors are correlated, or if no lenslet converged.
@@ -109,7 +110,7 @@ def measure_circulation(displacement: Displacement, half_width_px: float) -> Cir
 
 
 def _hidden(covariance: Floats) -> Floats:
-    """Variance of displacements that a registration leaves out because the source hides them, (L, 2Q, 2Q).
+    """Variance of displacements left out because the source hides them, (L, 2Q, 2Q).
 
     `covariance` (L, 2Q, 2Q) is zero there; what the source hides is uncertain.
     """

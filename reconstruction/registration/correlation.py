@@ -90,7 +90,7 @@ def correlation_spectrum(light: Floats) -> NDArray[np.complex128]:
 
 
 def cross_correlation(spectrum: NDArray[np.complex128], window: Floats, search: int) -> Floats:
-    """Products of windows (L, width, width) and reference, summed, at shifts up to `search` px: (L, shift_y, shift_x).
+    """Correlation of windows (L, width, width) and reference up to `search` px: (L, shift_y, shift_x).
 
     Shifts wrap around: both borders are equally dark, whereas zero padding, unlike the mean, would bias towards no
     shift.

@@ -94,7 +94,7 @@ class ItkAffine:
 
 
 def misfit(reference: ReferenceSubimages, subimages: Floats, flow: Floats) -> tuple[Floats, Booleans]:
-    """RMS of I0(x) - gain I1(x + d(x)) - offset over each window, counts, (L,), with the best gain and offset.
+    """RMS of I0(x) - gain I1(x + d(x)) - offset over each window, counts, (L,), at its least.
 
     subimages (L, width, width); flow (L, N, xy), px, NaN where lost, as is the RMS. Also the lenslets that match, (L,).
     """

@@ -80,7 +80,7 @@ _ITERATIONS_PER_POINT = 30
 
 
 def mean_subimage(reference: ReferenceSubimages) -> tuple[Floats, Floats]:
-    """Mean subimage of the lit lenslets, of unit sum, (width, width), and the light of each lenslet, counts.
+    """Mean subimage of lit lenslets, of unit sum, (width, width), and the light of each, counts.
 
     The light is (lenslet_row, lenslet_column); 0 where the lenslet is dark. `ReconstructionError` if there is none.
     """

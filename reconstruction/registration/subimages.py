@@ -1,4 +1,4 @@
-"""The reference cut into subimages, one per lenslet, and the classification of each lenslet (converged, dark, ...)."""
+"""Subimages of the reference, one per lenslet; classification of lenslets (converged, dark, ...)."""
 
 from collections.abc import Iterable
 from functools import cached_property
@@ -64,7 +64,7 @@ class ReferenceSubimages:
         bad: Booleans | None = None,
         excluded: Iterable[tuple[int, int]] = (),
     ) -> None:
-        """Cut `reference` (row, column), counts above the dark; raise `ReconstructionError` if it shows nothing.
+        """Cut `reference` (row, column), counts above the dark; `ReconstructionError` if it shows nothing.
 
         `bad` (row, column) marks bad pixels. `excluded` are lenslets (row, column) that are left out.
         """
@@ -154,7 +154,7 @@ class ReferenceSubimages:
         return np.asarray(np.any(np.all(np.abs(away_px) < near_px, axis=-1), axis=1))
 
     def range_used(self, displacement: NDArray[np.floating[Any]], modes: FieldModes) -> Floats:
-        """Share (L,) of the dynamic range used: displacement of the field's edge over that which leaves the cell.
+        """Share (L,) of the dynamic range used: displacement of the field's edge over the largest allowed.
 
         `displacement` (L, xy, Q) in the field modes, px.
         """

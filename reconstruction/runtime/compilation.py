@@ -60,7 +60,7 @@ def _digest(file: Path) -> str:
 
 @cache
 def _imported(path: Path) -> tuple[Path, ...]:
-    """Files of the modules that a file imports from this package; some do not exist: names need not be modules."""
+    """Files that a file may import from this package; names that are no modules have none."""
     found = list[Path]()
     for module, names in _IMPORTS.findall(path.read_text("utf-8")):
         place = _PACKAGE.parent.joinpath(*module.split("."))

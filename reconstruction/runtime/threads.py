@@ -1,4 +1,4 @@
-"""Persistent worker threads, and settings of the whole process, such as a limit on the threads of BLAS."""
+"""Persistent worker threads, and process-wide settings, such as the threads of BLAS."""
 
 import os
 import sys

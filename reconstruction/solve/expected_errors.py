@@ -1,4 +1,4 @@
-"""Expected displacements of one reference's lenslets and their expected errors, in whose unit the solves work.
+"""Expected displacements of one reference's lenslets, and their errors, the unit of the solves.
 
 A lenslet's displacement is written in K parameters, the rows of `parameters` (K, x modes and then y modes).
 `Sensitivity` is the displacement caused by the modes of a wavefront: the design matrix of the modal reconstruction.
@@ -156,7 +156,7 @@ class ExpectedErrors:
 
 
 def _expected_covariance(covariance: Floats, to_parameters: Floats) -> tuple[Floats, Booleans, float]:
-    """Covariance of the parameters, (lenslet, K, K), the lenslets where it is known, and the share of the noise.
+    """Covariance of parameters, (lenslet, K, K), whether it is known, (lenslet,), and the noise's share.
 
     It is that of the noise, enlarged by the systematic error; if the noise is unknown, that error alone, shared among
     the parameters as noise would be.

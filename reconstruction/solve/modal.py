@@ -1,4 +1,4 @@
-"""Modal reconstruction: all coefficients e_pq of the space-variant wavefront in one solve, with error bars.
+"""Modal reconstruction: all coefficients e_pq of a wavefront in one solve, with error bars.
 
 The parameters of all lenslets' warps (`sensitivity`) are linear in e_pq. One regularised least-squares problem joins
 them with the full covariance of each lenslet. Wavefronts of layered samples span a subspace (`layered_modes`): of
@@ -42,7 +42,7 @@ class KnownModes:
 
 
 def known_modes(modes: PupilModes, used: Booleans, *, extrapolate: bool) -> KnownModes:
-    """Modes at the lenslets used (row, column), and if a prior bridges lost ones at their neighbours, too."""
+    """Modes at the lenslets used (row, column), and at neighbours if a prior bridges lost ones."""
     if extrapolate:
         used = modes.inside & ndimage.binary_dilation(used, structure=np.ones((3, 3), np.bool_))
     values = modes.values[1:, used]
@@ -63,7 +63,7 @@ class ModalSolution:
     _fitted: Deferred[Floats]  # parameters of the fit, px, (lenslet, K)
 
     def extended(self, known: KnownModes) -> Self:
-        """The same wavefront in more pupil modes, known at the same lenslets; the coefficients of the others are 0."""
+        """The same wavefront in more pupil modes, whose coefficients are 0; known at the same lenslets."""
         more = len(known.modes.degree) - len(self.coefficients)
         coefficients = np.zeros((len(known.modes.degree), self.coefficients.shape[1]))
         coefficients[: len(self.coefficients)] = self.coefficients
@@ -137,7 +137,7 @@ class ModalSolution:
 
     @cached_property
     def misfit(self) -> Floats:
-        """Displacements minus those of the fit, px, (lenslet_row, lenslet_column, field_mode, xy); NaN where lost."""
+        """Displacements minus the fit's, px, (lenslet_row, lenslet_column, field_mode, xy); NaN where lost."""
         return self._displacement.coefficients - self.displacement
 
     @cached_property
@@ -308,7 +308,7 @@ class ModalSolver:
         return np.sqrt(square[seen]), vectors[:, seen]
 
     def _require_distinct(self, values: Floats, scaled: Floats) -> None:
-        """Raise if a component without a prior is unseen, or its noise dominates the wavefront at the lenslets.
+        """Raise if a component without a prior is unseen, or its noise dominates the wavefront.
 
         `values` (pupil_mode - 1, lenslet); `scaled` (coefficient, n), coefficients per unit of noise.
         """

@@ -1,4 +1,4 @@
-"""Zonal reconstruction at the lenslet centres: Southwell's equations (J. Opt. Soc. Am. 70, 998, 1980).
+"""Zonal reconstruction by Southwell's equations (J. Opt. Soc. Am. 70, 998, 1980).
 
 Between neighbouring lenslets, four or six, the wavefront rises by the mean of their slopes along the way times the
 pitch. The weighted least-squares solution over all pairs of valid lenslets needs one sparse factorisation, cached until
@@ -124,7 +124,7 @@ def _neighbours(index: NDArray[np.intp], arrangement: Arrangement) -> NDArray[np
 
 
 def _pairwise(pair: NDArray[np.intp], weights: tuple[Floats, Floats], lenslets: int) -> sparse.csr_array:
-    """Sparse operator from lenslets to pairs (2, pair), with the weights (pair,) of first and second lenslets."""
+    """Sparse operator from lenslets to pairs (2, pair), with weights (pair,) of first and second one."""
     row, values = np.tile(np.arange(pair.shape[1]), 2), np.concatenate(weights)
     some = values != 0
     return sparse.csr_array((values[some], (row[some], pair.ravel()[some])), shape=(pair.shape[1], lenslets))

@@ -1,4 +1,4 @@
-"""The camera's pixels behind the lenslets, and the exact values there of images on the lenslets' grid."""
+"""The camera's pixels behind the lenslets, and exact values there of images on a grid."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -118,7 +118,7 @@ def _analysis(samples: int) -> Floats:
 
 
 def _pixel_transfer(samples: int, cycles_per_pixel: float, rotation_rad: float) -> tuple[Floats, Floats]:
-    """Half the sum and half the difference of a square pixel's transfer at (m_x, m_y) and (m_x, -m_y): (m_y, m_x)."""
+    """Half sum and half difference of a pixel's transfer at (m_x, m_y) and (m_x, -m_y): (m_y, m_x)."""
     m_y, m_x = np.mgrid[:samples, :samples] * cycles_per_pixel
     cosine, sine = math.cos(rotation_rad), math.sin(rotation_rad)
 

@@ -9,7 +9,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def compiled(function: _Function) -> _Function:
-    """Compile on the first call, without the interpreter's lock at run time, and cache the result on disk."""
+    """Compile on the first call, without the interpreter's lock, and cache the result on disk."""
     try:
         return cast("_Function", numba.njit(nogil=True, fastmath=True, cache=True)(function))
     except RuntimeError:  # no folder for the cache can be written

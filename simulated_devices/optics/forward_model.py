@@ -28,7 +28,7 @@ from simulated_devices.optics.source import SourcePoints
 
 
 class ImageSum:
-    """Accumulates |Fourier transform|^2 of every lenslet's field, object point by object point; used by one thread.
+    """Accumulates |Fourier transform|^2 of every lenslet's field, point by point, in one thread.
 
     The four sums are (4, y, lenslet_row, lenslet_column, x) with y and x the positive half of the 2n positions.
     """
@@ -77,8 +77,9 @@ class ImageSum:
 
 @compiled
 def _add_squares(transform: Image, weight: np.float32, folded: Image) -> None:
-    """Add weight * |F|^2 at the four positions (+-y, +-x), as four sums, from the parts a, b, c, d of even/odd y and x.
+    """Add weight * |F|^2 at the four positions (+-y, +-x), as four sums.
 
+    From the parts a, b, c, d of even/odd y and x:
     F(s_y y, s_x x) = a - i s_x b - i s_y c - s_y s_x d, so |F|^2 = sum of squares + s_y s_x 2 (-Re a d* + Re b c*)
     + s_x 2 Im(a* b ...) + s_y 2 Im(a* c ...), with the signs written out below.
     """
@@ -93,7 +94,7 @@ def _add_squares(transform: Image, weight: np.float32, folded: Image) -> None:
 
 
 def unfold(folded: Image, lenslet_rows: int, lenslet_columns: int) -> Image:
-    """Turn the four sums into images on the whole grid: (lenslet_row, lenslet_column, y, x), each side 2n positions."""
+    """Turn the four sums into images of 2n x 2n positions: (lenslet_row, lenslet_column, y, x)."""
     n = math.isqrt(folded.shape[1] // (lenslet_rows * lenslet_columns))
     squares, both, only_x, only_y = folded.reshape(4, n, lenslet_rows, lenslet_columns, n).transpose(0, 2, 3, 1, 4)
     images = np.empty((lenslet_rows, lenslet_columns, 2 * n, 2 * n), np.float32)
@@ -207,7 +208,7 @@ class ForwardModel:
     def irradiance(
         self, source: SourcePoints, field: PointField | None = None, *, progress: OnFraction | None = None
     ) -> Image:
-        """Image of `source` on the camera, (row, column), float32, in m^2; without `field` it is the reference.
+        """Image of `source` on the camera, (row, column), m^2; without `field` it is the reference.
 
         A pixel's value is the emitting area (m^2) whose light, collected by one lenslet, reaches that pixel: over one
         lenslet's diffraction pattern the values add up to `source.area_m2.sum()`. Multiplied by the photons that one
@@ -222,7 +223,7 @@ class ForwardModel:
         return np.asarray(self._pixels.evaluate(waves[:, None])[0])
 
     def point_irradiances(self, position_m: Floats, field: PointField | None = None) -> Image:
-        """Image of each object point (point, xy): (point, row, column), float32, `irradiance` for 1 m^2 of area each.
+        """Images (point, row, column) of object points (point, xy): `irradiance` for 1 m^2 each.
 
         16 points on 465 x 465 pixels take about 40 MB.
         """

@@ -29,7 +29,7 @@ _NOTHING = 1e-12  # singular value of an aperture, over the largest, that is rou
 
 
 class LensletImage:
-    """Model of one lenslet with its source, on a square window of pixels about its axis; see `subimages.LensletModel`.
+    """Model of one lenslet with its source, on a square window about its axis; a `LensletModel`.
 
     `width` is the side of the window, px; `pupil_samples` and `pixel_fill_factor` are those of `ForwardModel`.
     """
@@ -66,7 +66,7 @@ class LensletImage:
         self._scale = 1 / (math.sqrt(np.sum(aperture)) * period_px)  # light of a point, over one period, is 1
 
     def image(self, brightness: Floats | float = 1.0) -> Floats:
-        """Image without a sample, (row, column); a pixel's share of the light of all points, times a `brightness`."""
+        """Image without a sample, (row, column): share of the light of all points, times a `brightness`."""
         along_x, along_y = self._squares
         return np.asarray((along_y * np.repeat(self._light * brightness, self._terms)) @ along_x.T)
 
@@ -164,7 +164,7 @@ class LensletImage:
 
 
 def _factors(aperture: Floats) -> tuple[Floats, Floats]:
-    """Functions of x and of y, each (term, sample): the sum of their products is the aperture (sample_row, ...)."""
+    """Functions of x and y, each (term, sample), whose products add up to the aperture (sample_row, ...)."""
     along_y, size, along_x = np.linalg.svd(aperture)
     count = np.count_nonzero(size > _NOTHING * size[0])
     return along_x[:count], (along_y[:, :count] * size[:count]).T

@@ -1,4 +1,4 @@
-"""Measurement matrix of a Shack-Hartmann sensor: one column per object point, the image of that point.
+"""Measurement matrix of a Shack-Hartmann sensor: a column is the image of an object point.
 
 Feng et al. call a column a SH PSF: the irradiance of the whole camera for one point of the object plane. An object is
 a vector of emitting areas, one per point; matrix times object is the camera's irradiance, so that any object behind
@@ -63,7 +63,7 @@ class MeasurementMatrix:
         *,
         progress: OnFraction | None = None,
     ) -> Self:
-        """Compute the matrix of `model` behind `field` (None: the reference) for points (point, xy), and write it.
+        """Compute and write the matrix of `model` behind `field` (None: the reference) for points (point, xy).
 
         The folder `path` appears when it is complete and replaces an earlier matrix. `progress` receives 0 ... 1; an
         exception that it raises ends the computation and leaves nothing behind.

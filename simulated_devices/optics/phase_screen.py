@@ -1,4 +1,4 @@
-"""A phase screen: phases on a regular grid about the optical axis, with a bicubic spline between them.
+"""Phase screen: phases on a grid about the optical axis, with a bicubic spline between them.
 
 Arrays are [row, column], row = y; positions are in metres in the screen's own plane; phases in radians.
 """
@@ -55,7 +55,7 @@ class PhaseScreen:
         return np.asarray(self._spline.ev(y_m, x_m), np.float64)
 
     def basis(self, position_m: Floats, axis: int) -> sparse.csr_array[np.float32]:
-        """Values of the spline's basis along y (axis 0) or x (1) at positions in m: sparse (position, coefficient)."""
+        """Spline basis along y (axis 0) or x (1) at positions in m: sparse (position, coefficient)."""
         self._check(position_m, axis)
         return scipy.interpolate.BSpline.design_matrix(position_m, self._knots[axis], _CUBIC).astype(np.float32)
 
@@ -86,10 +86,11 @@ def smooth_screen(
     enlarged_by: int = 0,
     guard: int = 0,
 ) -> Floats:
-    """White noise smoothed by a Gaussian of standard deviation `correlation_length_m`: (samples, samples), mean 0.
+    """White noise smoothed by a Gaussian: (samples, samples), mean 0.
 
-    Margins of four standard deviations are computed and cut off, so that the edge is like the middle. With the
-    generator `numpy.random.default_rng(seed)` this reproduces the project's ensemble to the last bit.
+    `correlation_length_m` is its standard deviation. Margins of four standard deviations are computed and cut off, so
+    that the edge is like the middle. With the generator `numpy.random.default_rng(seed)` this reproduces the project's
+    ensemble to the last bit.
 
     `enlarged_by` adds that many samples on each side and keeps the middle: its noise is drawn first, and its mean is
     subtracted. If its `edge_is_final` is false, the middle's outermost ring can differ by the Gaussian's last tap, at
@@ -109,7 +110,7 @@ def smooth_screen(
 
 
 def edge_is_final(correlation_length_m: float, sample_spacing_m: float) -> bool:
-    """True if no sample of a smooth screen depends on whether it is enlarged: the margin is as wide as the Gaussian."""
+    """True if enlarging a smooth screen changes none of it: its margin is as wide as the Gaussian."""
     return _margin(correlation_length_m, sample_spacing_m) == int(4 * (correlation_length_m / sample_spacing_m) + 0.5)
 
 
@@ -123,7 +124,7 @@ def middle_of(samples: NDArray[_T], rim: int) -> NDArray[_T]:
 
 
 def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float, enlarged_by: int = 0) -> Floats:
-    """Give a screen a prescribed peak-to-valley and RMS (rad, about its mean) by a smooth monotone pointwise map.
+    """Give a screen (row, column), rad, a peak-to-valley and an RMS by a smooth monotone map.
 
     With z the screen in units of its RMS, z -> sinh(b z)/b stretches the extremes (b > 0) and z -> asinh(b z)/b
     compresses them; b sets the ratio PV/RMS, and the result is scaled. Contours keep their places. If the screen is
@@ -151,7 +152,7 @@ def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float, e
 
 
 def read_screen(path: Path, setting: str = "file", content: str = "phases in rad") -> Floats:
-    """Values (row, column) from a .npy or .tif file; a bad file raises a `ValueError` that names the setting."""
+    """Values (row, column) of a .npy or .tif file; `ValueError`, with the setting, if it is bad."""
     try:
         with reading_npy():
             values = np.asarray(np.load(path, allow_pickle=False) if path.suffix == ".npy" else tifffile.imread(path))

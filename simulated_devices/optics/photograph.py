@@ -24,9 +24,10 @@ _SMALLEST_TRANSFORM = 256
 def true_psf(
     pupil_field: PupilField, *, pixel_rad: float, wavelength_m: float, pupil_width_m: float, reach_px: int
 ) -> Floats:
-    """Point-spread function (2 reach + 1, 2 reach + 1) of a square pupil, sum 1; a positive slope moves it towards +x.
+    """Point-spread function (2 reach + 1, 2 reach + 1) of a square pupil, sum 1.
 
-    The pupil is sampled such that the transform has steps of a pixel, `pixel_rad` in angle.
+    A positive slope moves it towards +x. The pupil is sampled such that the transform has steps of a pixel, `pixel_rad`
+    in angle.
     """
     size = 2 * fft.next_fast_len(max(2 * reach_px, _SMALLEST_TRANSFORM // 2))
     step_m = wavelength_m / (size * pixel_rad)
@@ -42,7 +43,7 @@ def true_psf(
 
 
 def photographs(scenes: Floats, psf_at: Callable[[float, float], Floats], *, spacing_px: int) -> Floats:
-    """Mean photons (scene, row, column) of objects (scene, row, column) of photons, dark beyond their edges.
+    """Mean photons of objects, both (scene, row, column), which are dark beyond their edges.
 
     `psf_at(x_px, y_px)` is the point-spread function of an object pixel; it is asked at every `spacing_px`.
     """
@@ -67,7 +68,7 @@ _CELLS = 60  # of the tissue
 
 
 def resolution_target(side: int) -> Floats:
-    """Fields of bars, horizontal and vertical in turn, (side, side); periods of 6, 8, 12 and 16 px row by row."""
+    """Fields of bars, horizontal and vertical in turn, (side, side); periods of 6 to 16 px."""
     y, x = np.indices((side, side))
     cell = side // len(_PERIODS_PX)
     row, column = np.minimum(y // cell, 3), x // cell

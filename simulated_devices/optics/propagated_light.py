@@ -28,7 +28,7 @@ EDGE = 8
 
 
 class FieldSpline:
-    """Field between its samples (row, column), complex; positions must lie within the edge, better by `EDGE`."""
+    """Complex field between its samples (row, column); exact for positions `EDGE` within its edge."""
 
     def __init__(self, samples: NDArray[np.complex128], sample_spacing_m: float) -> None:
         self._shape, self._spacing_m = samples.shape, sample_spacing_m
@@ -44,7 +44,7 @@ class FieldSpline:
         )
 
     def column(self, x_m: Floats) -> Callable[[Floats], NDArray[np.complex64]]:
-        """Contract the spline at the positions x (m); return the field (y, x) as a function of the positions y (m)."""
+        """Contract the spline at positions x (m): the field (y, x) as a function of positions y (m)."""
         product = self._basis(x_m, 1) @ self._by_column
         by_row = product.reshape(len(x_m), -1, 2).transpose(1, 0, 2)
         contracted = np.ascontiguousarray(by_row).reshape(self._shape[0], -1)  # (row, 2 x)
@@ -125,10 +125,11 @@ class PropagatedLight(FieldSpline):
         collimator_focal_length_m: float,
         wavenumber_rad_per_m: float,
     ) -> None:
-        """Propagate the field of a screen, of which `half_width_m` is half the width (x, y) of the part that is used.
+        """Propagate the field of a screen.
 
-        It may be larger than that, so that nothing feels its edge. `amplitude` is the square root of its transmission
-        on the same samples; None: 1 everywhere.
+        `half_width_m` is half the width (x, y) of the part that is used. The screen may be larger than that, so that
+        nothing feels its edge. `amplitude` is the square root of its transmission on the same samples; None: 1
+        everywhere.
         """
         require({"distance_m must be positive: light does not spread from the mask itself": rays.pupil_scale > 0})
         self.ray_map = RayMap(pupil_scale=1.0, field_scale=rays.ratio)
@@ -177,17 +178,18 @@ def _resampled(screen: PhaseScreen, finer: int) -> Floats:
 
 
 def _middle(before: int, count: int, half_width: float) -> slice:
-    """Samples about the middle of `count` ones after the first `before`, up to `half_width` and those of the spline."""
+    """Middle of `count` samples after the first `before`, up to `half_width` and the spline's edge."""
     drop = math.floor((count - 1) / 2 - half_width + _ROUNDING) - EDGE
     return slice(before + drop, before + count - drop)
 
 
 def unwrapped_phase(field: NDArray[np.complex128]) -> Floats:
-    """Phase (row, column), rad, of a field (row, column); its differences are right where they are below pi.
+    """Phase, rad, of a field, both (row, column).
 
-    Points of zero intensity, around which the phase winds, make it wrong by multiples of 2 pi. Wrapped differences are
-    integrated by least squares, a Poisson equation with free edges (Ghiglia and Romero, J. Opt. Soc. Am. A 11, 107
-    (1994)), solved by the discrete cosine transform; the result is made congruent with the field's argument.
+    Its differences are right where they are below pi. Points of zero intensity, around which the phase winds, make it
+    wrong by multiples of 2 pi. Wrapped differences are integrated by least squares, a Poisson equation with free edges
+    (Ghiglia and Romero, J. Opt. Soc. Am. A 11, 107 (1994)), solved by the discrete cosine transform; the result is made
+    congruent with the field's argument.
     """
     gradient_y, gradient_x = np.angle(field[1:] * field[:-1].conj()), np.angle(field[:, 1:] * field[:, :-1].conj())
     divergence = np.diff(gradient_y, axis=0, prepend=0, append=0) + np.diff(gradient_x, axis=1, prepend=0, append=0)

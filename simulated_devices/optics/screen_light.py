@@ -43,7 +43,7 @@ class RayMap:
 
     @property
     def ratio(self) -> float:
-        """r of the screen in pupil coordinates, where rays meet it at u + r x_o; negative in front of the lenslets."""
+        """r of the screen, which rays meet at u + r x_o in pupil coordinates; negative before the lenslets."""
         return self.field_scale / self.pupil_scale
 
     def propagation_m(self, collimator_focal_length_m: float) -> float:
@@ -59,7 +59,7 @@ class RayMap:
 def view_positions_m(
     ray_map: RayMap, sensor: Sensor, field: Field, shift_m: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[Floats, Floats]:
-    """Positions at which rays of each view to the lenslet centres meet a plane moved by `shift_m`: x and y, m.
+    """Positions x and y, m, where rays of each view to the lenslets meet a plane moved by `shift_m`.
 
     Both broadcast to (view_row, view_column, lenslet_row, lenslet_column).
     """
@@ -72,7 +72,7 @@ def view_positions_m(
 def truth_wavefront(
     screen: PhaseScreen, ray_map: RayMap, sensor: Sensor, field: Field, shift_m: tuple[float, float] = (0.0, 0.0)
 ) -> Floats:
-    """Wavefront of every view at the lenslet centres: (view_row, view_column, lenslet_row, lenslet_column), rad.
+    """Wavefront of every view, rad, (view_row, view_column, lenslet_row, lenslet_column).
 
     Each view has no piston. `shift_m` (x, y) is the displacement of the screen.
     """
@@ -81,7 +81,7 @@ def truth_wavefront(
 
 
 class ScreenLight:
-    """Field of the screen itself: light that reaches the lenslets along straight rays, as the paper simulates it."""
+    """Light that reaches the lenslets along straight rays, as the paper simulates it."""
 
     per_shift = 1.0
 

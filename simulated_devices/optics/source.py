@@ -134,9 +134,9 @@ def stars(source: Source) -> SourcePoints:
 
 
 def read_grey_image(path: Path) -> Floats:
-    """Brightness (row, column), 0 or more, from a TIFF, NPY, PNG or other file that OpenCV reads; colours become grey.
+    """Brightness (row, column), 0 or more, from an image file.
 
-    A bad file raises a `ValueError` of one sentence.
+    TIFF, NPY, PNG or another that OpenCV reads; colours become grey. A bad file raises a `ValueError` of one sentence.
     """
     try:
         pixels = _decoded(path)
@@ -168,7 +168,7 @@ def _decoded(path: Path) -> NDArray[Any] | None:
 
 
 def _cell_edges(source: Source, object_samples: int) -> Floats:
-    """Edges of the cells of the grid's points along one axis, (object_samples + 1,), m; the outer cells are half."""
+    """Edges of the points' cells along one axis, (object_samples + 1,), m; the outer cells are half."""
     half_m = source.half_width_m
     along_m = np.linspace(-half_m, half_m, object_samples)
     return np.concatenate([[-half_m], (along_m[1:] + along_m[:-1]) / 2, [half_m]])
@@ -188,7 +188,7 @@ def _opening(source: Source, half_chord_m: Callable[[Floats], Floats], object_sa
 
 
 def _pixels_on_grid(source: Source, pixels: Floats, object_samples: int) -> Floats:
-    """Mean brightness over each point's cell, of square pixels (row, column) whose longer side fills the square."""
+    """Mean over each point's cell of square pixels (row, column) whose longer side fills the square."""
     pixel_m = 2 * source.half_width_m / max(pixels.shape)
     edges_m = _cell_edges(source, object_samples)
     along_y, along_x = (_overlap_shares(edges_m, count, pixel_m) for count in pixels.shape)

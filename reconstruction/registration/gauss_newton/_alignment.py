@@ -34,7 +34,7 @@ _PIVOT = 1e-12  # of the elimination; below it the remaining pixels do not deter
 
 
 class Grid(NamedTuple):
-    """The reference as one warp uses it: L lenslets, N pixels, Q field modes, P parameters (gain, offset last)."""
+    """The reference for one warp: L lenslets, N pixels, Q field modes, P parameters, gain and offset last."""
 
     window: Window  # the pixels about the lenslet centre
     scale: tuple[np.float32, np.float32]  # px per unit of u and v; its inverse if flux is conserved, else 0

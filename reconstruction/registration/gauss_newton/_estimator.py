@@ -262,7 +262,7 @@ class GaussNewton:
         )
 
     def _transmission(self, fits: Fits, variance: Floats, valid: Booleans) -> Transmission:
-        """Brightness of the subimages over the reference's, from gains and residuals; NaN for partly covered ones too.
+        """Brightness of the subimages over the reference's; NaN for partly covered ones, too.
 
         At the end of the fit the residual is what the brightness explains beyond the gain, and noise. Its quadratic
         terms are fitted only here, together with what they would change of the displacement.

@@ -69,7 +69,7 @@ _GIVEN, _TRANSLATING, _TRANSLATED, _SEARCHED, _REPEATED, _DONE = range(6)  # fro
 
 
 class WholePixelSearch(NamedTuple):
-    """Whole-pixel correlation search, used when Gauss-Newton fails, with the middle of the reference's windows."""
+    """Whole-pixel search with the middle of the reference's windows, used when Gauss-Newton fails."""
 
     light: Image  # minus its mean, over its contrast, (L, rows, columns)
     window: Window  # a patch wider by `reach` pixels on each side
@@ -142,10 +142,11 @@ def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined on
     arrays: WorkArrays,
     counters: Counters,
 ) -> bool:
-    """Fit lenslets, shared with the threads that have the same counters; False if others have not finished theirs.
+    """Fit lenslets, shared with the threads that have the same counters.
 
-    `grids` are the reference for translations on a coarse grid, and that for the warps. If these fail, the whole-pixel
-    search gives another start. `power` (4,): see `spline.noise_power_polynomial`.
+    False if others have not finished theirs. `grids` are the reference for translations on a coarse grid, and that for
+    the warps. If these fail, the whole-pixel search gives another start. `power` (4,): see
+    `spline.noise_power_polynomial`.
     """
     start, warp = grids
     scratch, coarse, patch, translation, again = arrays
@@ -215,7 +216,7 @@ def _note(state: State, scratch: Scratch, fits: Fits, lenslet: int) -> None:
 
 @inlined
 def _translate(displacement: Image, x: np.float32, y: np.float32, basis: Image) -> None:
-    """Set the parameters (P - 2,) of a displacement, by their basis (P - 2, 2Q), to those of a translation, px."""
+    """Set parameters (P - 2,), of a basis (P - 2, 2Q), to those of a translation, px."""
     modes = basis.shape[1] // 2
     for p in range(displacement.size):
         displacement[p] = x * basis[p, 0] + y * basis[p, modes]

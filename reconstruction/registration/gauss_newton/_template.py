@@ -147,7 +147,7 @@ class SteepestDescent:
 def source_brightness(
     model: LensletModel, reference: ReferenceSubimages, modes: PolynomialModes, pixels: Booleans, basis: Floats
 ) -> Floats | None:
-    """Images of the source, its brightness multiplied by Legendre polynomials over the field, (mode, row, column).
+    """Images of the source times Legendre polynomials over the field, (mode, row, column).
 
     They are blurred after they are multiplied: a subimage times a brightness that grows by the share b per px would be
     one that is displaced by b times the square of the blur's width. Of quadratic and cubic polynomials, those with the
@@ -169,7 +169,7 @@ def source_brightness(
     only_cubic = descent(cubic).varying(light)[0, TRANSMISSION_MODES.count :]
 
     def expected_error(brightness: Floats) -> float:
-        """Sum of the displacements' variances, px^2, by noise and by the cubic brightness that is not taken out."""
+        """Sum of the displacements' variances, px^2, by noise and the cubic brightness left in."""
         images = descent(brightness)
         fit = _least_squares(images.without_brightness(images(light, gradient), weight), weight)[0, :-2]
         return float(np.sum(fit**2 * noise.variance(expected)) + np.sum((_CUBIC_RMS * fit @ only_cubic.T) ** 2))
@@ -178,7 +178,7 @@ def source_brightness(
 
 
 def respond(template: Template, image: Floats, changes: Floats, own: Sequence[OwnWavefront]) -> Floats:
-    """Parameters of a template found for changes (..., row, column) of a noise-free subimage; see `GaussNewton`.
+    """Parameters found for changes (..., row, column) of a noise-free subimage; see `GaussNewton`.
 
     The displaced subimage is interpolated. The steps of the template are scaled by those for a warp of that subimage.
     """
@@ -218,9 +218,9 @@ def respond(template: Template, image: Floats, changes: Floats, own: Sequence[Ow
 
 
 def prepare_template(images: SteepestDescent, noise: CameraNoise | None = None) -> Template:
-    """Prepare a warp, given by its steepest-descent images, of which it leaves out what a brightness explains.
+    """Prepare a warp, given by its steepest-descent images.
 
-    Without `noise` all pixels have equal weight.
+    What a brightness explains is left out. Without `noise` all pixels have equal weight.
     """
     reference, modes, basis, of_window = images.reference, images.modes, images.basis, images.pixels.ravel()
     flux = 1 / reference.half_width_px if images.conserves_flux else 0.0
@@ -306,7 +306,7 @@ def _pixel_weights(expected: Floats, noise: CameraNoise) -> Floats:
 
 
 def coefficient_covariance(covariance: Floats, basis: Floats) -> Floats:
-    """Covariance (L, Q, xy, Q, xy) of the coefficients, given that of the parameters (L, P, P) of a basis (P, 2Q)."""
+    """Covariance (L, Q, xy, Q, xy) of coefficients, from that of parameters (L, P, P) of a basis (P, 2Q)."""
     parameters, modes = len(basis), basis.shape[1] // 2
     basis = np.swapaxes(basis.reshape(parameters, 2, modes), 1, 2).reshape(parameters, -1)
     half = (covariance.reshape(-1, parameters) @ basis).reshape(-1, parameters, 2 * modes)  # one product: faster than L
@@ -328,14 +328,14 @@ def _propagated(variance: Floats, inverse: Floats, weight: Floats, descent: Floa
 
 
 def _smooth_light(reference: ReferenceSubimages) -> Floats:
-    """Expected light, (L, N), a mean over neighbours: weights from single noisy pixels would favour dark ones."""
+    """Mean light over neighbours, (L, N): weights from single noisy pixels would favour dark ones."""
     light = reference.light.reshape(-1, reference.width, reference.width)
     smooth = ndimage.uniform_filter(light, (0, 3, 3), mode="nearest").reshape(reference.light.shape)
     return np.maximum(smooth, 0.0)
 
 
 def _mean_lenslet(reference: ReferenceSubimages, pixels: Booleans) -> tuple[Floats, Floats, Floats]:
-    """Light, its gradient and expected light on some pixels (width, width), mean over the lit lenslets: (1, N, ...)."""
+    """Mean light of lit lenslets, its gradient and expected light on pixels (width, width): (1, N, ...)."""
     light, gradient, expected = (
         of_lenslets[:, pixels.ravel()][reference.lit].mean(axis=0, keepdims=True)
         for of_lenslets in (reference.light, reference.gradient, _smooth_light(reference))
@@ -381,7 +381,7 @@ def visible_warp(
 
 
 def _informative(descent: Floats, weight: Floats) -> Booleans:
-    """Fewest pixels (N,), those with most leverage, that let the standard errors grow by `_SCATTER` at most."""
+    """Fewest pixels (N,), by leverage, that let the standard errors grow by `_SCATTER` at most."""
     scale = np.sqrt(np.sum(descent**2 * weight, axis=1, keepdims=True))
     scaled = descent / scale
     leverage = weight * np.einsum("pn,pq,qn->n", scaled, np.linalg.pinv((scaled * weight) @ scaled.T), scaled)

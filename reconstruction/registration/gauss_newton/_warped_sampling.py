@@ -84,7 +84,7 @@ def new_scratch(pixels: int, parameters: int) -> Scratch:
 
 @inlined
 def combine(parameters: Image, monomials: Image, warp: Image) -> None:
-    """Compute polynomials (xy, monomial) of a displacement by parameters (P,), those of each being `monomials`."""
+    """Compute the polynomials (xy, monomial) of a displacement with the parameters (P,)."""
     for axis in range(2):
         for m in range(warp.shape[1]):
             warp[axis, m] = 0
@@ -116,7 +116,7 @@ def _slopes(p: Terms, u: np.float32, v: np.float32) -> tuple[np.float32, np.floa
 
 @inlined
 def _terms(p: Image) -> Terms:
-    """Coefficients of a polynomial (monomial,) as numbers, which nothing that is written into arrays can change."""
+    """Coefficients of a polynomial (monomial,) as numbers, which no write into an array changes."""
     return p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[13], p[14]
 
 
@@ -129,11 +129,12 @@ def sample_warped(
     scale: tuple[np.float32, np.float32],
     scratch: Scratch,
 ) -> None:
-    """Sample a frame at the positions of the warped pixels of a lenslet's window; fill `scratch`, which has the warp.
+    """Sample a frame where the warped pixels of a lenslet's window land.
 
-    The frame is given by its spline coefficients (row, column); beyond its border the nearest inner position is
-    sampled. center_px (xy,), turn (cosine, sine) and warp (xy, monomial), px, place the window. `scale`: px per unit of
-    u and v, and its inverse to conserve flux or 0, which leaves the determinant at 1.
+    The warp is in `scratch`, which is filled. The frame is given by its spline coefficients (row, column); beyond its
+    border the nearest inner position is sampled. center_px (xy,), turn (cosine, sine) and warp (xy, monomial), px,
+    place the window. `scale`: px per unit of u and v, and its inverse to conserve flux or 0, which leaves the
+    determinant at 1.
     """
     rows, columns = coefficients.shape
     last_x, last_y = np.float32(columns - 3), np.float32(rows - 3)
@@ -181,7 +182,7 @@ def _interpolate(flat: Image, stride: np.uint64, scratch: Scratch) -> None:
 def _sum_in_vectors(
     _context: Any, flat: Any, _corner: Any, _stride: Any, _fraction: Any, _w0: Any, _w1: Any, _w2: Any, _w3: Any
 ) -> Any:
-    """Describe to Numba, which would load number by number, how to add four rows of four neighbours as vectors."""
+    """Describe to Numba how to add four rows of four neighbours as vectors, not number by number."""
 
     def repeated(builder: Any, number: Any) -> Any:
         nothing = ir.Constant(_FOUR_FLOATS, ir.Undefined)
