@@ -90,7 +90,7 @@ def run_and_print(
 
 def print_results(results: Sequence[StudyResult]) -> None:
     """Print a table for each study, the sweeps first."""
-    from app.evaluation.studies import Sweep, sweeps_of
+    from app.evaluation.study_kinds import Sweep, sweeps_of
 
     sweeps = sweeps_of(results)
     for sweep, data in sweeps:

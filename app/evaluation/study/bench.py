@@ -14,16 +14,10 @@ from scipy import ndimage
 from app.acquisition.devices import scene_of
 from app.bench.config import Bench
 from app.evaluation.frames import seeded, with_screen, with_source
-from app.evaluation.studies import CaseResult, Sweep
-from app.evaluation.study.estimators import (
-    EmCamera,
-    camera,
-    compared,
-    error_bar_rad,
-    warp_estimator,
-    with_rms,
-    without_wavefront,
-)
+from app.evaluation.studies import CaseResult
+from app.evaluation.study.estimators import EmCamera, camera, compared, warp_estimator, with_rms, without_wavefront
+from app.evaluation.study.noise_limit import error_bar_rad
+from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image, PointField
 from reconstruction.errors import ReconstructionError

@@ -9,8 +9,9 @@ import numpy as np
 from app.acquisition.devices import scene_of
 from app.bench.config import Bench
 from app.evaluation.frames import NoiseFreeFrames, seeded, with_screen, with_source
-from app.evaluation.studies import CaseResult, Sweep, TrialStudy, trial
+from app.evaluation.studies import CaseResult
 from app.evaluation.study.estimators import camera, with_rms
+from app.evaluation.study_kinds import Sweep, TrialStudy, trial
 from app.progress import Progress, part
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError

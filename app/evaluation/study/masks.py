@@ -27,20 +27,11 @@ from numpy.typing import NDArray
 from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, seeded, with_screen, with_source
-from app.evaluation.studies import CaseResult, Printed, Study, Sweep
-from app.evaluation.study.estimators import (
-    bound_rad,
-    camera,
-    compared,
-    error_bar_rad,
-    mean_rms_within,
-    scatter_of,
-    true_lenslet,
-    warp_estimator,
-    with_rms,
-    without_prior,
-)
+from app.evaluation.studies import CaseResult, Printed, Study
+from app.evaluation.study.estimators import camera, compared, mean_rms_within, warp_estimator, with_rms
+from app.evaluation.study.noise_limit import bound_rad, error_bar_rad, scatter_of, true_lenslet, without_prior
 from app.evaluation.study.sweeps import NEAR_SOURCE, lit_views
+from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement

@@ -15,7 +15,7 @@ from app.bench.config import Bench
 from app.bench.imaging_model import by_pixel
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrame, NoiseFreeFrames, seeded, simulating, with_screen, with_source
-from app.evaluation.studies import CaseResult, Sweep
+from app.evaluation.studies import CaseResult
 from app.evaluation.study.estimators import (
     AUTOMATIC,
     FAST,
@@ -23,16 +23,15 @@ from app.evaluation.study.estimators import (
     SLOW,
     WARPS,
     EmCamera,
-    bound_rad,
     camera,
     compare,
     compared,
-    scatter_of,
     warp_estimator,
     warp_estimators,
     with_rms,
-    without_prior,
 )
+from app.evaluation.study.noise_limit import bound_rad, scatter_of, without_prior
+from app.evaluation.study_kinds import Sweep
 from app.measurement.estimator import ROUNDS, Estimator
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image

@@ -21,8 +21,9 @@ from app.bench.config import Bench, load_bench
 from app.bench.imaging_model import by_pixel
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, simulating
-from app.evaluation.studies import CaseResult, TrialStudy, trial
+from app.evaluation.studies import CaseResult
 from app.evaluation.study.estimators import camera
+from app.evaluation.study_kinds import TrialStudy, trial
 from app.images import read_image
 from app.measurement.auto_exposure import FILL, MOST_FRAMES, TOLERANCE, auto_expose
 from app.measurement.routines import UNWATCHED, RoutineError

@@ -11,7 +11,8 @@ import pytest
 
 from app.bench.config import load_bench
 from app.evaluation.frames import NoiseFreeFrames
-from app.evaluation.study.estimators import WARPS, camera, warp_estimator, without_prior
+from app.evaluation.study.estimators import WARPS, camera, warp_estimator
+from app.evaluation.study.noise_limit import without_prior
 from app.measurement.estimator import Estimator
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement

@@ -13,7 +13,8 @@ from app.bench.config import load_bench
 from app.evaluation.frames import NoiseFreeFrames
 from app.evaluation.studies import collect
 from app.evaluation.study import sweeps
-from app.evaluation.study.estimators import bound_rad, camera, scatter_of, warp_estimator, without_prior
+from app.evaluation.study.estimators import camera, warp_estimator
+from app.evaluation.study.noise_limit import bound_rad, scatter_of, without_prior
 from app.evaluation.study.sweeps import PHOTONS
 from reconstruction.wavefront import Wavefront
 

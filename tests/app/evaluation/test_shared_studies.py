@@ -13,10 +13,11 @@ from support.batches import one_by_one
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
 from app.evaluation.frames import seeded
-from app.evaluation.studies import CaseResult, Study, Sweep, run_studies
+from app.evaluation.studies import CaseResult, Study, run_studies
 from app.evaluation.study import sweeps
 from app.evaluation.study.sweeps import PHOTONS
 from app.evaluation.study.trials import calibration_trials
+from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
 
 

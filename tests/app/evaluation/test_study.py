@@ -21,8 +21,9 @@ from app.bench.config import Bench, load_bench
 from app.cache import cache_folder, cached
 from app.evaluation import study
 from app.evaluation.frames import NoiseFreeFrames
-from app.evaluation.studies import CaseResult, Sweep, collect, known_rows
+from app.evaluation.studies import CaseResult, collect, known_rows
 from app.evaluation.study.estimators import camera, mean_rms_within
+from app.evaluation.study_kinds import Sweep
 from app.progress import Progress, named, part
 
 

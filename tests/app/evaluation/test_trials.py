@@ -18,9 +18,10 @@ from support.paths import FOREIGN_FRAMES
 
 from app.bench.config import Bench, load_bench
 from app.evaluation import study
-from app.evaluation.studies import CaseResult, TrialStudy, collect, trial
+from app.evaluation.studies import CaseResult, collect
 from app.evaluation.study import trials as module
 from app.evaluation.study.trials import calibration_trials
+from app.evaluation.study_kinds import TrialStudy, trial
 from app.progress import Progress
 from drivers.interface import Range
 from reconstruction.geometry import Lattice
