@@ -186,7 +186,7 @@ def at_work(inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
 def test_commands_run(document: Path, at_work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PRESETS:
         monkeypatch.setitem(PRESETS, name, at_work / "bench.toml")
-    monkeypatch.setattr("app.evaluation.studies.run_studies", lambda *_: ())  # they have tests of their own
+    monkeypatch.setattr("app.evaluation.studies.run_studies", lambda *_, **_options: ())  # they have tests of their own
     monkeypatch.setattr("app.batch.workers.workers", lambda *_, **_options: nullcontext(Counting()))
     instrument = ExitStack()
     for command in commands(document):

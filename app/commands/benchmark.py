@@ -107,12 +107,17 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     in_window = named(between(progress, 0.0, middle), "window" if is_seen else "unseen window")
     with recording_folder(plan, in_window) as folder, OwnInstrument("benchmark") as own:
         with_window = MeasuredCourse(
-            own.connect(plan.bench), in_window, plan.warm_up_s, plan.seconds, memory_s=plan.memory_s, record_into=folder
+            own.connect(plan.bench),
+            in_window,
+            warm_up_s=plan.warm_up_s,
+            seconds=plan.seconds,
+            memory_s=plan.memory_s,
+            record_into=folder,
         )
         _run_in_window(with_window, with_panels=plan.with_panels)
     alone = named(between(progress, middle, 1.0), "no window")
     with OwnInstrument("benchmark") as own, closing(own.connect(plan.bench)) as acquisition:
-        without_window = MeasuredCourse(acquisition, alone, warm_up_s, plan.without_window_s)
+        without_window = MeasuredCourse(acquisition, alone, warm_up_s=warm_up_s, seconds=plan.without_window_s)
         acquisition.start()
         without_window.send()
         for _ in without_window.steps():

@@ -70,7 +70,7 @@ def measure(
         options.refuse_with_attach(bench=bench, mask=mask, average=average, auto_expose=auto_expose, set=setting)
         _check_files(out, (), overwrite=overwrite)  # before another program loses control
         with terminal.progress_bar() as progress:
-            measured = measure_attached(name, frames, out, progress, takes_control=take_control)
+            measured = measure_attached(name, out, frames=frames, progress=progress, takes_control=take_control)
     elif take_control:
         raise InputError("--take-control is for an instrument that runs: add --attach")
     elif bench is None:
@@ -81,11 +81,13 @@ def measure(
         terminal.confirm_libraries(loaded, is_trusted=trust_library)
         _check_files(out, loaded.files, overwrite=overwrite)
         with terminal.progress_bar() as progress:
-            measured = measure_bench(loaded, frames, out, progress, average=average, auto_expose=auto_expose)
+            measured = measure_bench(
+                loaded, out, frames=frames, progress=progress, average=average, auto_expose=auto_expose
+            )
     print_measurement(measured, out)
 
 
-def measure_attached(name: str, frames: int, out: Path, progress: Progress, *, takes_control: bool = False) -> Measured:
+def measure_attached(name: str, out: Path, *, frames: int, progress: Progress, takes_control: bool = False) -> Measured:
     """Let the instrument of a name record `frames` frames, and write their results; see `measure_bench`."""
     from app.acquisition.remote.messages import watching
     from app.acquisition.session import ConnectedBench
@@ -103,7 +105,7 @@ def measure_attached(name: str, frames: int, out: Path, progress: Progress, *, t
 
 
 def measure_bench(
-    bench: Bench, frames: int, out: Path, progress: Progress, *, average: int | None = None, auto_expose: bool = False
+    bench: Bench, out: Path, *, frames: int, progress: Progress, average: int | None = None, auto_expose: bool = False
 ) -> Measured:
     """Record `frames` frames into the folder `out`, with the results, the dark and the reference.
 

@@ -50,4 +50,4 @@ def paper(
     else:
         study = (tables.table1 if table == "table1" else tables.table2)(with_peers=peers)
     options.check_files(*files_of([study], out), reads=loaded.files, overwrite=overwrite)
-    run_and_print([study], loaded, seeds, out)
+    run_and_print([study], loaded, seeds=seeds, out=out)

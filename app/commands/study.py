@@ -74,17 +74,17 @@ def study(
     with shared as evaluate:
         if evaluate is not None and evaluate.dashboard:
             typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
-        run_and_print(studies, loaded, seeds, out, evaluate)
+        run_and_print(studies, loaded, seeds=seeds, out=out, evaluate=evaluate)
 
 
 def run_and_print(
-    studies: Sequence[Study], bench: Bench, seeds: int, out: Path, evaluate: Workers | None = None
+    studies: Sequence[Study], bench: Bench, *, seeds: int, out: Path, evaluate: Workers | None = None
 ) -> None:
     """Run studies under a progress bar, and print their results."""
     from app.evaluation.studies import run_studies
 
     with terminal.progress_bar() as progress:
-        results = run_studies(bench, studies, seeds, out, progress, evaluate)
+        results = run_studies(studies, bench, seeds=seeds, out=out, progress=progress, evaluate=evaluate)
     print_results(results)
 
 

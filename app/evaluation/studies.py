@@ -120,7 +120,13 @@ _Measured = Iterator[tuple[Study, Sequence[CaseResult]]]
 
 
 def run_studies(
-    bench: Bench, studies: Sequence[Study], seeds: int, out: Path, progress: Progress, evaluate: Evaluate | None = None
+    studies: Sequence[Study],
+    bench: Bench,
+    *,
+    seeds: int,
+    out: Path,
+    progress: Progress,
+    evaluate: Evaluate | None = None,
 ) -> list[StudyResult]:
     """Run studies and write the results into the folder `out` after each; see `Study.files`.
 

@@ -85,7 +85,7 @@ def draw_overview(figure: FigureBase, summary: Summary) -> None:
     if (stats := summary.statistics) is None:
         _draw_images(below, summary)
     else:
-        draw_views(below, stats.mean, stats.wavefront.field, f"mean wavefront of {summary.sampled_frames}")
+        draw_views(below, stats.mean, stats.wavefront.field, title=f"mean wavefront of {summary.sampled_frames}")
 
 
 def _lines(said: list[Fact]) -> list[tuple[str, str]]:
@@ -98,7 +98,7 @@ def _lines(said: list[Fact]) -> list[tuple[str, str]]:
 
 
 def draw_views(
-    figure: SubFigure, views: Floats, field: Field, title: str, *, limit: float = 0.0, with_places: bool = True
+    figure: SubFigure, views: Floats, field: Field, *, title: str, limit: float = 0.0, with_places: bool = True
 ) -> None:
     """Draw the wavefronts of the views with RMS and PV, on a scale of +-`limit` rad, or up to the largest value.
 
@@ -244,9 +244,9 @@ def draw_comparison(figure: FigureBase, residual: Residual) -> None:
     _, above, below = _page_parts(figure, title, residual.sentence, [0.42, 0.58])
     limit = float(np.nanmax(np.abs([residual.mean, residual.other_mean]), initial=0))
     ((own, other),) = above.subfigures(1, 2, squeeze=False)
-    draw_views(own, residual.mean, residual.field, "the first", limit=limit, with_places=False)
-    draw_views(other, residual.other_mean, residual.field, "the second", limit=limit, with_places=False)
-    draw_views(below, residual.views, residual.field, "the first minus the second")
+    draw_views(own, residual.mean, residual.field, title="the first", limit=limit, with_places=False)
+    draw_views(other, residual.other_mean, residual.field, title="the second", limit=limit, with_places=False)
+    draw_views(below, residual.views, residual.field, title="the first minus the second")
 
 
 _PNG_DPI = 110

@@ -115,5 +115,5 @@ def test_layer_is_found_where_the_screen_is() -> None:
 
 def test_study_of_a_hexagonal_bench_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="made for square lattices"):
-        run_studies(load_bench("small_demo", HEXAGONAL), [], 1, tmp_path / "out", lambda *_: None)
+        run_studies([], load_bench("small_demo", HEXAGONAL), seeds=1, out=tmp_path / "out", progress=lambda *_: None)
     assert not (tmp_path / "out").exists()

@@ -150,9 +150,9 @@ class MeasuredCourse(Course):
         self,
         acquisition: OwnConnection,
         progress: Progress,
+        *,
         warm_up_s: float,
         seconds: float,
-        *,
         memory_s: float = 0.0,
         record_into: Path | None = None,
     ) -> None:

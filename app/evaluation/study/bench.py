@@ -221,16 +221,16 @@ def _measured(bench: Bench, case: _Case, images: tuple[Image, Image], truth: Flo
         displacement = estimator.reconstructor.register(frame)
         samples = {"free": FREE, "layers": estimator.reconstructor.find_sample(displacement)}
     except ReconstructionError as refusal:
-        yield without_wavefront("layers", at, estimator, refusal)
+        yield without_wavefront(estimator, refusal, curve="layers", at=at)
         return
     for curve, sample in samples.items():
         wavefront = estimator.reconstructor.solve(displacement, sample=sample)
         faults = estimator.judge(frame, wavefront.displacement).faults
-        found = compared(curve, at, wavefront, truth)
+        found = compared(wavefront, truth, curve=curve, at=at)
         yield replace(found, values={**found.values, "faults": float(faults)})
         error = without_piston(np.where(wavefront.displacement.valid, wavefront.views - truth, np.nan))
         covered = np.mean((np.abs(error) < wavefront.sigma())[np.isfinite(error)])
-        yield with_rms(f"{curve}: error bar", at, wavefront, error_bar_rad(wavefront), coverage=float(covered))
+        yield with_rms(wavefront, error_bar_rad(wavefront), curve=f"{curve}: error bar", at=at, coverage=float(covered))
 
 
 BENCH = Sweep(

@@ -60,8 +60,8 @@ def compare(
     estimators: Mapping[Warp, Estimator],
     frame: Image,
     truth: Floats,
-    at: Position,
     *,
+    at: Position,
     prefix: str = "",
     views: Views = None,
     refined: tuple[Warp, ...] = REFINED,
@@ -75,19 +75,19 @@ def compare(
         try:
             reconstructor = estimator.reconstructor  # may refuse
             displacement = reconstructor.register(frame)
-            yield compared(curve, at, reconstructor.solve(displacement), truth, views=views)
+            yield compared(reconstructor.solve(displacement), truth, curve=curve, at=at, views=views)
             if warp in refined:
                 sample = reconstructor.find_sample(displacement)
                 wavefront = reconstructor.solve(displacement, sample=sample)
-                yield compared(f"{curve} layers", at, wavefront, truth, views=views)
+                yield compared(wavefront, truth, curve=f"{curve} layers", at=at, views=views)
                 curve += " refined"
                 wavefront, _ = estimator.solve(displacement, sample=sample, rounds=ROUNDS)
-                yield compared(curve, at, wavefront, truth, views=views)
+                yield compared(wavefront, truth, curve=curve, at=at, views=views)
         except ReconstructionError as error:
-            yield without_wavefront(curve, at, estimator, error)
+            yield without_wavefront(estimator, error, curve=curve, at=at)
 
 
-def without_wavefront(curve: str, at: Position, estimator: Estimator, why: ReconstructionError) -> CaseResult:
+def without_wavefront(estimator: Estimator, why: ReconstructionError, *, curve: str, at: Position) -> CaseResult:
     """Return the result of a frame that has no wavefront: all lenslets are lost."""
     sensor = estimator.calibration.bench.sensor
     values = {"rms_rad": math.nan, "lost": float(sensor.lenslet_rows * sensor.lenslet_columns), "left_cell": 0.0}
@@ -95,11 +95,11 @@ def without_wavefront(curve: str, at: Position, estimator: Estimator, why: Recon
 
 
 def compared(
-    curve: str,
-    at: Position,
     wavefront: Wavefront,
     truth: Floats,
     *,
+    curve: str,
+    at: Position,
     views: Views = None,
     lenslets: Booleans | None = None,
 ) -> CaseResult:
@@ -108,10 +108,10 @@ def compared(
     Without `views` (view_row, view_column) all of them count, without `lenslets` the valid ones.
     """
     lenslets = wavefront.displacement.valid if lenslets is None else lenslets
-    return with_rms(curve, at, wavefront, mean_rms_within(wavefront.views - truth, lenslets, views))
+    return with_rms(wavefront, mean_rms_within(wavefront.views - truth, lenslets, views), curve=curve, at=at)
 
 
-def with_rms(curve: str, at: Position, wavefront: Wavefront, rms_rad: float, **more: float) -> CaseResult:
+def with_rms(wavefront: Wavefront, rms_rad: float, *, curve: str, at: Position, **more: float) -> CaseResult:
     """Return an RMS with the counts of lost lenslets of a wavefront.
 
     More are `asked_rad`, a limit of its own, and `coverage`, the share of lenslets within the error bar `rms_rad`.

@@ -112,8 +112,8 @@ def predicted_and_simulated(
         corrected, after = measured(_through(renderer, mask, made), index)
         predicted_rad, simulated_rad = made.mean_residual_rad, float(np.sqrt(np.nanmean(rms(after) ** 2)))
         most_rad = (1 + _AGREEMENT) * predicted_rad
-        yield with_rms(f"{name}, predicted", at_m, without, predicted_rad)
-        yield with_rms(f"{name}, simulated", at_m, corrected, simulated_rad, asked_rad=most_rad)
+        yield with_rms(without, predicted_rad, curve=f"{name}, predicted", at=at_m)
+        yield with_rms(corrected, simulated_rad, curve=f"{name}, simulated", at=at_m, asked_rad=most_rad)
 
 
 def _through(renderer: Renderer, mask: str, made: Correction) -> Image:

@@ -139,7 +139,9 @@ class _MaskStudy:
                 samples = {"any wavefront": FREE, "layers": reconstructor.find_sample(displacement)}
                 for assumed, sample in samples.items():
                     wavefront = reconstructor.solve(displacement, sample=sample)
-                    yield compared(f"residual, {assumed}: {way}", at, wavefront, frame.truth, views=self._views)
+                    yield compared(
+                        wavefront, frame.truth, curve=f"residual, {assumed}: {way}", at=at, views=self._views
+                    )
 
     def noise(self, at: str) -> Iterator[CaseResult]:
         """Noise of 45 modes with the bench's screen, at equal peak, and at the exposure that gives the square it."""
@@ -153,17 +155,17 @@ class _MaskStudy:
         self, at: str, curve: str, electrons: Image, electrons_per_photon: np.float32, peak_e: float
     ) -> Iterator[CaseResult]:
         seen, reference_e = camera(self._bench), self._reference * electrons_per_photon
-        modes = without_prior(self._bench)
-        reconstructor = seen.reconstructor(self._bench, reference_e, WARP, reconstruction=modes)
+        reconstructor = seen.reconstructor(self._bench, reference_e, WARP, reconstruction=without_prior(self._bench))
         without = reconstructor(seen.counts(electrons))
-        bound = bound_rad(self._bench, reconstructor, without.displacement.modes.count, self._views)
-        yield with_rms(f"{curve}: bound", at, without, bound)
-        yield with_rms(f"{curve}: predicted", at, without, error_bar_rad(without, self._views))
+        modes = without.displacement.modes.count
+        bound = bound_rad(self._bench, reconstructor, field_modes=modes, views=self._views)
+        yield with_rms(without, bound, curve=f"{curve}: bound", at=at)
+        yield with_rms(without, error_bar_rad(without, self._views), curve=f"{curve}: predicted", at=at)
         if peak_e in _SIMULATED_E:
             seed = self._bench.simulation.seed
             draws = (reconstructor(seen.exposed(electrons, seed, draw)) for draw in range(_DRAWS))
             simulated = scatter_of(draws, without.views, self._views)
-            yield with_rms(f"{curve}: simulated", at, without, simulated.rms_rad)
+            yield with_rms(without, simulated.rms_rad, curve=f"{curve}: simulated", at=at)
 
 
 class LinearPass:
@@ -268,7 +270,8 @@ def _predicted(bench: Bench, square: Image, views: NDArray[np.bool_], seeds: ran
     values = {"light": light, "peak": peak, "hidden": float(reconstructor.hidden)}
     modes = reconstructor.register(counts).modes.count
     for peak_e, bound in _BOUNDS.items():
-        values[bound] = bound_rad(bench, reconstructor, modes, views, exposure=peak_e / PEAKS_E[1])
+        exposure = peak_e / PEAKS_E[1]
+        values[bound] = bound_rad(bench, reconstructor, field_modes=modes, views=views, exposure=exposure)
     predict = LinearPass(bench, reconstructor, counts)
     for sample, changes in _SAMPLES.items():
         errors = []

@@ -68,9 +68,9 @@ def error_bar_rad(wavefront: Wavefront, views: Views = None) -> float:
 def bound_rad(
     bench: Bench,
     reconstructor: Reconstructor,
+    *,
     field_modes: int,
     views: Views = None,
-    *,
     exposure: float = 1.0,
     brightness_terms: int = 1,
 ) -> float:

@@ -30,11 +30,11 @@ from app.evaluation.study.estimators import (
     warp_estimators,
     with_rms,
 )
-from app.evaluation.study.noise_limit import bound_rad, scatter_of, without_prior
+from app.evaluation.study.noise_limit import Scatter, bound_rad, scatter_of, without_prior
 from app.evaluation.study_kinds import Sweep
 from app.measurement.estimator import ROUNDS, Estimator
 from app.progress import Progress
-from reconstruction.arrays import Floats, Image
+from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
@@ -57,7 +57,7 @@ def _over_screens(values: tuple[float, ...], change: _Change, first_seed: int | 
             for index, value in enumerate(values):
                 progress(f"{value:g}", (done + index / len(values)) / len(seeds))
                 frame = NoiseFreeFrames(change(screen, value)).frame()
-                yield from compare(estimators, frame.photons, frame.truth, value)
+                yield from compare(estimators, frame.photons, frame.truth, at=value)
 
     return measure
 
@@ -134,7 +134,7 @@ def _ensembles(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseR
             continue
         for length_m, film in films:
             displacement, truth = register(film[-1].photons), film[-1].truth
-            yield compared(f"{warp}, {method}", length_m, solve(displacement), truth)
+            yield compared(solve(displacement), truth, curve=f"{warp}, {method}", at=length_m)
             if method != "automatic" or warp not in REFINED:
                 continue
             sample = estimator.reconstructor.find_sample(displacement)
@@ -145,7 +145,7 @@ def _ensembles(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseR
                 "refined live, 1 s old": _live(estimator, film, sample, is_refined=True),
             }
             for name, wavefront in wavefronts.items():
-                yield compared(f"{warp}, {name}", length_m, wavefront, truth)
+                yield compared(wavefront, truth, curve=f"{warp}, {name}", at=length_m)
 
 
 def _live(
@@ -201,7 +201,7 @@ def _sources(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseRes
         for done, screen in enumerate(seeded(with_mask, seeds)):
             progress(mask, (index + done / len(seeds)) / len(_MASKS))
             frame = NoiseFreeFrames(screen).frame()
-            yield from compare(estimators, frame.photons, frame.truth, mask, views=views)
+            yield from compare(estimators, frame.photons, frame.truth, at=mask, views=views)
 
 
 def lit_views(bench: Bench) -> NDArray[np.bool_]:
@@ -237,8 +237,9 @@ def _over_errors(values: tuple[float, ...], errors: dict[str, _Change]) -> _Meas
             progress(f"{kind} {value:g}", done / len(cases))
             estimators = warp_estimators(wrong(bench, value), reference, ("quadratic", "cubic"))
             for frame in frames:
-                prefix = f"{kind}: "
-                yield from compare(estimators, frame.photons, frame.truth, value, prefix=prefix, refined=("cubic",))
+                yield from compare(
+                    estimators, frame.photons, frame.truth, at=value, prefix=f"{kind}: ", refined=("cubic",)
+                )
 
     return measure
 
@@ -299,12 +300,12 @@ def _dead(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult
             alive = alive.reshape(shape)
             light = by_pixel(alive, _lattice(bench), *reference.shape)
             estimators = warp_estimators(bench, reference * light)
-            yield from compare(estimators, frame.photons * light, frame.truth, fraction, refined=("cubic",))
+            yield from compare(estimators, frame.photons * light, frame.truth, at=fraction, refined=("cubic",))
             if fraction > 0:
                 cubic, curve = estimators["cubic"], "cubic refined, at the dead ones"
                 displacement = cubic.reconstructor.register(frame.photons * light)
                 wavefront, _ = cubic.solve(displacement, sample=FREE, rounds=ROUNDS)
-                yield compared(curve, fraction, wavefront, frame.truth, lenslets=alive == 0.0)
+                yield compared(wavefront, frame.truth, curve=curve, at=fraction, lenslets=alive == 0.0)
 
 
 DEAD = Sweep(name="dead", title="Dead lenslets", axis="part of all lenslets", measure=_dead)
@@ -330,39 +331,45 @@ def _photons(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseRes
             automatic = em_camera.reconstructor(bench, reference * scale)
             for draw in range(_DRAWS):
                 noisy = em_camera.exposed(frame.photons * scale, seed, draw)
-                yield from compare(estimators, noisy, frame.truth, peak_e)
-                yield compared("automatic warp", peak_e, automatic(noisy), frame.truth)
+                yield from compare(estimators, noisy, frame.truth, at=peak_e)
+                yield compared(automatic(noisy), frame.truth, curve="automatic warp", at=peak_e)
             if peak_e in _LIMITED_E:
-                light = reference * scale, frame.photons * scale
-                yield from _beside_bound(screen, em_camera, *light, frame.truth, peak_e)
+                lit = replace(frame, photons=frame.photons * scale)
+                yield from _beside_bound(screen, em_camera, reference * scale, lit, at=peak_e)
 
 
 def _beside_bound(
-    bench: Bench, em_camera: EmCamera, reference: Image, frame: Image, truth: Floats, peak_e: float
+    bench: Bench, em_camera: EmCamera, reference: Image, frame: NoiseFreeFrame, *, at: float
 ) -> Iterator[CaseResult]:
     """Scatter, Cramer-Rao bound and error bar of each warp, and the error bar of the automatic estimator.
 
-    `reference` and `frame` are in electrons. The draws of noise are others than those of the residual.
+    Reference and frame are in electrons, (row, column). The draws of noise are others than those of the residual.
     """
 
     def wavefronts() -> Iterator[Wavefront]:
         for draw in range(_NOISE_DRAWS):
-            yield reconstructor(em_camera.exposed(frame, bench.simulation.seed, _DRAWS + draw))
+            yield reconstructor(em_camera.exposed(frame.photons, bench.simulation.seed, _DRAWS + draw))
 
     for warp in _UNBIASED:
         reconstructor = em_camera.reconstructor(bench, reference, warp, reconstruction=without_prior(bench))
         curve = f"{warp}, 45 modes"
-        without = reconstructor(em_camera.counts(frame))
+        without = reconstructor(em_camera.counts(frame.photons))
         fields, terms = without.displacement.modes.count, reconstructor.brightness_terms
-        bound = bound_rad(bench, reconstructor, fields, brightness_terms=terms)
+        bound = bound_rad(bench, reconstructor, field_modes=fields, brightness_terms=terms)
         scatter = scatter_of(wavefronts(), without.views)
-        yield with_rms(f"{curve}: scatter", peak_e, without, scatter.rms_rad, asked_rad=_OVER_BOUND * bound)
-        yield with_rms(f"{curve}: bound", peak_e, without, bound)
-        yield with_rms(f"{curve}: error bar", peak_e, without, scatter.error_bar_rad, coverage=scatter.coverage)
+        most_rad = _OVER_BOUND * bound
+        yield with_rms(without, scatter.rms_rad, curve=f"{curve}: scatter", at=at, asked_rad=most_rad)
+        yield with_rms(without, bound, curve=f"{curve}: bound", at=at)
+        yield _error_bar(without, scatter, curve, at)
     reconstructor = em_camera.reconstructor(bench, reference)
-    scatter = scatter_of(wavefronts(), truth)
-    without = reconstructor(em_camera.counts(frame))
-    yield with_rms("automatic warp: error bar", peak_e, without, scatter.error_bar_rad, coverage=scatter.coverage)
+    scatter = scatter_of(wavefronts(), frame.truth)
+    without = reconstructor(em_camera.counts(frame.photons))
+    yield _error_bar(without, scatter, "automatic warp", at)
+
+
+def _error_bar(wavefront: Wavefront, scatter: Scatter, curve: str, at: float) -> CaseResult:
+    bar_rad, coverage = scatter.error_bar_rad, scatter.coverage
+    return with_rms(wavefront, bar_rad, curve=f"{curve}: error bar", at=at, coverage=coverage)
 
 
 def _em_gain(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
@@ -378,7 +385,7 @@ def _em_gain(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseRes
             reconstructor = em_camera.reconstructor(bench, reference * scale, "quadratic")
             for draw in range(_DRAWS):
                 wavefront = reconstructor(em_camera.exposed(frame.photons * scale, seed, draw))
-                yield compared(curve, gain, wavefront, frame.truth)
+                yield compared(wavefront, frame.truth, curve=curve, at=gain)
 
 
 PHOTONS = Sweep(

@@ -64,7 +64,7 @@ def test_measure_asks_for_manual_steps(
     person = Person(camera, presses=2)
     monkeypatch.setattr("sys.stdin", person)
     monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
-    measured = measure_bench(MANUAL, 3, tmp_path / "m", lambda *_: None)
+    measured = measure_bench(MANUAL, tmp_path / "m", frames=3, progress=lambda *_: None)
     assert measured.reconstructed == 3
     assert len(person.saw) == 2
     assert person.saw[1] == (True, False)  # after dark and reference
@@ -83,7 +83,7 @@ def test_measure_asks_for_a_manual_light(
     monkeypatch.setattr("sys.stdin", person)
     monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
     bench = replace(MANUAL, light=ManualLightSettings())
-    measured = measure_bench(bench, 3, tmp_path / "m", lambda *_: None)
+    measured = measure_bench(bench, tmp_path / "m", frames=3, progress=lambda *_: None)
     assert measured.reconstructed == 3
     assert [is_on for is_on, _ in person.saw] == [True, True, False, True]
     asked = [line.split(",")[0] for line in capsys.readouterr().err.splitlines()]
@@ -118,7 +118,7 @@ def test_measure_by_hand_retakes_unusable_reference(
     person = Mender(camera, presses=4)
     monkeypatch.setattr("sys.stdin", person)
     monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
-    measured = measure_bench(MANUAL, 3, tmp_path / "m", lambda *_: None)
+    measured = measure_bench(MANUAL, tmp_path / "m", frames=3, progress=lambda *_: None)
     assert measured.reconstructed == 3
     assert [is_sample_in for _, is_sample_in in person.saw] == [False] * 4
     first, *told, last = capsys.readouterr().err.splitlines()
@@ -134,7 +134,7 @@ def test_measure_with_motors_fails_on_unusable_reference(monkeypatch: pytest.Mon
     camera._images[0] = np.zeros_like(camera._images[0])
     monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
     with pytest.raises(RunError, match="the reference is unusable: "):
-        measure_bench(BENCH, 3, tmp_path / "m", lambda *_: None)
+        measure_bench(BENCH, tmp_path / "m", frames=3, progress=lambda *_: None)
     assert not camera.light.shines
     assert not (tmp_path / "m").exists()
 
@@ -146,7 +146,7 @@ def test_measure_fails_if_terminal_is_closed(
     monkeypatch.setattr("sys.stdin", Person(camera, presses))
     monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
     with pytest.raises(InputError, match="terminal was closed before"):
-        measure_bench(MANUAL, 3, tmp_path / "m", lambda *_: None)
+        measure_bench(MANUAL, tmp_path / "m", frames=3, progress=lambda *_: None)
     assert not camera.light.shines
     assert camera.state in {"closed", "stopped"}  # stopped if it was never opened
 
@@ -155,7 +155,7 @@ def test_measure_needs_a_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     monkeypatch.setattr("sys.stdin", io.StringIO("\n\n"))
     monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
     with pytest.raises(InputError, match=r"no motors: .* to take the sample out of the beam"):
-        measure_bench(MANUAL, 3, tmp_path / "m", lambda *_: None)
+        measure_bench(MANUAL, tmp_path / "m", frames=3, progress=lambda *_: None)
 
 
 def test_window_starts_without_reference(camera: FakeCamera) -> None:

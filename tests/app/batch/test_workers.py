@@ -388,8 +388,10 @@ def test_without_dask_a_sentence_tells_how_to_install_it(monkeypatch: pytest.Mon
 def test_studies_are_shared_among_workers(two_workers: Workers, small_toml: Path, tmp_path: Path) -> None:
     """Also settings that are functions in functions reach the workers."""
     bench, study = load_bench(small_toml), calibration_trials()
-    (whole,) = run_studies(bench, [study], 2, tmp_path / "whole", lambda *_: None)
-    (shared,) = run_studies(bench, [study], 2, tmp_path / "shared", lambda *_: None, two_workers)
+    (whole,) = run_studies([study], bench, seeds=2, out=tmp_path / "whole", progress=lambda *_: None)
+    (shared,) = run_studies(
+        [study], bench, seeds=2, out=tmp_path / "shared", progress=lambda *_: None, evaluate=two_workers
+    )
     measured = [each.data["centre (px)"].tolist() for each in (shared, whole)]
     assert len(measured[0]) >= 8
     assert measured[0] == measured[1]

@@ -124,7 +124,7 @@ def test_prompts_match_documentation(
     monkeypatch.setattr("app.acquisition.devices.open_devices", opener(camera))
     source = replace(MANUAL.simulation.source, mask="stars")
     bench = replace(MANUAL, simulation=replace(MANUAL.simulation, source=source))
-    measure_bench(bench, 1, tmp_path / "m", lambda *_: None, average=4)
+    measure_bench(bench, tmp_path / "m", frames=1, progress=lambda *_: None, average=4)
     asked = capsys.readouterr().err.splitlines()
     assert len(asked) == 2
     assert all(f"    {line}\n" in TEXT for line in asked)

@@ -63,7 +63,7 @@ class InThisProcess:
 
 def course_of(bench: Bench, warm_up_s: float, record_into: Path | None = None) -> MeasuredCourse:
     own = InThisProcess("test").connect(bench)
-    return MeasuredCourse(own, no_report, warm_up_s, seconds=60, record_into=record_into)  # type: ignore[arg-type] # as above
+    return MeasuredCourse(own, no_report, warm_up_s=warm_up_s, seconds=60, record_into=record_into)  # type: ignore[arg-type] # as above
 
 
 @dataclass

@@ -59,7 +59,7 @@ def test_scatter_of_estimator_is_near_the_bound(small_toml: Path) -> None:
     scatter = scatter_of((reconstructor(seen.exposed(electrons, 1, draw)) for draw in range(100)), without.views)
     terms, fields = reconstructor.brightness_terms, without.displacement.modes.count
     assert terms == 10
-    bound = bound_rad(bench, reconstructor, fields, brightness_terms=terms)
+    bound = bound_rad(bench, reconstructor, field_modes=fields, brightness_terms=terms)
     assert 0.98 < scatter.rms_rad / bound < 1.15
     assert scatter.error_bar_rad == pytest.approx(scatter.rms_rad, rel=0.08)  # it follows a misfit above the noise only
     assert scatter.coverage == pytest.approx(0.683, abs=0.04)

@@ -47,8 +47,10 @@ def test_shared_seeds_give_the_same_results(
     monkeypatch.setattr(sweeps, "_PEAKS_E", (1e3,))
     monkeypatch.setattr(sweeps, "_NOISE_DRAWS", 2)
     bench = load_bench(small_toml)
-    (whole,) = run_studies(bench, [study], 2, tmp_path / "whole", lambda *_: None)
-    (shared,) = run_studies(bench, [study], 2, tmp_path / "shared", lambda *_: None, one_by_one)
+    (whole,) = run_studies([study], bench, seeds=2, out=tmp_path / "whole", progress=lambda *_: None)
+    (shared,) = run_studies(
+        [study], bench, seeds=2, out=tmp_path / "shared", progress=lambda *_: None, evaluate=one_by_one
+    )
     pd.testing.assert_frame_equal(without_times(shared.data), without_times(whole.data), check_exact=True)
     assert shared.data.groupby([*study.dims], observed=True).size().max() >= 2
 
@@ -59,7 +61,7 @@ def test_studies_keep_their_order_whichever_ends_first(small_toml: Path, tmp_pat
 
     studies = [made_up("first"), made_up("second")]
     bench = load_bench(small_toml)
-    results = run_studies(bench, studies, 3, tmp_path, lambda *_: None, backwards)
+    results = run_studies(studies, bench, seeds=3, out=tmp_path, progress=lambda *_: None, evaluate=backwards)
     assert [result.study.name for result in results] == ["first", "second"]
     seeds = [screen.simulation.seed for screen in seeded(bench, range(3))]
     data = results[0].data
@@ -72,4 +74,6 @@ def test_failure_of_a_seed_is_that_of_the_study(small_toml: Path, tmp_path: Path
 
     study = Sweep(name="failing", title="", axis="", measure=fail)
     with pytest.raises(InputError, match="no view lies inside it"):
-        run_studies(load_bench(small_toml), [study], 2, tmp_path, lambda *_: None, one_by_one)
+        run_studies(
+            [study], load_bench(small_toml), seeds=2, out=tmp_path, progress=lambda *_: None, evaluate=one_by_one
+        )

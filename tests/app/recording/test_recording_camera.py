@@ -458,9 +458,9 @@ def test_unusable_recording_is_refused_on_opening(small_toml: Path, steady: Reco
 @pytest.mark.long
 def test_measuring_a_recording_reproduces_its_frames(small_toml: Path, tmp_path: Path) -> None:
     """Dark and reference agree exactly, the displacements within the noise of the averages."""
-    measure_bench(load_bench(small_toml), 12, tmp_path / "run", ignore)
+    measure_bench(load_bench(small_toml), tmp_path / "run", frames=12, progress=ignore)
     again = parse_bench(bench_text(small_toml, tmp_path / "run", pace="fastest"), "bench")
-    made = measure_bench(again, 12, tmp_path / "again", ignore)
+    made = measure_bench(again, tmp_path / "again", frames=12, progress=ignore)
     assert (made.frames, made.reconstructed) == (12, 12)
     then, now = Recording(tmp_path / "run"), Recording(tmp_path / "again")
     for name in ("dark", "reference"):
@@ -486,7 +486,7 @@ def test_measuring_a_recording_reproduces_its_frames(small_toml: Path, tmp_path:
 def test_measuring_beyond_the_end_keeps_all_frames(small_toml: Path, steady: Recording, tmp_path: Path) -> None:
     bench = parse_bench(bench_text(small_toml, steady.folder), "bench")
     with pytest.raises(RunError, match=f"recording run has ended: all {FRAMES} frames were played"):
-        measure_bench(bench, FRAMES + 1, tmp_path / "again", ignore)
+        measure_bench(bench, tmp_path / "again", frames=FRAMES + 1, progress=ignore)
     made = Recording(tmp_path / "again")
     assert made.is_complete
     assert len(made) == FRAMES

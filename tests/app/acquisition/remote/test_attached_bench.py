@@ -106,7 +106,7 @@ def test_every_measurement_from_the_call_on_comes_though_the_first_needs_an_esti
 
 
 def measured_attached(out: Path) -> Measured:
-    return measure_attached("instrument", 4, out, lambda *_: None)
+    return measure_attached("instrument", out, frames=4, progress=lambda *_: None)
 
 
 @pytest.mark.usefixtures("server")
