@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from app.results.deconvolution import deconvolve
     from app.results.layers import find_layers
     from app.results.opened_recording import OpenedRecording, open_recording
+    from app.results.point_spread import psf
     from drivers.errors import (
         BadValue,
         Busy,
@@ -65,6 +66,7 @@ _ELSEWHERE = {
     "app.results.deconvolution": "deconvolve",
     "app.results.layers": "find_layers",
     "app.results.opened_recording": "OpenedRecording open_recording",
+    "app.results.point_spread": "psf",
     "drivers.errors": "BadValue Busy DeviceError DeviceTimeout Disconnected FrameLost Unsupported WrongState",
     "reconstruction.displacement": "Displacement Outcome",
     "reconstruction.errors": "ReconstructionError",
@@ -102,46 +104,6 @@ def load_bench(source: str | Path, *overrides: str) -> Bench:
     from app.bench.config import load_bench as load
 
     return load(source, overrides)
-
-
-def psf(wavefront: Wavefront, x_m: float, y_m: float) -> xr.DataArray:
-    """Point-spread function at one position of the field.
-
-    Parameters
-    ----------
-    wavefront
-        A reconstructed wavefront.
-    x_m, y_m
-        Field position, m.
-
-    Returns
-    -------
-    xarray.DataArray
-        Intensity (angle_y, angle_x) over the peak of the unaberrated pupil, so 1 is diffraction-limited and the value
-        at angle 0 is the Strehl ratio; the coordinates are field angles in rad.
-
-    Raises
-    ------
-    ValueError
-        If the position lies outside the field.
-
-    Examples
-    --------
-    >>> image = svwfs.psf(wavefront, x_m=0.0, y_m=0.5e-3)
-    >>> image.dims
-    ('angle_y', 'angle_x')
-    """
-    import xarray as xr
-
-    from app.results.sources import measured
-    from reconstruction.quality.image_quality import psf as point_spread
-    from reconstruction.quality.image_quality import psf_angles_rad, psf_reach_rad
-
-    phase, sensor = measured(wavefront).at(x_m, y_m), wavefront.sensor
-    angle_rad = psf_angles_rad(sensor, psf_reach_rad(phase, sensor))
-    values = point_spread(phase, sensor, angle_rad=angle_rad)
-    angles = {name: (name, angle_rad, {"units": "rad"}) for name in ("angle_y", "angle_x")}
-    return xr.DataArray(values, dims=("angle_y", "angle_x"), coords=angles, name="psf")
 
 
 def to_dataset(wavefront: Wavefront) -> xr.Dataset:

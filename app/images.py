@@ -3,8 +3,9 @@
 import logging
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -194,6 +195,38 @@ def write_image(path: Path, image: NDArray[Any]) -> None:
     """Write an image (row, column) as TIFF."""
     with atomic_write(path) as temporary:
         tifffile.imwrite(temporary, image)
+
+
+def write_stack(
+    path: Path,
+    images: Iterable[NDArray[Any]],
+    *,
+    labels: Sequence[str],
+    information: str,
+    pixel_um: float,
+    interval_s: float | None = None,
+) -> None:
+    """Write as many images (row, column) of one size and type as there are labels, as BigTIFF, one in memory at a time.
+
+    tifffile's own ImageJ mode ends at 4 GB; this writes the same description and tags into a BigTIFF. ImageJ shows
+    `labels` above the images, and `information` under Image > Show Info. With an interval they are a film.
+    """
+    remaining = iter(images)
+    first = next(remaining)
+    shape, film = (len(labels), *first.shape), dict[str, Any]({} if interval_s is None else {"finterval": interval_s})
+    tags = tifffile.imagej_metadata_tag({"Info": information, "Labels": list(labels)}, "<")
+    with atomic_write(path) as temporary, tifffile.TiffWriter(temporary, bigtiff=True, byteorder="<") as writer:
+        writer.write(
+            chain([first], remaining),
+            shape=shape,
+            dtype=first.dtype,
+            photometric="minisblack",
+            description=tifffile.imagej_description(shape, axes="TYX" if film else "ZYX", unit="um", **film),
+            metadata=None,  # replaced by the description
+            extratags=tags,
+            resolution=(1 / pixel_um, 1 / pixel_um),
+            resolutionunit="NONE",
+        )
 
 
 def fits_file(image: Floats, unit: str) -> bytes:

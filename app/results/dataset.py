@@ -13,12 +13,13 @@ import numpy as np
 from app.bench.config import Bench
 from app.errors import SETTINGS_CHANGED, InputError
 from app.measurement.measurement import Measurement
+from app.results.point_spread import point_spread
 from app.results.result_file import FRAME, LENSLET, PIECE, VIEW, Variable, about, require_alike, write_results
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Field, Sensor
 from reconstruction.layers.layered_wavefront import AssumedSample
-from reconstruction.quality.image_quality import diffraction_rad, mtf, psf, psf_angles_rad
+from reconstruction.quality.image_quality import mtf, psf
 from reconstruction.quality.isoplanatism import isoplanatism
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.circulation import Circulation, measure_circulation
@@ -28,7 +29,6 @@ from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 if TYPE_CHECKING:
     import xarray as xr
 
-_PSF_REACH = 16  # half width of the map in diffraction widths (wavelength / pupil width), equal for all frames
 _RANGE = "displacement of the field's edge over what the cell allows; above 1 it has left the cell"
 _CHI_SQUARE = "reduced chi-square of the registered subimage; NaN where the camera's noise is not known"
 _MOST_LAYERS = 2  # layers of a sample; the same for all frames, so that they can be stacked
@@ -71,19 +71,6 @@ def structure(wavefront: Wavefront) -> dict[str, Variable]:
             variables[f"structure_{name}{suffix}"] = ("separation",), values, about("rad", long_name + note)
         variables[f"isoplanatic_patch{suffix}"] = (), np.array(curve.patch_m), about("m", patch)
     return variables
-
-
-def point_spread(wavefront: Wavefront) -> dict[str, Variable]:
-    """Point-spread function of every view on a fixed grid of angles."""
-    sensor = wavefront.sensor
-    angle_rad = psf_angles_rad(sensor, _PSF_REACH * diffraction_rad(sensor))
-    ideal = about("1", "point-spread function over its peak when unaberrated")
-    values = psf(wavefront.views, sensor, angle_rad=angle_rad).astype(np.float32)
-    return {
-        "psf": ((*VIEW, "angle_y", "angle_x"), values, ideal),
-        "angle_x": (("angle_x",), angle_rad, about("rad", "field angle along x")),
-        "angle_y": (("angle_y",), angle_rad, about("rad", "field angle along y")),
-    }
 
 
 def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with_psf: bool = False) -> xr.Dataset:

@@ -21,11 +21,12 @@ from support.recordings import record, replace_pixels
 
 from app.bench.config import parse_bench
 from app.errors import InputError, Interrupted, RunError
+from app.images import write_stack
 from app.progress import Progress
 from app.recording.reader import Recording
 from app.results import dataset
 from app.results.export import Export, Format
-from app.results.export_writers import psf_grid, psf_reach, write_psf_grid, write_stack
+from app.results.point_spread import psf_grid, psf_reach, write_psf_grid
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import diffraction_rad
 from reconstruction.solve.modal import ModalSolution
