@@ -16,7 +16,7 @@ from app.commands import options, terminal
 from app.errors import InputError, RunError
 from app.files import write_whole
 from app.images import IMAGE_FORMATS
-from app.measurement.averages import EXPOSURE_FRAMES
+from app.measurement.averages import EXPOSURE_FRAMES, LEAST_EXPOSURE_FRAMES
 from app.progress import Progress
 
 if TYPE_CHECKING:
@@ -42,12 +42,7 @@ def calibrate(
         bool, typer.Option("--linearity", help="Measure the camera's nonlinearity with the bench's devices instead.")
     ] = False,
     average: Annotated[
-        int | None,
-        typer.Option(
-            min=2,
-            max=1000,
-            help=f"Number of frames averaged into each exposure of --linearity [default: {EXPOSURE_FRAMES}].",
-        ),
+        int | None, options.average_option("each exposure of --linearity", EXPOSURE_FRAMES, LEAST_EXPOSURE_FRAMES)
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON.")] = False,
     overwrite: options.Overwrite = False,

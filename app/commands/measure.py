@@ -11,7 +11,7 @@ from app.acquisition.place import NAME
 from app.commands import options, terminal
 from app.errors import InputError, Interrupted, RunError
 from app.files import MEASURED
-from app.measurement.averages import AVERAGED_FRAMES, FRAMES
+from app.measurement.averages import FRAMES
 from app.progress import Progress, counted
 
 if TYPE_CHECKING:
@@ -30,14 +30,7 @@ def measure(
     mask: Annotated[
         str | None, typer.Option(metavar="NAME", help="Mask in the beam, as simulation.source.mask: square, stars, ...")
     ] = None,
-    average: Annotated[
-        int | None,
-        typer.Option(
-            min=AVERAGED_FRAMES.start,
-            max=AVERAGED_FRAMES[-1],
-            help=f"Number of frames averaged into dark and reference [default: {FRAMES}].",
-        ),
-    ] = None,
+    average: Annotated[int | None, options.average_option("dark and reference", FRAMES)] = None,
     auto_expose: Annotated[
         bool, typer.Option("--auto-expose", help="Find the exposure first, without the sample: bright, not saturated.")
     ] = False,

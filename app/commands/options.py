@@ -14,6 +14,7 @@ from typer.core import TyperCommand, TyperOption
 from app.bench.presets import PRESETS
 from app.errors import InputError
 from app.files import atomic_write, check_outputs, check_readable, check_suffix, require_suffix
+from app.measurement.averages import AVERAGED_FRAMES
 from app.results import analysis
 
 if TYPE_CHECKING:
@@ -33,6 +34,12 @@ def bench_option(text: str = f"Bench TOML file, or a preset: {', '.join(PRESETS)
 def folder_option(text: str) -> Any:
     """Return an option that names a folder, with this help."""
     return typer.Option(metavar=FOLDER, help=text)
+
+
+def average_option(into: str, default: int, least: int = AVERAGED_FRAMES.start) -> Any:
+    """Return the option `--average`: how many frames are averaged into what."""
+    text = f"Number of frames averaged into {into} [default: {default}]."
+    return typer.Option(min=least, max=AVERAGED_FRAMES[-1], help=text)
 
 
 Bench = Annotated[str, bench_option()]

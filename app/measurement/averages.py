@@ -14,6 +14,7 @@ from reconstruction.arrays import SIGMA_OF_MEDIAN, Counts
 FRAMES = 20  # default number averaged into the dark, and into the reference
 EXPOSURE_FRAMES = 8  # default number averaged into each exposure that measures the nonlinearity
 AVERAGED_FRAMES = range(1, 10_001)  # allowed numbers
+LEAST_EXPOSURE_FRAMES = 2  # of each such exposure, which tell its noise
 
 _SIGNIFICANT = 5.0  # standard errors
 _RELEVANT = 0.1  # of a dark pixel's noise in one frame; smaller drifts do not matter

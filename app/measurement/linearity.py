@@ -7,7 +7,7 @@ gives at another current is not known, the exposure time is.
 import numpy as np
 
 from app.measurement.auto_exposure import auto_expose
-from app.measurement.averages import Average, average
+from app.measurement.averages import LEAST_EXPOSURE_FRAMES, Average, average
 from app.measurement.routines import RoutineError, Watch, check_lit, restored
 from drivers.interface import Devices
 from drivers.light_source import ManualLight
@@ -30,8 +30,8 @@ def measure_linearity(devices: Devices, cell_px: float, frames: int, watch: Watc
     camera, light = devices.camera, devices.light
     if isinstance(light, ManualLight):
         raise RoutineError("a light that is switched by hand is not as steady as this needs: connect its driver")
-    if frames < 2:
-        raise RoutineError("at least 2 frames of each exposure are needed: they tell its noise")
+    if frames < LEAST_EXPOSURE_FRAMES:
+        raise RoutineError(f"at least {LEAST_EXPOSURE_FRAMES} frames of each exposure are needed: they tell its noise")
     with restored(devices):
         devices.stage.set_sample_in(False)
         exposures_s = _exposure_times(devices, cell_px, watch)
