@@ -1,4 +1,4 @@
-"""Frames of another process's instrument, with their wavefronts: the newest on a thread of their own, or every one.
+"""Frames of another process's instrument, with their wavefronts: the newest on a thread, or every one.
 
 The wavefront is solved here from the displacements, as it was there. Preparing that takes a second, in which commands
 and signs of life must go on.
@@ -7,7 +7,9 @@ and signs of life must go on.
 import struct
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache
@@ -17,14 +19,18 @@ from app.acquisition.remote.messages import Notice, RingRecord
 from app.acquisition.remote.ring import RingReader
 from app.acquisition.remote.wire import Absent, unpacked
 from app.errors import RunError
+from app.measurement.calibration import Calibration
 from app.measurement.estimator import Estimator
 from app.measurement.measurement import Measurement
+from app.progress import run_in_thread
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE
+from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
 
 _WAIT_S = 0.1
 _ESTIMATORS = 2  # kept: two references may alternate
+_AHEAD_BYTES = 512e6  # of pixels that are read while an estimator is prepared
 _REPLACED_S = 3.0  # for the notice of the next ring, after one could not be opened
 
 
@@ -38,33 +44,21 @@ class RemoteFrames:
         self._find, self._sinks, self._pause_s = find, sinks, pause_s
         self.newest: Measurement | None = None
         self.error: Exception | None = None  # that ended the thread
-        self._estimator_of, self._preparing = lru_cache(_ESTIMATORS)(Estimator), threading.Lock()
-        self._followers = [_Follower()]
+        self._preparation, self._looking_up = lru_cache(_ESTIMATORS)(_prepare), threading.Lock()
+        self.overtaken = 0  # records that the instrument replaced before, or while, they were read here
+        self._missed, self._counting = bytearray(), threading.Lock()  # 1 for each of them, by its count
         self._notice, self._has_news = Notice("", 0), threading.Condition()
         self._outdated = 0  # count of a record
         self._closing, self._delivering = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._work, name="connection frames", daemon=True)
         self._thread.start()
 
-    @property
-    def overtaken(self) -> int:
-        """Number of records that the instrument replaced before, or while, they were read here."""
-        return sum(each.overtaken for each in self._followers)
-
     def every(self) -> Iterator[Measurement]:
         """Yield each measurement from now on, in order and once, but those that `overtaken` counts.
 
-        What the newest one needs is prepared before, in seconds, during which the ring would overtake this reader.
+        While an estimator is prepared, which takes seconds, the frames that come are read ahead.
         """
-        with closing(_Follower()) as newest:
-            while (notice := self._notice).count and not self._closing.is_set():
-                if (record := self._next(newest, notice)) is not None:
-                    self._solved(record)
-                    break
-                self._wait_for_news(notice)
-        follower = _Follower(self._notice.count, every=True)
-        self._followers.append(follower)
-        return self._each(follower)
+        return self._each(_Follower(self._note_missed, self._notice.count, is_every_read=True))
 
     def announce(self, notice: Notice) -> None:
         """Note that there is a newer record."""
@@ -88,10 +82,9 @@ class RemoteFrames:
         self._thread.join(timeout_s)
 
     def _work(self) -> None:
-        follower = self._followers[0]
         try:
             # Another thread of BLAS would take processor time from the instrument by waiting busily.
-            with one_blas_thread(), closing(follower):
+            with one_blas_thread(), closing(_Follower(self._note_missed)) as follower:
                 while not self._closing.is_set():
                     notice = self._notice
                     if (record := self._next(follower, notice)) is None:
@@ -104,16 +97,27 @@ class RemoteFrames:
             self.error = error
 
     def _each(self, follower: "_Follower") -> Iterator[Measurement]:
+        ahead, most = deque[Measurement](), 1
         with closing(follower):
             while True:
                 notice, is_over = self._notice, self._closing.is_set()
-                if (record := self._next(follower, notice)) is not None:
+                if ahead and (is_over or self._is_prepared(ahead[0])):
+                    yield self._solved(ahead.popleft())
+                elif len(ahead) < most and (record := self._next(follower, notice)) is not None:
                     if not record.is_shown_only:
-                        yield self._solved(record)
-                elif is_over:
+                        ahead.append(record.measurement)
+                        most = int(_AHEAD_BYTES / record.measurement.frame.pixels.nbytes)
+                elif is_over and not ahead:
                     return
                 else:
                     self._wait_for_news(notice)
+
+    def _note_missed(self, count: int) -> None:
+        """Count a record that a reader has missed, unless another one has, too."""
+        with self._counting:
+            self._missed.extend(bytes(max(count + 1 - len(self._missed), 0)))
+            self.overtaken += not self._missed[count]
+            self._missed[count] = 1
 
     def _wait_for_news(self, notice: Notice) -> None:
         """Wait until there is another notice than this one; not for long, as an absent object comes without one."""
@@ -133,43 +137,53 @@ class RemoteFrames:
         return record
 
     def _deliver(self, record: RingRecord, count: int) -> None:
-        measurement = self._solved(record)
+        measurement = self._solved(record.measurement)
         with self._delivering:
             if not record.is_shown_only and count > self._outdated:
                 for sink in self._sinks:
                     sink(measurement)
         self.newest = measurement
 
-    def _solved(self, record: RingRecord) -> Measurement:
-        made = record.measurement
+    def _reconstructor(self, calibration: Calibration) -> Future[Reconstructor]:
+        """Return the reconstructor of a calibration, which the first call begins to prepare."""
+        with self._looking_up:
+            return self._preparation(calibration)
+
+    def _is_prepared(self, made: Measurement) -> bool:
+        return made.problem != "" or made.calibration is None or self._reconstructor(made.calibration).done()
+
+    def _solved(self, made: Measurement) -> Measurement:
         if made.problem or made.calibration is None or made.registered is None:
             return made
         try:
-            with self._preparing:  # the first thread that needs it prepares it
-                reconstructor = self._estimator_of(made.calibration).reconstructor
+            reconstructor = self._reconstructor(made.calibration).result()
             bias, sample = made.assumed.refinement.bias, made.assumed.sample or FREE
             return replace(made, wavefront=reconstructor.solve(made.registered, bias=bias, sample=sample))
         except ReconstructionError as error:
             return replace(made, problem=str(error))
 
 
+def _prepare(calibration: Calibration) -> Future[Reconstructor]:
+    return run_in_thread(lambda: Estimator(calibration).reconstructor, "estimator")[0]
+
+
 class _Follower:
     """One reader of an instrument's ring, and of the larger ones that may replace it."""
 
-    def __init__(self, count: int = 0, *, every: bool = False) -> None:
-        """Read the newest record after a count, or with `every` each one."""
-        self.count, self._every = count, every  # of the last record read
-        self.overtaken = 0
+    def __init__(self, note_missed: Callable[[int], None], count: int = 0, *, is_every_read: bool = False) -> None:
+        """Read the newest record after a count, or each one; `note_missed` is called with the count of one missed."""
+        self.count, self._note_missed, self._is_every_read = count, note_missed, is_every_read  # of the last read
         self._ring: tuple[str, RingReader] | None = None
         self._missing = "", 0.0  # the place of a ring that cannot be opened, and since when
 
     def next(self, place: str) -> tuple[int, bytes] | None:
         """Return the count and a copy of the next record in the ring at a place; None if there is none yet."""
         while (ring := self._at(place)) is not None and (newest := ring.count) > self.count:
-            count = self.count + 1 if self._every else newest
+            count = self.count + 1 if self._is_every_read else newest
             if (body := ring.read(count)) is not None:
                 return count, body
-            self.overtaken, self.count = self.overtaken + 1, count
+            self._note_missed(count)
+            self.count = count
         return None
 
     def close(self) -> None:
@@ -179,7 +193,9 @@ class _Follower:
 
     def _at(self, place: str) -> RingReader | None:
         """The ring at a place, or the one before it until all is read there; None if it is replaced already."""
-        if self._ring is not None and (self._ring[0] == place or (self._every and self._ring[1].count > self.count)):
+        if self._ring is not None and (
+            self._ring[0] == place or (self._is_every_read and self._ring[1].count > self.count)
+        ):
             return self._ring[1]
         try:
             opened = RingReader(place)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from itertools import islice
 from pathlib import Path
@@ -11,6 +12,7 @@ from support.gui_bench import BENCH, FakeCamera
 from support.patience import HANG_S, wait_until
 from support.served import connected, newest, served
 
+from app.acquisition.instrument import Instrument
 from app.acquisition.remote.server import Server
 from app.acquisition.session import ConnectedBench, connect
 from app.commands.measure import measure_attached
@@ -103,6 +105,27 @@ def test_every_measurement_from_the_call_on_comes_though_the_first_needs_an_esti
         monkeypatch.setattr(Calibration, "reconstructor", slowly)
         seen = [measurement.counts.acquired for measurement in islice(bench.every(), 10)]
     assert seen == list(range(seen[0], seen[0] + 10))
+
+
+def test_new_reference_costs_no_frame(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    prepare = Calibration.reconstructor
+
+    def slowly(calibration: Calibration) -> Reconstructor:
+        if threading.current_thread().name != "acquisition":  # in the client
+            time.sleep(0.5)  # longer than eight frames
+        return prepare(calibration)
+
+    with connect() as bench:
+        newest(bench._connection)
+        every = bench.every()
+        first = next(every)
+        monkeypatch.setattr(Calibration, "reconstructor", slowly)
+        server.acquisition.submit(Instrument.take_reference, 2)
+        made = next(each for each in every if each.calibration is not first.calibration)
+        seen = [made.counts.acquired, *(each.counts.acquired for each in islice(every, 20))]
+        assert made.wavefront is not None
+        assert seen == list(range(seen[0], seen[0] + 21))
+        assert not bench.overtaken
 
 
 def measured_attached(out: Path) -> Measured:

@@ -118,6 +118,20 @@ def test_every_frame_comes_once_and_in_order_and_those_overtaken_are_counted(
         assert frames.overtaken == 7
 
 
+def test_frame_that_two_readers_miss_is_counted_once(frames: RemoteFrames, tmp_path: Path) -> None:
+    with closing(RingWriter(10_000, tmp_path / "ring")) as ring:
+        publish(ring, frames, 1)
+        wait_until(lambda: frames.newest)
+        slow, slower = frames.every(), frames.every()
+        for count in range(2, 13):  # three more than the ring has slots
+            publish(ring, frames, count)
+        assert indices(slow, 8) == list(range(5, 13))
+        publish(ring, frames, 13)
+        assert indices(slower, 8) == list(range(6, 14))  # and 5
+        assert indices(slow, 1) == [13]
+        assert frames.overtaken == 4
+
+
 def test_newest_frame_that_is_overtaken_while_it_is_copied_is_counted(
     frames: RemoteFrames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -143,7 +157,7 @@ def test_memory_that_cannot_be_opened_is_told(frames: RemoteFrames, monkeypatch:
 
 
 def test_memory_that_was_replaced_may_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    times_s, follower = iter((0.0, 2.9, 3.1, 6.0, 6.2)), _Follower()
+    times_s, follower = iter((0.0, 2.9, 3.1, 6.0, 6.2)), _Follower(lambda _: None)
     monkeypatch.setattr("app.acquisition.remote.frames.time", SimpleNamespace(monotonic=lambda: next(times_s)))
     for place in ("3#replaced", "3#replaced", "4#missing", "4#missing"):
         assert follower.next(f"/proc/0/fd/{place}") is None
