@@ -1,6 +1,7 @@
 """The switch that turns the light off beside the thread that owns the devices."""
 
 import threading
+from collections.abc import Callable
 from concurrent.futures import Future
 
 from app.progress import run_in_thread
@@ -15,8 +16,10 @@ class LightSwitch:
     waits for one of them at most.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, hear_requests: Callable[[], object] = lambda: None) -> None:
+        """`hear_requests` is called before the light may shine: a request of a client may have arrived unheard."""
         self._light: LightSource | None = None
+        self._hear_requests = hear_requests
         self.requests = 0  # to switch off, so far
         self.served = 0  # requests that have been carried out
         self._known = (0, "")  # when the present command was sent
@@ -53,6 +56,7 @@ class LightSwitch:
             thread.join(timeout_s)
 
     def _may_shine(self) -> bool:
+        self._hear_requests()
         (requests, off_reason), (known_requests, known_reason) = self.known(), self._known
         return requests == known_requests and off_reason in ("", known_reason)
 

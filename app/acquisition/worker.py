@@ -62,14 +62,18 @@ class Acquisition:
         open_devices: Callable[[Bench, Callable[[float], None]], Devices] | None = None,
         sinks: tuple[Callable[[Measurement], None], ...] = (),
         on_show: Callable[[Measurement], object] = lambda _: None,
+        hear_requests: Callable[[], object] = lambda: None,
     ) -> None:
-        """`sinks` receive every measurement, `on_show` the frames of routines, which are shown only."""
+        """`sinks` receive every measurement, `on_show` the frames of routines, which are shown only.
+
+        The worker calls `hear_requests` before it lights the light: one to switch it off may have arrived unheard.
+        """
         self.bench = bench  # as given; the instrument has the changed settings
         self._open_devices = open_devices or bench_devices.open_devices
         self._commands = CommandQueue(self._finish_command)
         self._stopping = threading.Event()
         self._cancelling = threading.Event()
-        self._light_switch = LightSwitch()
+        self._light_switch = LightSwitch(hear_requests)
         self._writing_status = threading.Lock()
         self._thread = threading.Thread(target=self._work, name="acquisition", daemon=True)
         self.timings = Timings()

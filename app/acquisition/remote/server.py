@@ -103,6 +103,7 @@ class Server:
             open_devices,
             sinks=(partial(self._publish, is_shown_only=False),),
             on_show=partial(self._publish, is_shown_only=True),
+            hear_requests=self._hear_requests,
         )
         self._published = 0  # number of measurements
         self._unwritten: deque[tuple[int, Measurement, bool]] = deque(maxlen=1)  # number; whether it is shown only
@@ -116,7 +117,7 @@ class Server:
         self._done: deque[tuple[bytes, int, Future[Any]]] = deque()
         self._state: State | None = None
         self._sent_s, self._timings_s = -math.inf, -math.inf
-        self._turned_s = math.inf  # when messages were read last
+        self._heard_s = math.inf  # when messages were heard last
         self._timings: dict[TimedStage, StageTimes] = {}
         self._noticed = self._notice()
         self._is_over = False
@@ -208,12 +209,12 @@ class Server:
     def _turn(self) -> None:
         arrived = self._arrived([])
         now_s = time.monotonic()
-        if now_s > self._turned_s + _STOPPED_S:
+        if now_s > self._heard_s + _STOPPED_S:
             time.sleep(_GATHERING_S)
             arrived = self._arrived(arrived)
-        self._turned_s = now_s
         for identity, message in arrived:
             self._hear(identity, message, now_s)
+        self._heard_s = time.monotonic()
         for identity in [each for each, client in self._clients.items() if now_s > client.heard_s + _SILENT_S]:
             self._forget(identity)
         self._write_if_due()
@@ -224,6 +225,14 @@ class Server:
             self._tell_all(notice)
         if now_s > self._sent_s + _STATE_S:
             self._tell_state()
+
+    def _hear_requests(self) -> None:
+        """Wait, if this process was stopped, until all that has arrived since is heard; called by the worker.
+
+        A client may have switched the light off, and a command that was here before must not light it.
+        """
+        while time.monotonic() > self._heard_s + _STOPPED_S and not self.acquisition.is_closing:
+            time.sleep(_TICK_MS / 1e3)
 
     def _arrived(self, before: list[tuple[bytes, Any]]) -> list[tuple[bytes, Any]]:
         """Add the messages that have arrived, with their senders; a command before one to switch off may not light."""

@@ -22,7 +22,7 @@ from app.acquisition.instrument import Instrument
 from app.acquisition.light_switch import LightSwitch
 from app.acquisition.place import taken_place
 from app.acquisition.remote.connection import Connection, reach
-from app.acquisition.remote.messages import Command, RingRecord
+from app.acquisition.remote.messages import Command
 from app.acquisition.remote.server import Server
 from app.acquisition.start_up import start_up
 from app.errors import InputError, RunError
@@ -181,6 +181,35 @@ def test_light_does_not_flash_if_on_and_off_wait_for_a_stopped_instrument(
         assert fake_camera.light.shines
 
 
+def test_light_does_not_flash_if_on_waited_for_the_worker_when_the_instrument_was_stopped(
+    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The worker goes on a moment before the server, which has yet to hear of the command to switch off."""
+    goes_on, release, turn = threading.Event(), threading.Event(), Server._turn
+    with (
+        served(fake_camera, begin=lambda _: None) as server,
+        connected("first") as first,
+        connected("second") as second,
+    ):
+        wait_until(lambda: first.status is not None)
+        before = server.acquisition.submit(lambda _: release.wait(HANG_S))
+        wait_until(before.running)
+        lighting = first.submit(Instrument.set, "is_light_on", True)
+        wait_until(lambda: not server.acquisition._commands.is_empty)
+        monkeypatch.setattr(Server, "_turn", lambda server: goes_on.wait(HANG_S) and turn(server))
+        time.sleep(0.6)
+        darkening = second.switch_light_off()
+        release.set()
+        time.sleep(0.2)
+        goes_on.set()
+        with pytest.raises(WrongState, match="switched off meanwhile"):
+            lighting.result(HANG_S)
+        darkening.result(HANG_S)
+        assert fake_camera.light.log.lightings == 0
+        first.submit(Instrument.set, "is_light_on", True).result(HANG_S)
+        assert fake_camera.light.shines
+
+
 def test_command_that_its_client_gave_up_is_not_executed_unless_it_switches_off(
     fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -260,7 +289,7 @@ def test_a_bias_that_the_instrument_subtracted_is_subtracted_here() -> None:
         bias = np.full(made.registered.coefficients.shape, 0.1)
         bias[0] = 0.3
         applied = replace(made, assumed=Assumptions(FREE, RefinementState("applied", bias=bias)), wavefront=None)
-        found = connection._frames._solved(RingRecord(applied, is_shown_only=False))
+        found = connection._frames._solved(applied)
         reconstructor = made.calibration.reconstructor()
         assert found.wavefront is not None
         assert made.wavefront is not None
