@@ -9,10 +9,12 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeAlias, TypeVar
 
 import numpy as np
+from annotated_types import Gt, Le
 from numpy.typing import NDArray
+from typing_extensions import Doc
 
 from drivers.device import Device, Property, Range
 from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
@@ -36,6 +38,12 @@ class Region:
     left: int
     rows: int
     columns: int
+
+
+# Settings that the real cameras share.
+PitchSetting: TypeAlias = Annotated[float, Gt(0), Le(1e-3), Doc("Of the sensor, if the camera does not report it")]
+ExposureSetting: TypeAlias = Annotated[float, Gt(0), Le(86_400)]
+RegionSetting: TypeAlias = Annotated[Region, Doc("Omitted: the whole sensor")]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 from typing_extensions import Doc
 
-from drivers.camera import Region
+from drivers.camera import ExposureSetting, PitchSetting, RegionSetting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,20 +20,18 @@ class DcamSettings:
     driver: Literal["dcam"] = "dcam"
     device: Annotated[str, Doc('Serial number, or "0" for the first; empty takes the only one')] = ""
     library: Annotated[str, Doc("Path of dcamapi.dll or libdcamapi.so if not installed in the standard place")] = ""
-    pixel_pitch_m: Annotated[float, Gt(0), Le(1e-3), Doc("Of the sensor, if the camera does not report it")] | None = (
-        None
-    )
+    pixel_pitch_m: PitchSetting | None = None
     amplifier: Literal["normal", "em"] | None = None
     readout_speed: Annotated[int, Ge(1), Le(100), Doc("1 is the slowest, the normal amplifier's only one")] | None = (
         None
     )
-    exposure_s: Annotated[float, Gt(0), Le(86_400)] | None = None
+    exposure_s: ExposureSetting | None = None
     em_gain: Annotated[float, Ge(0), Le(1e5)] | None = None
     em_gain_protection: Annotated[bool, Doc("Black frames instead of light that would age the EM register")] = True
     em_gain_protection_frames: Annotated[int, Ge(1), Le(255), Doc("With too much light, before it acts")] | None = None
     em_gain_warning_level: Annotated[int, Ge(1), Le(3), Doc("Up to 3, the most sensitive")] | None = None
     binning: Annotated[int, Ge(1), Le(16)] = 1
-    region: Annotated[Region, Doc("Omitted: the whole sensor")] | None = None
+    region: RegionSetting | None = None
     trigger: Literal["internal", "external", "software"] = "internal"
     trigger_active: Literal["edge", "level", "synchronous"] | None = None
     trigger_polarity: Literal["negative", "positive"] | None = None

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
-from drivers.camera import Region
+from drivers.camera import ExposureSetting, PitchSetting, RegionSetting
 from drivers.genicam._frames import PIXEL_FORMATS
 
 
@@ -17,15 +17,13 @@ class GenicamSettings:
 
     driver: Literal["genicam"] = "genicam"
     device: Annotated[str, Doc("Name in `svwfs devices`, serial number or address; empty takes the only one")] = ""
-    pixel_pitch_m: Annotated[float, Gt(0), Le(1e-3), Doc("Of the sensor, if the camera does not report it")] | None = (
-        None
-    )
+    pixel_pitch_m: PitchSetting | None = None
     pixel_format: Annotated[str, Doc('For example "Mono12"; empty takes the deepest without padding')] = ""
     full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel; omitted: found in frames")] | None = (
         None
     )
     byte_order: Annotated[Literal["", "little", "big"], Doc("Of 16-bit pixels; empty takes that of the model")] = ""
-    exposure_s: Annotated[float, Gt(0), Le(86_400)] | None = None
+    exposure_s: ExposureSetting | None = None
     gain: (
         Annotated[
             float, Ge(-1e5), Le(1e5), Doc("Analogue, in the camera's unit, mostly dB; no electron multiplication")
@@ -34,7 +32,7 @@ class GenicamSettings:
     ) = None
     frame_rate_hz: Annotated[float, Gt(0), Le(1e6), Doc("Omitted: as fast as exposure and readout allow")] | None = None
     binning: Annotated[int, Ge(1), Le(64)] = 1
-    region: Annotated[Region, Doc("Omitted: the whole sensor")] | None = None
+    region: RegionSetting | None = None
     trigger: Annotated[str, Doc('"internal", or one of the camera\'s sources, for example "Line0"')] = "internal"
     buffers: Annotated[int, Ge(2), Le(10000), Doc("Buffered frames before the next is lost")] = 32
     packet_size: (

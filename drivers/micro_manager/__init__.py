@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le, MinLen
 from typing_extensions import Doc
 
-from drivers.camera import Region
+from drivers.camera import ExposureSetting, RegionSetting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,9 +25,9 @@ class MicroManagerSettings:
     properties: Annotated[dict[str, str], Doc("Set at open, by the adapter's names")] = field(default_factory=dict)
     pixel_pitch_m: Annotated[float, Gt(0), Le(1e-3), Doc("Of the sensor; Micro-Manager does not know it")] | None = None
     full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel, if not 2**bits - 1")] | None = None
-    exposure_s: Annotated[float, Gt(0), Le(86_400)] | None = None
+    exposure_s: ExposureSetting | None = None
     binning: Annotated[int, Ge(1), Le(64)] = 1
-    region: Annotated[Region, Doc("Omitted: the whole sensor")] | None = None
+    region: RegionSetting | None = None
     ring_frames: Annotated[int, Ge(4), Le(10000), Doc("Buffered before the oldest are overwritten")] = 64
 
     def faults(self) -> Iterator[tuple[str, str]]:

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
+from drivers.light_source import KEPT_CURRENT, OWNERS_LIMIT
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SerialLightSettings:
@@ -15,7 +17,7 @@ class SerialLightSettings:
     driver: str
     port: Annotated[str, Doc("Such as /dev/ttyUSB0, /dev/ttyACM0 or COM3")] = ""
     serial_number: Annotated[str, Doc("Of its USB adapter, instead of the port")] = ""
-    current_a: Annotated[float, Ge(0), Le(100), Doc("Omitted: it keeps its value")] | None = None
+    current_a: Annotated[float, Ge(0), Le(100), KEPT_CURRENT] | None = None
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
@@ -34,7 +36,7 @@ class CoolLEDSettings(SerialLightSettings):
     ] = "A"
     full_current_a: Annotated[float, Gt(0), Le(100), Doc("Nominal current at 100 %")] = 1.0
     wavelength_nm: Annotated[int, Ge(300), Le(1000), Doc("To load into A ... D of a pE-4000")] | None = None
-    limit_a: Annotated[float, Gt(0), Le(100), Doc("Owner's limit, below that of the head")] | None = None
+    limit_a: Annotated[float, Gt(0), Le(100), OWNERS_LIMIT] | None = None
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
@@ -49,4 +51,4 @@ class DC4100Settings(SerialLightSettings):
 
     driver: Literal["thorlabs_dc4100"] = "thorlabs_dc4100"
     channel: Annotated[int, Ge(0), Le(3), Doc("0 ... 3 are LED1 ... LED4")] = 0
-    limit_a: Annotated[float, Gt(0), Le(10), Doc("Owner's limit, below that of the head")] | None = None
+    limit_a: Annotated[float, Gt(0), Le(10), OWNERS_LIMIT] | None = None

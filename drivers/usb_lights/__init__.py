@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
+from drivers.light_source import KEPT_CURRENT, OWNERS_LIMIT
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DC2200Settings:
@@ -15,5 +17,5 @@ class DC2200Settings:
     serial_number: Annotated[str, Doc("Needed if there is more than one")] = ""
     terminal: Annotated[int, Ge(1), Le(2), Doc("1 has 12 pins and up to 10 A, 2 has 4 pins and up to 2 A")] = 1
     gate: Literal["internal", "ttl"] = "internal"
-    current_a: Annotated[float, Ge(0), Le(10), Doc("Omitted: it keeps its value")] | None = None
-    limit_a: Annotated[float, Gt(0), Le(10), Doc("Owner's limit, below that of the head")] | None = None
+    current_a: Annotated[float, Ge(0), Le(10), KEPT_CURRENT] | None = None
+    limit_a: Annotated[float, Gt(0), Le(10), OWNERS_LIMIT] | None = None
