@@ -43,14 +43,14 @@ class Stage(Device):
         with self._access():
             return self._is_sample_in()
 
-    def set_sample_in(self, sample_in: bool) -> None:
+    def set_sample_in(self, is_in: bool) -> None:
         """Move the sample into or out of the beam."""
         with self._access():
-            self._set_sample_in(sample_in=sample_in)
+            self._set_sample_in(is_in=is_in)
 
-    def note_sample(self, sample_in: bool) -> None:
+    def note_sample(self, is_in: bool) -> None:
         """Move the sample, or without a motor record that a person has moved it."""
-        self.set_sample_in(sample_in)
+        self.set_sample_in(is_in)
 
     def _read_masks(self) -> tuple[str, ...]:
         return (self._mask,)
@@ -67,7 +67,7 @@ class Stage(Device):
     def _is_sample_in(self) -> bool: ...
 
     @abstractmethod
-    def _set_sample_in(self, *, sample_in: bool) -> None: ...
+    def _set_sample_in(self, *, is_in: bool) -> None: ...
 
 
 class ManualStage(Stage):
@@ -78,15 +78,15 @@ class ManualStage(Stage):
         self._name = "manual stage"
         self._is_in = False
 
-    def note_sample(self, sample_in: bool) -> None:
+    def note_sample(self, is_in: bool) -> None:
         """Record that a person has moved the sample."""
         with self._access():
-            self._is_in = sample_in
+            self._is_in = is_in
 
     def _is_sample_in(self) -> bool:
         return self._is_in
 
-    def _set_sample_in(self, *, sample_in: bool) -> None:
-        if sample_in != self._is_in:
-            request = "put the sample into the beam" if sample_in else "take the sample out of the beam"
+    def _set_sample_in(self, *, is_in: bool) -> None:
+        if is_in != self._is_in:
+            request = "put the sample into the beam" if is_in else "take the sample out of the beam"
             raise WrongState(f"the stage is manual: {request}, then confirm (S)")

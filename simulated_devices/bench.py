@@ -252,5 +252,5 @@ class SimulatedStage(Stage):
     def _is_sample_in(self) -> bool:
         return self._bench.condition.is_sample_in
 
-    def _set_sample_in(self, *, sample_in: bool) -> None:
-        self._bench.change(is_sample_in=sample_in)
+    def _set_sample_in(self, *, is_in: bool) -> None:
+        self._bench.change(is_sample_in=is_in)

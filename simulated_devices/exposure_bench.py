@@ -165,8 +165,8 @@ class DrawnStage(Stage):
     def _is_sample_in(self) -> bool:
         return self._holds_sample
 
-    def _set_sample_in(self, *, sample_in: bool) -> None:
-        self._holds_sample = sample_in
+    def _set_sample_in(self, *, is_in: bool) -> None:
+        self._holds_sample = is_in
 
 
 def exposure_bench(

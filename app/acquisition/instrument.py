@@ -319,8 +319,8 @@ class Instrument:
     def _now(self) -> Circumstances:
         return Circumstances.of(self.devices)
 
-    def _set_running(self, on: bool) -> None:
-        if not on:
+    def _set_running(self, is_running: bool) -> None:
+        if not is_running:
             self.devices.camera.stop()
         elif not self.devices.camera.is_running:
             self.devices.camera.start()

@@ -91,7 +91,7 @@ class KeptAverages:
         """Return why the average does not fit the current frames; empty if it does."""
         if self._used is None:
             return f"no {self._what} yet: {'take one' if self._is_lit else 'the background is a guess'}"
-        changed = self._used.circumstances.differs(now, is_lit=self._is_lit)
+        changed = self._used.circumstances.difference(now, is_lit=self._is_lit)
         return f"the {self._what} was taken {changed}: take it again" if changed else ""
 
     def state(self, doubt: str) -> AverageState:

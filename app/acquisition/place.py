@@ -96,7 +96,7 @@ def _lock(name: str, patience_s: float = 0.0) -> Iterator[None]:
     descriptor = os.open(file_of(name, "lock"), os.O_RDWR | os.O_CREAT, 0o600)
     until_s = time.monotonic() + patience_s
     try:
-        while not _locked(descriptor):
+        while not _has_locked(descriptor):
             if time.monotonic() > until_s:
                 raise RunError(f"an instrument runs as {name} already: stop it first, or use another --name")
             time.sleep(0.01)
@@ -105,7 +105,7 @@ def _lock(name: str, patience_s: float = 0.0) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _locked(descriptor: int) -> bool:
+def _has_locked(descriptor: int) -> bool:
     """True if an open file could be locked."""
     try:
         if sys.platform != "win32":

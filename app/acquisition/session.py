@@ -106,7 +106,7 @@ def connect(name: str = NAME, *, watch: bool = False) -> ConnectedBench:
     ...     for measurement in instrument:
     ...         break
     """
-    return ConnectedBench("notebook", name, watch=watch)
+    return ConnectedBench("notebook", name, is_watching=watch)
 
 
 class LiveBench:
@@ -374,10 +374,10 @@ class ConnectedBench(LiveBench):
     """An instrument that runs in another process, entered and left by a `with` block; see `connect`."""
 
     def __init__(
-        self, what: str, name: str = NAME, *, watch: bool = False, progress: Progress = lambda *_: None
+        self, what: str, name: str = NAME, *, is_watching: bool = False, progress: Progress = lambda *_: None
     ) -> None:
         """The other clients know it as `what`."""
-        self._connection = connection = reach(what, name, sinks=(self._take,), controls=not watch)
+        self._connection = connection = reach(what, name, sinks=(self._take,), takes_control=not is_watching)
         super().__init__(connection.bench, average=0, progress=progress)
 
     def _open(self) -> Carrier:

@@ -104,7 +104,7 @@ def without_sample(bench: Bench) -> str:
     return f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in"
 
 
-def differs(found: Lattice, status: Status) -> bool:
+def has_moved(found: Lattice, status: Status) -> bool:
     """Return whether a lattice lies beside that of the bench by more than a twentieth of the pitch at any lenslet."""
     sensor, before = status.bench.sensor, status.bench.lattice
     if before is None:

@@ -175,7 +175,7 @@ class Circumstances:
         """True if frames show the same pixels of the sensor as now."""
         return (self.region, self.binning) == (now.region, now.binning)
 
-    def differs(self, now: Circumstances, *, is_lit: bool) -> str:
+    def difference(self, now: Circumstances, *, is_lit: bool) -> str:
         """Return the worst difference, as words after "was taken"; a mask matters only if `is_lit`."""
         if not self.shows_same_pixels(now):
             return "of another part of the sensor, or with another binning"

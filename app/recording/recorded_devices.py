@@ -68,7 +68,7 @@ class RecordedCamera(Camera):
         self._recording, self._frames, self._now, self._sleep = recording, frames, now, sleep
         self._pace, self._repeat = pace, repeat
         self._position = 0  # of the next frame in `frames`
-        self._runs = False
+        self._is_playing = False
         self._count = 0  # index of the next frame since the start, lost ones included
         self._due_s = 0.0  # time of the next frame
         self._averaged = lru_cache(maxsize=2)(AveragedFrames)
@@ -123,14 +123,14 @@ class RecordedCamera(Camera):
         )
 
     def _is_running(self) -> bool:
-        return self._runs
+        return self._is_playing
 
     def _start(self) -> None:
-        self._runs, self._count = True, 0
+        self._is_playing, self._count = True, 0
         self._due_s = self._now() + self._taken().exposure_s
 
     def _stop(self) -> None:
-        self._runs = False
+        self._is_playing = False
 
     _close = _stop
 
@@ -277,8 +277,8 @@ class RecordedStage(Stage):
     def _is_sample_in(self) -> bool:
         return self._camera.is_sample_in
 
-    def _set_sample_in(self, *, sample_in: bool) -> None:
-        self._camera.see(is_lit=self._camera.is_lit, is_sample_in=sample_in)
+    def _set_sample_in(self, *, is_in: bool) -> None:
+        self._camera.see(is_lit=self._camera.is_lit, is_sample_in=is_in)
 
 
 class AveragedFrames:

@@ -181,8 +181,8 @@ class FakeStage(Stage):
     def _is_sample_in(self) -> bool:
         return self._in
 
-    def _set_sample_in(self, *, sample_in: bool) -> None:
-        self._in = sample_in
+    def _set_sample_in(self, *, is_in: bool) -> None:
+        self._in = is_in
 
     def _close(self) -> None:
         self._in = False

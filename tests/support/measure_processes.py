@@ -26,7 +26,7 @@ _PROGRAM = "import sys; from app.cli import main; sys.argv = ['svwfs', *sys.argv
 _WATCH = """
 import time
 from app.acquisition.remote.connection import Connection, reach
-connection = reach("viewer", controls=False)
+connection = reach("viewer", takes_control=False)
 while connection.newest is None or connection.newest.wavefront is None:
     time.sleep(0.1)
 print("watches", flush=True)

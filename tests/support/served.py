@@ -50,9 +50,9 @@ def served(
 
 
 @contextmanager
-def connected(what: str = "test", *, controls: bool = True) -> Iterator[Connection]:
+def connected(what: str = "test", *, takes_control: bool = True) -> Iterator[Connection]:
     """Connect to the served instrument."""
-    connection = reach(what, controls=controls)
+    connection = reach(what, takes_control=takes_control)
     try:
         yield connection
     finally:

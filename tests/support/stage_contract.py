@@ -22,9 +22,9 @@ def check_masks(stage: Stage) -> None:
 
 def check_sample(stage: Stage) -> None:
     """It moves the sample in and out."""
-    for sample_in in (True, False, True, False):
-        stage.set_sample_in(sample_in)
-        require(stage.is_sample_in is sample_in, f"the sample is not {'in' if sample_in else 'out'}")
+    for is_in in (True, False, True, False):
+        stage.set_sample_in(is_in)
+        require(stage.is_sample_in is is_in, f"the sample is not {'in' if is_in else 'out'}")
 
 
 class StageContract:

@@ -59,10 +59,10 @@ class _MergedTimings(Timings):
 
 
 def reach(
-    what: str, name: str = NAME, *, sinks: tuple[Callable[[Measurement], None], ...] = (), controls: bool = True
+    what: str, name: str = NAME, *, sinks: tuple[Callable[[Measurement], None], ...] = (), takes_control: bool = True
 ) -> "Connection":
     """Connect to the instrument of a name, and wait for its state; `RunError` if none runs or answers there."""
-    connection = Connection(what, Place.of(name), sinks, controls=controls)
+    connection = Connection(what, Place.of(name), sinks, takes_control=takes_control)
     connection.wait()
     return connection
 
@@ -90,12 +90,17 @@ class Connection:
     goes_on = True  # whether the instrument does when this connection is closed
 
     def __init__(
-        self, what: str, place: Place, sinks: tuple[Callable[[Measurement], None], ...] = (), *, controls: bool = True
+        self,
+        what: str,
+        place: Place,
+        sinks: tuple[Callable[[Measurement], None], ...] = (),
+        *,
+        takes_control: bool = True,
     ) -> None:
-        """Begin to connect, as `what`; with `controls`, take control if nobody has it."""
+        """Begin to connect, as `what`; with `takes_control`, take control if nobody has it."""
         number = next(_COUNT)
         self.name = f"{what} {os.getpid()}{f'.{number}' * (number > 1)}"
-        self.place, self._controls = place, controls
+        self.place, self._takes_control = place, takes_control
         self.timings = _MergedTimings()
         self._activity = Activity("starting the instrument", may_cancel=False)
         self._started: tuple[ProcessState, ...] = ()  # by the instrument
@@ -277,7 +282,7 @@ class Connection:
         """Say hello to the instrument at `place`; called by the thread."""
         self._socket.connect(self.place.endpoint)
         self._heard_s = time.monotonic()
-        self._say(Hello(self.name, self._controls, self._pause_s))
+        self._say(Hello(self.name, self._takes_control, self._pause_s))
 
     def _say_outgoing(self) -> None:
         for message in self._outbox.take():

@@ -39,10 +39,10 @@ def watching(controller: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """A client enters; with `controls`, it takes control if nobody has it. It reads a record every `pause_s`."""
+    """A client enters; with `takes_control`, it takes control if nobody has it. It reads a record every `pause_s`."""
 
     name: str
-    controls: bool
+    takes_control: bool
     pause_s: float
 
 

@@ -35,18 +35,18 @@ class OwnConnection(Connection):
         `forget_bench` removes the file of the bench. If it cannot be reached, that is the connection's `error`.
         """
         self.bench, self.process, self._log, self._forget_bench = bench, process, log, forget_bench
-        self._ends = self.goes_on = False
+        self._is_ending = self.goes_on = False
         super().__init__("window", Place(name, process.pid, endpoint="", key=""))
 
     @property
     def is_alive(self) -> bool:
         """True while the instrument runs and this connection is open, and until it has ended if it ends."""
-        return super().is_alive or (self._ends and self.process.poll() is None)
+        return super().is_alive or (self._is_ending and self.process.poll() is None)
 
     @property
     def loss(self) -> str:
         """As of any connection; the end that this one has asked for is none."""
-        return "" if self._ends else super().loss
+        return "" if self._is_ending else super().loss
 
     def _reach(self) -> None:
         until_s = time.monotonic() + _STARTS_S
@@ -81,19 +81,19 @@ class OwnConnection(Connection):
 
     def begin_close(self) -> None:
         """End the instrument, light first, or leave it."""
-        if not self._ends and self.process.poll() is None:
+        if not self._is_ending and self.process.poll() is None:
             self.goes_on |= self.is_of_another
-            self._ends = not self.goes_on
-            if self._ends and super().is_alive:
+            self._is_ending = not self.goes_on
+            if self._is_ending and super().is_alive:
                 self.end()
-            elif self._ends:  # only this end has failed
+            elif self._is_ending:  # only this end has failed
                 self.process.terminate()
         super().begin_close()
 
     def close(self, timeout_s: float | None = None) -> None:
         """End or leave the instrument, and wait for that."""
         super().close(timeout_s)
-        if self._ends:
+        if self._is_ending:
             with suppress(subprocess.TimeoutExpired):
                 self.process.wait(timeout_s)
 

@@ -54,7 +54,7 @@ class RingWriter:
         """Count of the newest record."""
         return int(self._count)
 
-    def fits(self, packed: Packed) -> bool:
+    def has_room_for(self, packed: Packed) -> bool:
         """True if a record fits into a slot."""
         return packed.nbytes <= self._stride - _SLOT_HEADER_BYTES
 

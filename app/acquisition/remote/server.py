@@ -196,7 +196,7 @@ class Server:
             lean = replace(measurement, wavefront=None, start=None)
             record = RingRecord(lean, is_shown_only)
             packed = Packed(record, self._shared_objects.number)
-            if self._ring is None or not self._ring.fits(packed):
+            if self._ring is None or not self._ring.has_room_for(packed):
                 if self._ring is not None:
                     self._older_rings.append(self._ring)  # the newest: a reader may be about to open it
                     while len(self._older_rings) > 1:
@@ -254,7 +254,7 @@ class Server:
         if isinstance(message, Hello):
             self._clients[identity] = _Client(message.name, message.pause_s, now_s)
             self._pause_s = min(self._pause_s, message.pause_s)
-            if message.controls and not self._controller:
+            if message.takes_control and not self._controller:
                 self._controller = identity
             self._write()
             self._tell_news(identity)

@@ -7,7 +7,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
 
 from app.acquisition.instrument import DeviceSetting, Instrument
-from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, differs
+from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, has_moved
 from app.gui.panels.camera import CameraPanel
 from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.wording import exposure_found, lattice_found, linearity_found
@@ -166,7 +166,7 @@ class CalibrationGuide(QDialog):
             text = exposure_found(result)
         elif isinstance(result, Survey):
             text = lattice_found(result)
-            if status is not None and differs(result.lattice, status):
+            if status is not None and has_moved(result.lattice, status):
                 self._mark(step, "failed", text)
                 use = partial(self._take_lattice, step, text, result.lattice)
                 question = "The bench has another lattice."

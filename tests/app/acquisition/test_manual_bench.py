@@ -39,9 +39,9 @@ class TestManualStage(StageContract):
 class Noted(ManualStage):
     """Manual stage with a user who acts at once."""
 
-    def _set_sample_in(self, *, sample_in: bool) -> None:
-        self.note_sample(sample_in)
-        super()._set_sample_in(sample_in=sample_in)
+    def _set_sample_in(self, *, is_in: bool) -> None:
+        self.note_sample(is_in)
+        super()._set_sample_in(is_in=is_in)
 
 
 def test_manual_stage_never_moves() -> None:

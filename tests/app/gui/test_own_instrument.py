@@ -234,7 +234,7 @@ def test_instrument_of_a_window_goes_on_for_the_client_that_has_control(
 ) -> None:
     def act(window: MainWindow) -> None:
         qtbot.waitUntil(lambda: is_measured(window))
-        notebook.append(reach("notebook", controls=False))
+        notebook.append(reach("notebook", takes_control=False))
         notebook[0].take_control().result(HANG_S)
         qtbot.waitUntil(lambda: "this program only watches: notebook" in said_in(window))
         window.benches.open(str(other_toml))

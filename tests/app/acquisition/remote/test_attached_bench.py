@@ -134,7 +134,7 @@ def measured_attached(out: Path) -> Measured:
 
 @pytest.mark.usefixtures("server")
 def test_measure_tells_of_a_light_that_is_off_before_it_records(fake_camera: FakeCamera, tmp_path: Path) -> None:
-    with connected(controls=False) as connection:
+    with connected(takes_control=False) as connection:
         newest(connection)
         connection.switch_light_off().result(HANG_S)
     with pytest.raises(RunError, match="nothing was recorded: the light is off; switch it on"):

@@ -245,7 +245,7 @@ def test_command_that_its_client_gave_up_is_not_executed_unless_it_switches_off(
 
 @pytest.mark.usefixtures("server")
 def test_control_is_free_when_its_client_leaves_or_falls_silent(monkeypatch: pytest.MonkeyPatch) -> None:
-    with connected("watching", controls=False) as other:
+    with connected("watching", takes_control=False) as other:
         with connected("first"):
             wait_until(lambda: other.controller.startswith("first"))
         wait_until(lambda: not other.controller)
@@ -272,7 +272,7 @@ def test_connections_of_one_process_are_told_apart() -> None:
 
 @pytest.mark.usefixtures("server")
 def test_a_last_command_is_sent_before_leaving(tmp_path: Path) -> None:
-    with connected("watching", controls=False) as watching:
+    with connected("watching", takes_control=False) as watching:
         with connected() as connection:
             newest(connection)
             connection.start_recording(tmp_path / "run").result(HANG_S)

@@ -180,7 +180,7 @@ def test_a_client_that_dies_or_freezes_changes_nothing_but_who_has_control(
         files = set(runtime_folder().iterdir())
         for turn in range(KILLS):
             folder = tmp_path / f"run{turn}"
-            with connected(controls=False) as watching, recording_client(folder, code) as client:
+            with connected(takes_control=False) as watching, recording_client(folder, code) as client:
                 wait_for_wavefront(watching)
                 assert watching.controller.startswith("client")
                 client.send_signal(how)
@@ -209,7 +209,7 @@ def test_instrument_of_a_window_that_dies_or_freezes_goes_on(
     for _ in range(KILLS):
         with program("-c", OWN_WINDOW, str(small_toml)) as window:
             wait_until(lambda: is_taken(NAME))
-            with connected(controls=False) as watching:
+            with connected(takes_control=False) as watching:
                 wait_for_wavefront(watching)
                 assert watching.controller.startswith("window")
                 window.send_signal(how)
@@ -278,7 +278,7 @@ def test_measure_attaches(
     fails(1, "no instrument runs", *attached, tmp_path / "x")
     fails(2, "add --attach", "measure", "--frames", "4", "--out", tmp_path / "x", "--take-control")
     with instrument(small_toml):
-        with connected(controls=False) as watching:
+        with connected(takes_control=False) as watching:
             wait_for_wavefront(watching)
             assert run(monkeypatch, *attached, tmp_path / "run") == 0
             assert "4 frames, 0 lost by the camera" in capsys.readouterr().out

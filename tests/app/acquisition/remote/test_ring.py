@@ -36,7 +36,7 @@ def test_records_arrive_until_they_are_overwritten(ring: RingWriter) -> None:
     with closing(RingReader(ring.place)) as reader:
         assert (reader.count, reader.read(0), reader.read(1)) == (0, None, None)
         for number in range(1, 11):
-            assert ring.fits(record(number))
+            assert ring.has_room_for(record(number))
             assert ring.write(record(number)) == reader.count == number
         kept = [count for count in range(-3, 15) if reader.read(count) is not None]
         assert kept == [7, 8, 9, 10]
@@ -49,7 +49,7 @@ def test_records_arrive_until_they_are_overwritten(ring: RingWriter) -> None:
 
 
 def test_larger_records_do_not_fit(ring: RingWriter) -> None:
-    assert not ring.fits(Packed(np.zeros(3000)))
+    assert not ring.has_room_for(Packed(np.zeros(3000)))
 
 
 def test_counts_go_on_in_the_next_ring(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def text_message(text: str) -> bytes:
 
 
 def test_strangers_are_not_heard(server: Server) -> None:
-    with connected(controls=False) as watching, zmq.Context() as context:
+    with connected(takes_control=False) as watching, zmq.Context() as context:
         wait_until(lambda: server.acquisition.status is not None)
         messages: list[list[bytes | bytearray]] = [
             [b"wrong key", Packed(Hello("stranger", True, 0.0)).message()],
@@ -190,7 +190,7 @@ def test_a_disk_that_does_not_answer_holds_up_nobody(server: Server, monkeypatch
 
 def test_messages_that_are_too_large_are_not_heard(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     large = Command(1, "use", (np.zeros(2**20),))
-    with connected(controls=False) as watching, silent_client(server) as socket:
+    with connected(takes_control=False) as watching, silent_client(server) as socket:
         monkeypatch.setattr("app.acquisition.remote.outbox.MOST_BYTES", 2**10)
         with pytest.raises(BadValue, match="too large"):
             watching._send("use", *large.arguments).result(HANG_S)
