@@ -72,13 +72,15 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Cache rendered images for this run alone, once for all its processes."""
+    """Cache rendered images for this run alone, once for all its processes; no other program meets its instruments."""
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
-        yield
+        with TemporaryDirectory(prefix="svwfs", dir=gettempdir()) as meeting:  # a socket's path must be short
+            patch.setenv("SVWFS_RUNTIME_DIR", meeting)
+            yield
 
 
 class FinderHere(Finder):
@@ -108,7 +110,7 @@ def _no_leftovers(request: pytest.FixtureRequest) -> Iterator[None]:
 
 @pytest.fixture
 def runtime_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder of its own in which instruments and their clients meet; a socket's path must be short."""
+    """A folder of its own in which instruments and their clients meet."""
     with TemporaryDirectory(prefix="svwfs", dir=gettempdir()) as made:
         monkeypatch.setenv("SVWFS_RUNTIME_DIR", made)
         yield Path(made)
