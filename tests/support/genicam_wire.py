@@ -16,11 +16,12 @@ import time
 from contextlib import suppress
 from typing import Final, Self
 
-from support.patience import HANG_S
+from support.patience import HANG_S, udp_socket
 
 FAKE_CAMERA: Final = "arv-fake-gv-camera-0.8"
 SERIAL: Final = "SVWFS-TEST"
 HERE: Final = "127.0.0.2"
+TURN: Final = ("127.0.0.1", 3957)  # whoever has this port may start the camera
 
 _GVCP: Final = ("127.0.0.1", 3956)
 _DISCOVERY: Final = bytes.fromhex("4211000200000001")
@@ -185,8 +186,7 @@ class GigeWire:
         return not (self._is_cut or self._will_be_cut)
 
     def _socket(self, address: tuple[str, int]) -> socket.socket:
-        made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        made.bind(address)
+        made = udp_socket(address)
         self._poll.register(made, selectors.EVENT_READ)
         return made
 

@@ -15,6 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, Self
 
+from support.patience import udp_socket
+
 ADDRESS: Final = "127.0.0.3"
 XML_ADDRESS: Final = 0x2000_0000
 
@@ -65,17 +67,12 @@ class GigeCamera:
             self.set_register(address, 0)
         self.set_register(_CAPABILITY, _WRITE_MEMORY)
         self.set_register(_PACKET_SIZE, _PACKET_BYTES)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._frame_id = 0
         self._is_over = False
         self._thread = threading.Thread(target=self._run)
 
     def __enter__(self) -> Self:
-        try:
-            self._socket.bind((ADDRESS, _PORT))
-        except OSError:
-            self._socket.close()
-            raise
+        self._socket = udp_socket((ADDRESS, _PORT))
         self._thread.start()
         return self
 

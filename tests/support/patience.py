@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,6 +22,27 @@ def wait_until(holds: Callable[[], object]) -> None:
     while not holds():
         assert time.monotonic() < deadline_s, f"it did not come to that in {HANG_S:g} s"
         time.sleep(0.005)
+
+
+def udp_socket(address: tuple[str, int]) -> socket.socket:
+    """Bind a socket to a fixed address, once no other run of the tests on this computer has it."""
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def is_bound() -> bool:
+        try:
+            made.bind(address)
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            return False
+        return True
+
+    try:
+        wait_until(is_bound)
+    except BaseException:
+        made.close()
+        raise
+    return made
 
 
 @contextmanager

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import run_state_machine_as_test
 from support.camera_contract import CameraFaultContract
 from support.camera_storm import CameraStorm
-from support.genicam_wire import FAKE_CAMERA, HERE, SERIAL, GigeWire, Peer
-from support.patience import HANG_S, own_time
+from support.genicam_wire import FAKE_CAMERA, HERE, SERIAL, TURN, GigeWire, Peer
+from support.patience import HANG_S, own_time, udp_socket
 from support.storm import storm_settings
 
 from drivers.camera import Camera, Frame, Region
@@ -43,9 +43,10 @@ if shutil.which(FAKE_CAMERA) is None:
 
 @pytest.fixture(scope="module")
 def _peer() -> Iterator[Peer]:
-    peer = Peer()
-    yield peer
-    peer.kill()
+    with udp_socket(TURN):  # until its last process has ended
+        peer = Peer()
+        yield peer
+        peer.kill()
 
 
 @pytest.fixture
