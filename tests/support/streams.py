@@ -30,11 +30,12 @@ from support.patience import HANG_S, wait_until
 
 
 @pytest.fixture
-def port() -> int:
-    """A free port."""
+def port() -> Iterator[int]:
+    """A port that the system gives to nobody else until the end of the test."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
+        free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as ZeroMQ's, which may listen there
+        yield int(free.getsockname()[1])
 
 
 @pytest.fixture(scope="session")
