@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import pytest
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, opener
-from support.patience import HANG_S
+from support.patience import HANG_S, own_time
 from support.served import connected, served
 from support.window_tools import MakeWindow, choose_button, said_in, wait_for_wavefront
 
@@ -106,9 +105,9 @@ def test_window_of_a_stopped_instrument_closes_soon(window: MainWindow, monkeypa
         stopped.setattr("app.acquisition.remote.connection._SILENT_S", -1.0)
         stopped.setattr("app.gui.shell.controller._SILENT_S", 0.2)
         stopped.setattr(Connection, "is_alive", True)
-        begin_s = time.monotonic()
-        window.controller.close(lambda: None)
-        assert time.monotonic() - begin_s < CLOSING_S / 2
+        with own_time() as elapsed_s:
+            window.controller.close(lambda: None)
+            assert elapsed_s() < CLOSING_S / 2
         assert window.controller.is_stuck
         with pytest.raises(RunError, match="does not answer: if that lasts, end it, and see whether the light is off"):
             _raise_failure(window, is_interrupted=False)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from io import StringIO
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from PyQt6.QtWidgets import QApplication, QMenu, QWidget
 from pytestqt.qtbot import QtBot
 from support.gaussian_lenslets import inspected
 from support.gui_bench import BENCH, FULL_SCALE, LATTICE, SENSOR, FakeCamera, make_measurement
+from support.patience import HANG_S
 from support.wavefronts import bowl
 from support.window_tools import LENSLETS, MakeWindow, count_pixels, dim_frame, picture, views
 
@@ -22,7 +25,7 @@ from app.gui.panels.lenslet import LensletPanel
 from app.gui.panels.panel import Shown
 from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
-from app.results.view_analysis import inspect_lenslet
+from app.results.view_analysis import LensletInspection, inspect_lenslet
 from reconstruction.displacement import Outcome
 
 
@@ -106,14 +109,23 @@ def shown(measurement: Measurement) -> Measurement:
     return replace(measurement, wavefront=bowl())
 
 
-def test_click_on_a_lenslet_opens_its_inspector(window: MainWindow, qtbot: QtBot) -> None:
-    panel = window.panels.lenslet
+def test_click_on_a_lenslet_opens_its_inspector(
+    window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    panel, go_on = window.panels.lenslet, threading.Event()
+
+    def inspect_later(*arguments: Any) -> LensletInspection | None:
+        assert go_on.wait(HANG_S)
+        return inspect_lenslet(*arguments)
+
+    monkeypatch.setattr("app.gui.panels.lenslet.inspect_lenslet", inspect_later)
     window.show_measurement(shown(inspected()))
     assert panel.request() is None
     click_lenslet(window.panels.camera, 4, 7)
     qtbot.waitUntil(panel.isVisible)  # a double click would have shown the whole frame
     assert not window.panels.quality.isVisible()
     assert panel.numbers.text() == "computing \N{HORIZONTAL ELLIPSIS}"
+    go_on.set()
     qtbot.waitUntil(lambda: bool(panel.quality.text()))
     assert panel.name.text() == "Lenslet row 4, column 7: converged"
     assert panel.numbers.text().startswith(
@@ -182,15 +194,17 @@ def test_lenslet_without_reference_is_explained(window: MainWindow, qtbot: QtBot
     qtbot.waitUntil(lambda: panel.name.text() == "Lenslet row 4, column 4")
 
 
-def test_double_or_right_click_inspects_nothing(window: MainWindow, qtbot: QtBot) -> None:
+def test_double_or_right_click_inspects_nothing(window: MainWindow) -> None:
     panel, camera = window.panels.lenslet, window.panels.camera
     window.show_measurement(shown(inspected()))
     click_lenslet(camera, 4, 7)
+    assert camera._click_timer.interval() == QApplication.doubleClickInterval()
+    camera._click_timer.setInterval(int(1000 * HANG_S))  # however late the second click is
     camera._view.setRange(QRectF(100, 100, 50, 50))
     viewport = camera._graphics.viewport()
     QtBot.mouseDClick(viewport, Qt.MouseButton.LeftButton, pos=viewport.rect().center())  # type: ignore[no-untyped-call] # pytest-qt declares no types
     QtBot.mouseClick(viewport, Qt.MouseButton.RightButton, pos=viewport.rect().center())  # type: ignore[no-untyped-call] # pytest-qt declares no types
-    qtbot.wait(QApplication.doubleClickInterval() + 200)
+    assert not camera._click_timer.isActive()
     assert panel.lenslet is None
     assert camera._view.viewRect().width() >= 430
 

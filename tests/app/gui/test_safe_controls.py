@@ -63,7 +63,7 @@ def blocked_reconstruction(monkeypatch: pytest.MonkeyPatch) -> Iterator[threadin
         return Measurement(frame, None, "slow")
 
     monkeypatch.setattr(Instrument, "measure", measure)
-    assert begun.wait(30)
+    assert begun.wait(HANG_S)
     try:
         yield release
     finally:
