@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from support.dcam_tools import built
@@ -37,8 +37,10 @@ sys.exit(acquisition.failure)
 
 def children(pid: int) -> set[int]:
     """The processes that all threads of a process have started, and that live."""
-    tasks = Path(f"/proc/{pid}/task").iterdir()
-    found = {int(child) for task in tasks for child in (task / "children").read_text().split()}
+    found = set[int]()
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        with suppress(FileNotFoundError, ProcessLookupError):  # of a thread that has ended meanwhile
+            found |= {int(child) for child in (task / "children").read_text().split()}
     return {child for child in found if not is_gone(child)}
 
 
@@ -46,7 +48,7 @@ def is_gone(pid: int) -> bool:
     """True if a process has ended, also if its parent has not noticed yet."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):  # before and while it is read
         return True
 
 

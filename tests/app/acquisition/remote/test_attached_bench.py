@@ -80,8 +80,8 @@ def test_every_measurement_comes_once_and_those_missed_are_counted(fake_camera: 
         seen = [measurement.counts.acquired for measurement in islice(every, 10)]
         assert seen == list(range(seen[0], seen[0] + 10))
         assert bench.overtaken == 0
-        fake_camera.period_s = 0.01
-        time.sleep(0.5)
+        fake_camera.period_s, before = 0.01, fake_camera._frames
+        wait_until(lambda: fake_camera._frames > before + 30)  # more than the ring keeps
         seen += [measurement.counts.acquired for measurement in islice(every, 10)]
         assert bench.overtaken == seen[-1] - seen[0] + 1 - 20 > 0
         bench.shut_down()
@@ -153,12 +153,21 @@ def test_measure_tells_of_a_missing_reference_before_it_records(fake_camera: Fak
 
 
 @pytest.mark.usefixtures("server")
-def test_a_measurement_after_a_command_was_taken_after_it(fake_camera: FakeCamera) -> None:
+def test_a_measurement_after_a_command_was_taken_after_it(
+    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    set_exposure, set_s = fake_camera._set_exposure, list[float]()
+
+    def note_time(exposure_s: float) -> float:
+        set_s.append(time.perf_counter())
+        return set_exposure(exposure_s)
+
+    monkeypatch.setattr(fake_camera, "_set_exposure", note_time)
     with connect() as bench:
         for measurement in bench:
             if measurement.wavefront is not None:
                 break
         for exposure_s in (0.03, 0.04, 0.045):
             bench.set_exposure(exposure_s)
-            after = fake_camera._index
-            assert next(iter(bench)).frame.index >= after - 2
+            assert next(iter(bench)).frame.host_time_s > set_s[-1]
+        assert len(set_s) == 3

@@ -10,7 +10,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -18,7 +17,7 @@ from pathlib import Path
 
 import pytest
 from support.command_line import run
-from support.patience import HANG_S, wait_until
+from support.patience import HANG_S, own_time, wait_until
 from support.served import connected
 
 from app.acquisition.place import NAME, is_taken, runtime_folder
@@ -127,9 +126,9 @@ def test_clients_notice_the_death_of_the_instrument_and_nothing_is_left(how: sig
             wait_for_wavefront(connection)
             running.send_signal(how)
             running.wait()
-            died_s = time.monotonic()
-            wait_until(lambda: not connection.is_alive)
-            assert time.monotonic() - died_s < 3.0
+            with own_time() as elapsed_s:
+                wait_until(lambda: not connection.is_alive)
+                assert elapsed_s() < 3.0
             ended = f"the instrument's process {running.pid} has ended: its light should be off; if it shines, switch"
             assert connection.failure.startswith(ended)
             assert connection.newest is not None  # the last one stays
