@@ -11,12 +11,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
-from app.acquisition.carrier import Carrier
-from app.acquisition.course import Course
 from app.acquisition.instrument import DeviceSetting, Instrument, Status
 from app.acquisition.place import NAME
 from app.acquisition.remote.connection import reach
+from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, knows_sample, start_up, without_sample
+from app.acquisition.unattended_run import UnattendedRun
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
 from app.errors import RunError
@@ -117,9 +117,9 @@ class LiveBench:
         self._bench, self._average, self._progress = bench, average, progress
         self._arrived = threading.Condition()
         self._newest: Measurement | None = None
-        self._entered: Carrier | None = None
+        self._entered: RunningInstrument | None = None
 
-    def _open(self) -> Carrier:
+    def _open(self) -> RunningInstrument:
         return Acquisition(self._bench, sinks=(self._take,))
 
     def __enter__(self) -> Self:
@@ -158,7 +158,7 @@ class LiveBench:
             self._raise_failure()
             raise WrongState("this live bench is closed: its with block has ended")
 
-    def _measurements(self, acquisition: Carrier) -> Iterator[Measurement]:
+    def _measurements(self, acquisition: RunningInstrument) -> Iterator[Measurement]:
         while True:
             with self._arrived:
                 while self._newest is None and acquisition.is_alive:
@@ -281,7 +281,7 @@ class LiveBench:
         acquisition, status = self._acquisition, self._status()
         limit = RecordingLimit(frames=whole_number(frames, "frames"))
         begin = partial(acquisition.start_recording, Path(folder), command=command, limit=limit)
-        course = Course(acquisition, self._progress)
+        run = UnattendedRun(acquisition, self._progress)
         is_played = self._bench.is_recording  # each of its frames counts
         if not status.is_running and (is_played or not status.has_finder):
             self._result(begin())
@@ -289,14 +289,14 @@ class LiveBench:
         else:
             self._start_camera()
             text = "finding layers and correction with the first frames"
-            self._follow(course.until(lambda: knows_sample(acquisition) or not acquisition.is_alive, text))
+            self._follow(run.until(lambda: knows_sample(acquisition) or not acquisition.is_alive, text))
             self._result(begin())
 
         def fraction() -> float:
             return 0.0 if acquisition.recording is None else acquisition.recording.frames / frames
 
         try:
-            self._follow(course.until(course.is_recorded, f"recording {counted(frames)}", fraction))
+            self._follow(run.until(run.is_recorded, f"recording {counted(frames)}", fraction))
         except BaseException:  # Ctrl-C, too: the frames so far are a recording
             acquisition.stop_recording()
             self._let_finish()
@@ -331,7 +331,7 @@ class LiveBench:
         return status
 
     @property
-    def _acquisition(self) -> Carrier:
+    def _acquisition(self) -> RunningInstrument:
         if self._entered is None:
             raise WrongState("a live bench works in a with block: with svwfs.live(bench) as live: ...")
         return self._entered
@@ -380,7 +380,7 @@ class ConnectedBench(LiveBench):
         self._connection = connection = reach(what, name, sinks=(self._take,), takes_control=not is_watching)
         super().__init__(connection.bench, average=0, progress=progress)
 
-    def _open(self) -> Carrier:
+    def _open(self) -> RunningInstrument:
         return self._connection
 
     def every(self) -> Iterator[Measurement]:

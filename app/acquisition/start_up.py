@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import DeviceSetting, Instrument, Status
+from app.acquisition.running_instrument import RunningInstrument
 from app.bench.config import Bench
 from app.measurement.auto_exposure import FILL
 from app.measurement.averages import FRAMES
@@ -17,7 +17,7 @@ from reconstruction.geometry import Lattice
 _SAME_LATTICE = 0.05  # of the pitch; frames are doubted beyond
 
 
-def start_up(acquisition: Carrier, frames: int = FRAMES, *, is_lit: bool = True) -> tuple[Future[Any], ...]:
+def start_up(acquisition: RunningInstrument, frames: int = FRAMES, *, is_lit: bool = True) -> tuple[Future[Any], ...]:
     """Turn the light on, take a dark and a reference, move the sample in and start the camera.
 
     The steps run in order; cancelling one skips only that one. With a manual stage the position of the sample is
@@ -35,7 +35,7 @@ def start_up(acquisition: Carrier, frames: int = FRAMES, *, is_lit: bool = True)
     return (*steps, acquisition.submit(Instrument.set, "is_running", True))
 
 
-def knows_sample(acquisition: Carrier) -> bool:
+def knows_sample(acquisition: RunningInstrument) -> bool:
     """True if sample and correction of the newest frame are known, if it has any.
 
     It stays false with few frames: the first search takes some seconds, the first correction some more.
@@ -56,7 +56,7 @@ class CalibrationStep:
     request: Callable[..., Any]  # of the instrument
     takes_frames: bool = False  # whether the request takes the number of averaged frames
 
-    def begin(self, acquisition: Carrier, frames: int) -> Future[Any]:
+    def begin(self, acquisition: RunningInstrument, frames: int) -> Future[Any]:
         """Send the request."""
         return acquisition.submit(self.request, *([frames] if self.takes_frames else []))
 

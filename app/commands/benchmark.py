@@ -17,7 +17,7 @@ from app.errors import InputError, RunError
 from app.progress import Progress, between, named
 
 if TYPE_CHECKING:
-    from app.evaluation.benchmark.live_path import LiveFigures, LivePlan, MeasuredCourse
+    from app.evaluation.benchmark.live_path import LiveFigures, LivePlan, MeasuredRun
     from app.gui.shell.main_window import MainWindow
     from app.timing import StageTimes
 
@@ -98,7 +98,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     """
     from app.acquisition.remote.own_instrument import OwnInstrument
     from app.commands.display import use_display
-    from app.evaluation.benchmark.live_path import LiveFigures, MeasuredCourse, recording_folder
+    from app.evaluation.benchmark.live_path import LiveFigures, MeasuredRun, recording_folder
 
     is_seen = use_display()
     warm_up_s = min(_WARM_UP_S, plan.warm_up_s)
@@ -106,7 +106,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     middle = lasting_s[0] / sum(lasting_s)
     in_window = named(between(progress, 0.0, middle), "window" if is_seen else "unseen window")
     with recording_folder(plan, in_window) as folder, OwnInstrument("benchmark") as own:
-        with_window = MeasuredCourse(
+        with_window = MeasuredRun(
             own.connect(plan.bench),
             in_window,
             warm_up_s=plan.warm_up_s,
@@ -117,7 +117,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
         _run_in_window(with_window, with_panels=plan.with_panels)
     alone = named(between(progress, middle, 1.0), "no window")
     with OwnInstrument("benchmark") as own, closing(own.connect(plan.bench)) as acquisition:
-        without_window = MeasuredCourse(acquisition, alone, warm_up_s=warm_up_s, seconds=plan.without_window_s)
+        without_window = MeasuredRun(acquisition, alone, warm_up_s=warm_up_s, seconds=plan.without_window_s)
         acquisition.start()
         without_window.send()
         for _ in without_window.steps():
@@ -131,17 +131,17 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     )
 
 
-def _run_in_window(course: MeasuredCourse, *, with_panels: bool) -> None:
+def _run_in_window(run: MeasuredRun, *, with_panels: bool) -> None:
     from app.gui.application import run_window
     from app.gui.shell.access import Access
 
-    def open_course(window: MainWindow) -> None:
+    def open_run(window: MainWindow) -> None:
         if with_panels:
             panels = window.panels
             window.docks.float_panels(panels.coefficients, panels.history, panels.histogram)
-        window.open(Access(lambda: course.acquisition, lambda _: course.send()))
+        window.open(Access(lambda: run.acquisition, lambda _: run.send()))
 
-    run_window(open_course, steps=lambda _: course.steps())
+    run_window(open_run, steps=lambda _: run.steps())
 
 
 def print_benchmark(result: dict[str, Any]) -> None:

@@ -22,8 +22,8 @@ from app.files import make_folder
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from app.acquisition.carrier import Carrier
     from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
+    from app.acquisition.running_instrument import RunningInstrument
     from app.bench.config import Bench
     from app.gui.shell.access import Access
     from app.gui.shell.main_window import MainWindow
@@ -151,7 +151,7 @@ def _run(open_first: Callable[[MainWindow], object], splash: Splash, own: OwnIns
         splash.finish(window)
         open_first(window)
 
-    def make_for(bench: Bench) -> Carrier:
+    def make_for(bench: Bench) -> RunningInstrument:
         opened.append(own.connect(bench))
         return opened[-1]
 
@@ -193,27 +193,27 @@ def unattended_window(bench: Bench, access: Access, *, seconds: float | None, ou
     if (out / FRAME_LINES).exists():
         raise InputError(f"{out}: holds a recording; choose another folder with --out")
     options.check_files(picture, results, run, reads=bench.files, overwrite=overwrite)
-    from app.acquisition.course import Course
+    from app.acquisition.unattended_run import UnattendedRun
     from app.gui.application import run_window, unattended_steps
 
-    def finish(acquisition: Carrier, measurement: Measurement) -> None:
+    def finish(acquisition: RunningInstrument, measurement: Measurement) -> None:
         _write_run(run, acquisition)
         if measurement.wavefront is not None:
             dataset = result_dataset(measurement.wavefront, measurement.quality)
             write_results(results, dataset, bench=bench, inputs={})
 
     make_folder(out)
-    course = Course(access.make())
-    of_course = replace(access, make=lambda: course.acquisition, begin=lambda _: course.send(access.begin))
+    unattended = UnattendedRun(access.make())
+    of_run = replace(access, make=lambda: unattended.acquisition, begin=lambda _: unattended.send(access.begin))
     status = run_window(
-        lambda window: window.open(of_course),
-        steps=lambda window: unattended_steps(window, course, seconds or _UNATTENDED_S, picture, finish),
+        lambda window: window.open(of_run),
+        steps=lambda window: unattended_steps(window, unattended, seconds or _UNATTENDED_S, picture, finish),
     )
     sys.stdout.write(f"screenshot: {picture}\nresults: {results}\ntimings: {run}\n")
     return status
 
 
-def _write_run(path: Path, acquisition: Carrier) -> None:
+def _write_run(path: Path, acquisition: RunningInstrument) -> None:
     """Write `run.json` of a run without a recording: numbers of frames and stage times."""
     from app.run_facts import now, software_facts, timing_facts, write_record
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 
-from app.acquisition.carrier import CLOSING_S, Carrier
-from app.acquisition.course import Course
+from app.acquisition.running_instrument import CLOSING_S, RunningInstrument
+from app.acquisition.unattended_run import UnattendedRun
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError, ended_by
@@ -27,7 +27,7 @@ def run_window(
     open_first: Callable[[MainWindow], object],
     *,
     steps: Callable[[MainWindow], Iterator[object]] | None = None,
-    make_for: Callable[[Bench], Carrier] = Acquisition,
+    make_for: Callable[[Bench], RunningInstrument] = Acquisition,
 ) -> int:
     """Run the window until it closes, and return the exit status.
 
@@ -56,7 +56,7 @@ def run_window(
     if saved is not None:
         apply_preferences(application, saved)
     window = MainWindow(saved=saved, make_for=make_for)
-    run = None if steps is None else _UnattendedRun(window, steps(window))
+    timer = None if steps is None else _StepTimer(window, steps(window))
     signals: list[int] = []
 
     def end(number: int, _frame: object) -> None:
@@ -77,8 +77,8 @@ def run_window(
     for sentence in window.unsaved:
         sys.stderr.write(f"svwfs: {sentence}\n")
     _raise_failure(window, is_interrupted=bool(signals))
-    if run is not None:
-        run.check()
+    if timer is not None:
+        timer.check()
     return 1 if window.unsaved else status
 
 
@@ -107,7 +107,7 @@ def _pass_on(_kind: QtMsgType, _context: QMessageLogContext, text: str | None) -
         sys.stderr.write(f"{text}\n")
 
 
-class _UnattendedRun:
+class _StepTimer:
     """Makes the steps of an unattended run, and closes the window when it is done or has failed."""
 
     def __init__(self, window: MainWindow, steps: Iterator[object]) -> None:
@@ -139,10 +139,10 @@ class _UnattendedRun:
 
 def unattended_steps(
     window: MainWindow,
-    course: Course,
+    run: UnattendedRun,
     seconds: float,
     screenshot: Path | None = None,
-    on_finish: Callable[[Carrier, Measurement], object] = lambda _, __: None,
+    on_finish: Callable[[RunningInstrument, Measurement], object] = lambda _, __: None,
 ) -> Iterator[None]:
     """Wait for a wavefront and then for `seconds`; save a screenshot, and pass on the last measurement with one."""
     shown = list[Measurement]()
@@ -152,7 +152,7 @@ def unattended_steps(
             shown[:] = [measurement]
 
     window.measurement_shown.connect(note)
-    end_s = seconds + (yield from course.first_wavefront(_FIRST_WAVEFRONT_S))
+    end_s = seconds + (yield from run.first_wavefront(_FIRST_WAVEFRONT_S))
 
     def is_over() -> bool:
         now_s = time.perf_counter()
@@ -160,8 +160,8 @@ def unattended_steps(
             raise RunError("the window has not drawn a wavefront")
         return bool(shown) and now_s >= end_s
 
-    yield from course.until(is_over)
+    yield from run.until(is_over)
     window.update_text()
     if screenshot is not None:
         write_picture(screenshot, window.grab())
-    on_finish(course.acquisition, shown[0])
+    on_finish(run.acquisition, shown[0])

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 
-from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument
+from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
@@ -55,7 +55,7 @@ class Player:
         """Make an acquisition that plays the recording."""
         return Acquisition(self.bench, self.open_devices, (self.take,))
 
-    def begin(self, acquisition: Carrier) -> tuple[Future[None], ...]:
+    def begin(self, acquisition: RunningInstrument) -> tuple[Future[None], ...]:
         """Set the recorded calibration and start the camera, instead of taking dark and reference."""
         if not isinstance(acquisition, Acquisition):
             raise TypeError("a recording is played in this process")
@@ -126,7 +126,7 @@ class Player:
         recorded = self._recording.calibration(number)
         return recorded if self._change is None else self._change(recorded)
 
-    def _use(self, acquisition: Carrier, number: int) -> Future[None]:
+    def _use(self, acquisition: RunningInstrument, number: int) -> Future[None]:
         return acquisition.submit(lambda instrument: self._set(instrument, number))
 
     def _set(self, instrument: Instrument, number: int) -> None:

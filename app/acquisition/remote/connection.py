@@ -17,7 +17,6 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
-from app.acquisition.carrier import Activity, Carrier
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.place import DYING_S, NAME, Place, clear_abandoned
 from app.acquisition.process_state import Condition, ProcessState
@@ -25,6 +24,7 @@ from app.acquisition.remote.frames import RemoteFrames
 from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Hello, Notice, SharedObject, Sign, State
 from app.acquisition.remote.outbox import ANSWER_S, Outbox
 from app.acquisition.remote.wire import Packed, unpacked
+from app.acquisition.running_instrument import Activity, RunningInstrument
 from app.acquisition.wake import Wake
 from app.bench.config import Bench
 from app.errors import RunError
@@ -67,7 +67,9 @@ def reach(
     return connection
 
 
-def _sent(request: Callable[Concatenate[Carrier, P], Future[T]]) -> Callable[Concatenate["Connection", P], Future[T]]:
+def _sent(
+    request: Callable[Concatenate[RunningInstrument, P], Future[T]],
+) -> Callable[Concatenate["Connection", P], Future[T]]:
     """Return the same request of a connection; relative paths are those of this process."""
 
     def send(connection: "Connection", /, *arguments: P.args, **named: P.kwargs) -> Future[T]:
@@ -203,15 +205,15 @@ class Connection:
         """Execute a request of the instrument between two frames, as `submit(Instrument.take_dark, 20)`."""
         return self._send(request.__name__, *arguments, **named)
 
-    cancel = _sent(Carrier.cancel)
-    switch_light_off = _sent(Carrier.switch_light_off)  # watching clients may, too
-    set_area = _sent(Carrier.set_area)
-    show_file = _sent(Carrier.show_file)
-    start_recording = _sent(Carrier.start_recording)
-    limit_recording = _sent(Carrier.limit_recording)
-    stop_recording = _sent(Carrier.stop_recording)
-    keep_recent = _sent(Carrier.keep_recent)
-    free_minutes = _sent(Carrier.free_minutes)
+    cancel = _sent(RunningInstrument.cancel)
+    switch_light_off = _sent(RunningInstrument.switch_light_off)  # watching clients may, too
+    set_area = _sent(RunningInstrument.set_area)
+    show_file = _sent(RunningInstrument.show_file)
+    start_recording = _sent(RunningInstrument.start_recording)
+    limit_recording = _sent(RunningInstrument.limit_recording)
+    stop_recording = _sent(RunningInstrument.stop_recording)
+    keep_recent = _sent(RunningInstrument.keep_recent)
+    free_minutes = _sent(RunningInstrument.free_minutes)
 
     def take_control(self) -> Future[None]:
         """Take control from the client that has it."""

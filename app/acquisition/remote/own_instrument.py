@@ -11,9 +11,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from app.acquisition.carrier import CLOSING_S
 from app.acquisition.place import NAME, Place, file_of, is_taken
 from app.acquisition.remote.connection import Connection
+from app.acquisition.running_instrument import CLOSING_S
 from app.bench.config import Bench, save_bench
 from app.errors import RunError
 from app.run_facts import command_line

@@ -15,8 +15,8 @@ from operator import ge, le, lt
 from pathlib import Path
 from typing import Any
 
-from app.acquisition.course import Course
 from app.acquisition.remote.own_instrument import OwnConnection
+from app.acquisition.unattended_run import UnattendedRun
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError, ended_by
 from app.measurement.measurement import FrameTotals
@@ -143,7 +143,7 @@ class Span:
         return self.times["draw"].count / self.seconds
 
 
-class MeasuredCourse(Course):
+class MeasuredRun(UnattendedRun):
     """One run of an instrument in a process of its own, which the caller closes."""
 
     def __init__(

@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from app.acquisition.carrier import Carrier
+from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import start_up
 
 if TYPE_CHECKING:
@@ -18,6 +18,6 @@ if TYPE_CHECKING:
 class Access:
     """Makes and begins an acquisition, and another one after each reconnection."""
 
-    make: Callable[[], Carrier]
-    begin: Callable[[Carrier], tuple[Future[Any], ...]] = start_up  # sends the first commands
+    make: Callable[[], RunningInstrument]
+    begin: Callable[[RunningInstrument], tuple[Future[Any], ...]] = start_up  # sends the first commands
     player: Player | None = None  # of a recording

@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 
-from app.acquisition.carrier import CLOSING_S, Carrier
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.own_instrument import OwnConnection
+from app.acquisition.running_instrument import CLOSING_S, RunningInstrument
 from app.acquisition.start_up import start_up
 from app.cache import release_memory
 from app.errors import InputError, RunError
@@ -43,7 +43,7 @@ class Controller(QObject):
         super().__init__()
         self.messages = messages
         self._access: Access | None = None
-        self.acquisition: Carrier | None = None
+        self.acquisition: RunningInstrument | None = None
         self.is_stuck = False  # whether the worker did not end on `close`
         self._pending: list[tuple[Future[Any], Then, Otherwise]] = []
         messages.answered.connect(self.question_closed)  # a lambda would keep the closed window
@@ -130,7 +130,7 @@ class Controller(QObject):
         self.is_stuck = self.acquisition.is_alive
 
     def send(
-        self, submit: Callable[[Carrier], Future[T]], then: Then = None, otherwise: Otherwise = None
+        self, submit: Callable[[RunningInstrument], Future[T]], then: Then = None, otherwise: Otherwise = None
     ) -> Future[T] | None:
         """Send a command to the acquisition, if there is one; an earlier notice disappears.
 

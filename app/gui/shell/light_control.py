@@ -5,8 +5,8 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 
-from app.acquisition.carrier import Carrier
 from app.acquisition.instrument import Instrument
+from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import CalibrationStep
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
@@ -32,7 +32,7 @@ class LightControl:
         return self._switching_off is not None
 
     @property
-    def _acquisition(self) -> Carrier | None:
+    def _acquisition(self) -> RunningInstrument | None:
         """The acquisition, while its worker can still switch the light."""
         acquisition = self._controller.acquisition
         return acquisition if acquisition is not None and acquisition.is_alive else None
@@ -91,7 +91,7 @@ class LightControl:
             self._controls.light.setChecked(False)
             self._controls.show_switching_off()
 
-    def _is_busy(self, acquisition: Carrier) -> bool:
+    def _is_busy(self, acquisition: RunningInstrument) -> bool:
         return bool(acquisition.activity.text) or self.is_switching_off or not self._controller.is_idle
 
     def take(self, step: CalibrationStep, frames: int) -> None:

@@ -11,8 +11,8 @@ from PyQt6.QtCore import QEventLoop, QSettings, QSize, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QResizeEvent
 from PyQt6.QtWidgets import QApplication, QWidget
 
-from app.acquisition.carrier import Activity, Carrier
 from app.acquisition.instrument import Status
+from app.acquisition.running_instrument import Activity, RunningInstrument
 from app.acquisition.start_up import DARK, REFERENCE
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
@@ -54,7 +54,9 @@ class MainWindow(BaseWindow):
 
     measurement_shown = pyqtSignal(object)  # the Measurement, by reference
 
-    def __init__(self, *, saved: QSettings | None = None, make_for: Callable[[Bench], Carrier] = Acquisition) -> None:
+    def __init__(
+        self, *, saved: QSettings | None = None, make_for: Callable[[Bench], RunningInstrument] = Acquisition
+    ) -> None:
         """Make an empty window.
 
         `make_for` makes the acquisition of a bench that is opened in the window. The window looks as saved in

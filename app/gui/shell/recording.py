@@ -13,7 +13,7 @@ from PyQt6.QtCore import QSettings, QStandardPaths, Qt, QUrl
 from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtWidgets import QFileDialog, QFrame, QMenu, QSizePolicy, QWidget
 
-from app.acquisition.carrier import Carrier
+from app.acquisition.running_instrument import RunningInstrument
 from app.gui.panels.panel import Entries
 from app.gui.shell.background_commands import BackgroundCommands
 from app.gui.shell.controller import Controller
@@ -228,7 +228,7 @@ class RecordingBar(QFrame):
                 if not is_recording:
                     self._finish(ended)
 
-    def _query_disk(self, acquisition: Carrier) -> None:
+    def _query_disk(self, acquisition: RunningInstrument) -> None:
         """Ask for the free disk space every two seconds."""
         if self._asked_disk is not None and self._asked_disk.done():
             is_unknown = self._asked_disk.exception() is not None  # the start of a recording reports it

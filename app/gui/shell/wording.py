@@ -3,8 +3,8 @@
 import math
 import time
 
-from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Status
+from app.acquisition.running_instrument import Activity
 from app.gui.panels.panel import Liveness
 from app.gui.widgets.presentation import percent
 from app.measurement.auto_exposure import AutoExposure

@@ -9,8 +9,8 @@ import pytest
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S, own_time, wait_until
 
-from app.acquisition.carrier import Activity
 from app.acquisition.instrument import Instrument
+from app.acquisition.running_instrument import Activity
 from app.acquisition.worker import Acquisition
 from app.measurement.routines import RoutineError
 from drivers.interface import LightHeldOff

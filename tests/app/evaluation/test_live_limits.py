@@ -19,8 +19,8 @@ from support.gui_bench import BENCH, make_measurement
 
 import app.commands.benchmark
 from app import cli
-from app.acquisition.carrier import Activity, Carrier
-from app.acquisition.course import Course
+from app.acquisition.running_instrument import Activity, RunningInstrument
+from app.acquisition.unattended_run import UnattendedRun
 from app.bench.config import load_bench
 from app.bench.device_kinds import RecordingSettings
 from app.commands.benchmark import print_figures
@@ -39,7 +39,7 @@ def test_share_counts_lost_frames() -> None:
 def first_wavefront(frames: list[Measurement | None], within_s: float = 100.0) -> tuple[int, str]:
     """Poll frames that an instrument has as its newest; return how many were asked for, and why there is no hope."""
     instrument = SimpleNamespace(error=None, activity=Activity(), newest=None)
-    steps = Course(cast("Carrier", instrument)).first_wavefront(within_s)
+    steps = UnattendedRun(cast("RunningInstrument", instrument)).first_wavefront(within_s)
     for asked, frame in enumerate(frames, 1):
         instrument.newest = frame
         try:

@@ -28,7 +28,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.commands.benchmark import benchmark_acquisition, print_figures
 from app.errors import InputError, Interrupted, RunError
-from app.evaluation.benchmark.live_path import LiveFigures, LivePlan, MeasuredCourse, resident_mb
+from app.evaluation.benchmark.live_path import LiveFigures, LivePlan, MeasuredRun, resident_mb
 from app.gui.panels.coefficients import CoefficientsPanel
 from app.measurement.measurement import Measurement
 from app.recording.reader import Recording
@@ -61,9 +61,9 @@ class InThisProcess:
         return made
 
 
-def course_of(bench: Bench, warm_up_s: float, record_into: Path | None = None) -> MeasuredCourse:
+def course_of(bench: Bench, warm_up_s: float, record_into: Path | None = None) -> MeasuredRun:
     own = InThisProcess("test").connect(bench)
-    return MeasuredCourse(own, no_report, warm_up_s=warm_up_s, seconds=60, record_into=record_into)  # type: ignore[arg-type] # as above
+    return MeasuredRun(own, no_report, warm_up_s=warm_up_s, seconds=60, record_into=record_into)  # type: ignore[arg-type] # as above
 
 
 @dataclass

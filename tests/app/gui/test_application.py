@@ -18,9 +18,9 @@ from PyQt6.QtWidgets import QApplication
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S, wait_until
 
-from app.acquisition.carrier import Carrier
-from app.acquisition.course import Course
 from app.acquisition.instrument import Instrument
+from app.acquisition.running_instrument import RunningInstrument
+from app.acquisition.unattended_run import UnattendedRun
 from app.acquisition.worker import Acquisition
 from app.errors import Interrupted, RunError
 from app.gui.application import run_window, unattended_steps
@@ -51,16 +51,16 @@ def when_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:
 def run_unattended(
     camera: FakeCamera, seconds: float, screenshot: Path | None = None, finished: list[Measurement] | None = None
 ) -> int:
-    course = Course(Acquisition(BENCH, opener(camera)))
+    run = UnattendedRun(Acquisition(BENCH, opener(camera)))
 
-    def note(_: Carrier, measurement: Measurement) -> None:
+    def note(_: RunningInstrument, measurement: Measurement) -> None:
         if finished is not None:
             finished.append(measurement)
 
-    access = Access(lambda: course.acquisition, lambda _: course.send())
+    access = Access(lambda: run.acquisition, lambda _: run.send())
     return run_window(
         lambda window: window.open(access),
-        steps=lambda window: unattended_steps(window, course, seconds, screenshot, note),
+        steps=lambda window: unattended_steps(window, run, seconds, screenshot, note),
     )
 
 

@@ -16,8 +16,8 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import dim_frame, press, views
 
-from app.acquisition.carrier import Activity
 from app.acquisition.kept_averages import AverageState
+from app.acquisition.running_instrument import Activity
 from app.gui.panels.panel import Liveness
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.wording import Situation, liveness

@@ -17,7 +17,7 @@ from support.gui_bench import BENCH, FakeCamera, make_measurement, opener
 from support.patience import HANG_S, own_time, wait_until
 from support.window_tools import LENSLETS, MakeWindow, count_pixels, dim_frame, press, views, wait_for_wavefront
 
-from app.acquisition.carrier import Activity
+from app.acquisition.running_instrument import Activity
 from app.acquisition.worker import Acquisition
 from app.gui.shell.access import Access
 from app.gui.shell.help import TextDialog

@@ -25,7 +25,7 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import MakeWindow, dim_frame, press, views, wait_for_wavefront
 
-from app.acquisition.carrier import Activity
+from app.acquisition.running_instrument import Activity
 from app.gui.shell.help import TextDialog
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.status_line import StatusLine

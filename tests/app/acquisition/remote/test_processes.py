@@ -51,7 +51,7 @@ time.sleep(600)
 WINDOW = """
 import sys
 from pathlib import Path
-from app.acquisition.course import Course
+from app.acquisition.unattended_run import UnattendedRun
 from app.acquisition.remote.connection import reach
 from app.gui.application import run_window, unattended_steps
 from app.gui.shell.access import Access
@@ -59,7 +59,7 @@ from app.gui.shell.access import Access
 connection = reach("client")
 
 def steps(window):
-    yield from unattended_steps(window, Course(connection), 0.5)
+    yield from unattended_steps(window, UnattendedRun(connection), 0.5)
     connection.start_recording(Path(sys.argv[1])).result()
     print("sees", flush=True)
     while True:

@@ -1,11 +1,11 @@
-"""Course of a run without a user: steps that a loop or the timer of a window makes, some times a second, to its end."""
+"""A run without a user: steps to its end, made by a loop or by the timer of a window."""
 
 import time
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future
 from typing import Any
 
-from app.acquisition.carrier import Carrier
+from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import start_up
 from app.errors import InputError, RunError
 from app.measurement.routines import Cancelled
@@ -14,17 +14,19 @@ from app.progress import Progress
 _HOPELESS_FRAMES = 20  # without a wavefront, when the bench is calibrated
 
 
-class Course:
-    """Steps of one instrument, each of which raises `RunError` or `InputError` if the run cannot go on.
+class UnattendedRun:
+    """Steps of one instrument, made some times a second; one raises `RunError` or `InputError` if it cannot go on.
 
     `progress` receives what they wait for.
     """
 
-    def __init__(self, acquisition: Carrier, progress: Progress = lambda *_: None) -> None:
+    def __init__(self, acquisition: RunningInstrument, progress: Progress = lambda *_: None) -> None:
         self.acquisition, self._progress = acquisition, progress
         self._expected: tuple[Future[Any], ...] = ()  # commands that must succeed
 
-    def send(self, commands: Callable[[Carrier], tuple[Future[Any], ...]] = start_up) -> tuple[Future[Any], ...]:
+    def send(
+        self, commands: Callable[[RunningInstrument], tuple[Future[Any], ...]] = start_up
+    ) -> tuple[Future[Any], ...]:
         """Send commands that must succeed, such as those that calibrate the bench and turn to the sample."""
         sent = commands(self.acquisition)
         self._expected += sent

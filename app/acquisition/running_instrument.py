@@ -30,8 +30,8 @@ class Activity:
     may_cancel: bool = True
 
 
-class Carrier(Protocol):
-    """A running instrument: `Acquisition` is its worker in this process, `Connection` leads to that of another.
+class RunningInstrument(Protocol):
+    """An instrument in this process, an `Acquisition`, or in another, to which a `Connection` leads.
 
     Requests may come from any thread and return at once, with a future.
     """
