@@ -20,7 +20,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TextIO
 
-from app.acquisition.place import DYING_S, clear_abandoned
+from app.acquisition.address import DYING_S, clear_abandoned
 from app.acquisition.process_state import stat_of
 from app.bench.device_kinds import DRIVERS
 from drivers.errors import DeviceError
@@ -185,7 +185,7 @@ def main() -> int:
                 sys.exit(f"svwfs: {error}; {MAY_BE_ON}")
         finally:
             if pipe.has_ended:
-                clear_abandoned(patience_s=DYING_S)
+                clear_abandoned(timeout_s=DYING_S)
     return 0
 
 

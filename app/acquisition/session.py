@@ -11,8 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
+from app.acquisition.address import NAME
 from app.acquisition.instrument import DeviceSetting, Instrument, Status
-from app.acquisition.place import NAME
 from app.acquisition.remote.connection import reach
 from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, knows_sample, start_up, without_sample

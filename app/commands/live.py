@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.acquisition.place import NAME, file_of
+from app.acquisition.address import NAME, file_of
 from app.bench.config import load_bench
 from app.bench.presets import DEFAULT
 from app.bench.trusted_libraries import unconfirmed
@@ -157,7 +157,7 @@ def _run(open_first: Callable[[MainWindow], object], splash: Splash, own: OwnIns
 
     status = run_window(begin, make_for=make_for)
     if opened and opened[-1].goes_on:
-        place = opened[-1].place
+        place = opened[-1].address
         terminal.print_sentence(
             f"the instrument goes on as process {place.process}; its messages go to {file_of(place.name, 'log')}"
         )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.acquisition.place import NAME
+from app.acquisition.address import NAME
 from app.commands import options, terminal
 from app.errors import InputError, Interrupted, RunError
 from app.files import MEASURED

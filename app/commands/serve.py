@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from app.acquisition.place import NAME, taken_place
+from app.acquisition.address import NAME, taken_address
 from app.commands import options, terminal
 from app.errors import Interrupted
 from app.measurement.routines import Cancelled
@@ -55,11 +55,11 @@ def serve(
         faulthandler.enable()  # a crash, as in a vendor's library, tells where
     loaded = options.load(bench, setting)
     terminal.confirm_libraries(loaded, is_trusted=trust_library)
-    with taken_place(name) as place:
-        server = Server(loaded, place)
+    with taken_address(name) as address:
+        server = Server(loaded, address)
         which = "" if name == NAME else f" --name {name}"
         terminal.print_sentence(
-            f"the instrument runs as process {place.process}; attach with svwfs live --attach{which}; Ctrl-C ends it"
+            f"the instrument runs as process {address.process}; attach with svwfs live --attach{which}; Ctrl-C ends it"
         )
         try:
             server.run(begin)

@@ -66,7 +66,7 @@ def main() -> None:
         if asked.record:
             client.start_recording(folder / "recording").result()
         time.sleep(3.0)
-        watched = [client.place.process, *(each.pid for each in watching)]
+        watched = [client.address.process, *(each.pid for each in watching)]
         if asked.idle:
             client.submit(Instrument.set, "is_running", False).result()
             time.sleep(1.0)

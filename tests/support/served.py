@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from app.acquisition.place import NAME, is_taken, taken_place
+from app.acquisition.address import NAME, is_taken, taken_address
 from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.server import Server
 from app.acquisition.start_up import start_up
@@ -28,8 +28,8 @@ def served(
     servers: list[Server] = []
 
     def work() -> None:
-        with taken_place() as place:
-            servers.append(Server(BENCH, place, opener(camera)))
+        with taken_address() as address:
+            servers.append(Server(BENCH, address, opener(camera)))
             try:
                 servers[0].run(begin)
             except Disconnected:  # of the fake camera; tests look at it

@@ -17,8 +17,8 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
+from app.acquisition.address import DYING_S, NAME, Address, clear_abandoned
 from app.acquisition.instrument import Instrument, Status
-from app.acquisition.place import DYING_S, NAME, Place, clear_abandoned
 from app.acquisition.process_state import Condition, ProcessState
 from app.acquisition.remote.frames import RemoteFrames
 from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Hello, Notice, SharedObject, Sign, State
@@ -62,7 +62,7 @@ def reach(
     what: str, name: str = NAME, *, sinks: tuple[Callable[[Measurement], None], ...] = (), takes_control: bool = True
 ) -> "Connection":
     """Connect to the instrument of a name, and wait for its state; `RunError` if none runs or answers there."""
-    connection = Connection(what, Place.of(name), sinks, takes_control=takes_control)
+    connection = Connection(what, Address.of(name), sinks, takes_control=takes_control)
     connection.wait()
     return connection
 
@@ -94,7 +94,7 @@ class Connection:
     def __init__(
         self,
         what: str,
-        place: Place,
+        address: Address,
         sinks: tuple[Callable[[Measurement], None], ...] = (),
         *,
         takes_control: bool = True,
@@ -102,7 +102,7 @@ class Connection:
         """Begin to connect, as `what`; with `takes_control`, take control if nobody has it."""
         number = next(_COUNT)
         self.name = f"{what} {os.getpid()}{f'.{number}' * (number > 1)}"
-        self.place, self._takes_control = place, takes_control
+        self.address, self._takes_control = address, takes_control
         self.timings = _MergedTimings()
         self._activity = Activity("starting the instrument", may_cancel=False)
         self._started: tuple[ProcessState, ...] = ()  # by the instrument
@@ -140,7 +140,7 @@ class Connection:
         """State of the instrument's process, and of those that it has started, of which only that one knows."""
         condition: Condition = "gone" if self._is_gone else "frozen" if self.is_silent else "alive"
         started = () if condition == "frozen" else self._started
-        return ProcessState("instrument", self.place.process, condition), *started
+        return ProcessState("instrument", self.address.process, condition), *started
 
     @property
     def is_reached(self) -> bool:
@@ -253,7 +253,7 @@ class Connection:
 
     def _say_packed(self, message: bytearray) -> None:
         with suppress(zmq.Again):  # the instrument stands still
-            self._socket.send_multipart([self.place.key.encode(), message], zmq.NOBLOCK)
+            self._socket.send_multipart([self.address.key.encode(), message], zmq.NOBLOCK)
         self._said_s = time.monotonic()
 
     def _work(self) -> None:
@@ -281,8 +281,8 @@ class Connection:
             self._frames.close()
 
     def _reach(self) -> None:
-        """Say hello to the instrument at `place`; called by the thread."""
-        self._socket.connect(self.place.endpoint)
+        """Say hello to the instrument at `address`; called by the thread."""
+        self._socket.connect(self.address.endpoint)
         self._heard_s = time.monotonic()
         self._say(Hello(self.name, self._takes_control, self._pause_s))
 
@@ -299,8 +299,8 @@ class Connection:
             self._take(unpacked(self._socket.recv(), self._arrivals.find))
         if is_gone and self._ended is None:
             self._is_gone, self._started = True, ()
-            clear_abandoned(self.place.name, DYING_S)
-            process = f"the instrument's process {self.place.process}"
+            clear_abandoned(self.address.name, DYING_S)
+            process = f"the instrument's process {self.address.process}"
             advice = "its light should be off; if it shines, switch it off by hand or with svwfs light-off"
             self._ended = RunError(f"{process} {self._how_it_ended()}: {advice}")
         if self._frames.error is not None and self._ended is None:
@@ -308,7 +308,7 @@ class Connection:
         now_s = time.monotonic()
         if not self._has_state.is_set() and now_s > self._heard_s + ANSWER_S:
             raise RunError(
-                f"the instrument of process {self.place.process} does not answer: stop it, and start it again"
+                f"the instrument of process {self.address.process} does not answer: stop it, and start it again"
             )
         if now_s > self._said_s + _ALIVE_S:
             self._say(Sign.ALIVE)

@@ -126,7 +126,7 @@ class RemoteFrames:
 
     def _next(self, follower: "_Follower", notice: Notice) -> RingRecord | None:
         """The record that a follower reads next; None if it is not there yet, or lacks an object."""
-        if not notice.place or (found := follower.next(notice.place)) is None:
+        if not notice.ring or (found := follower.next(notice.ring)) is None:
             return None
         count, body = found
         try:
@@ -174,11 +174,11 @@ class _Follower:
         """Read the newest record after a count, or each one; `note_missed` is called with the count of one missed."""
         self.count, self._note_missed, self._is_every_read = count, note_missed, is_every_read  # of the last read
         self._ring: tuple[str, RingReader] | None = None
-        self._missing = "", 0.0  # the place of a ring that cannot be opened, and since when
+        self._missing = "", 0.0  # the name of a ring that cannot be opened, and since when
 
-    def next(self, place: str) -> tuple[int, bytes] | None:
-        """Return the count and a copy of the next record in the ring at a place; None if there is none yet."""
-        while (ring := self._at(place)) is not None and (newest := ring.count) > self.count:
+    def next(self, ring_name: str) -> tuple[int, bytes] | None:
+        """Return the count and a copy of the next record in the ring of a name; None if there is none yet."""
+        while (ring := self._at(ring_name)) is not None and (newest := ring.count) > self.count:
             count = self.count + 1 if self._is_every_read else newest
             if (body := ring.read(count)) is not None:
                 return count, body
@@ -191,18 +191,18 @@ class _Follower:
         if self._ring is not None:
             self._ring[1].close()
 
-    def _at(self, place: str) -> RingReader | None:
-        """The ring at a place, or the one before it until all is read there; None if it is replaced already."""
+    def _at(self, ring_name: str) -> RingReader | None:
+        """The ring of a name, or the one before it until all is read there; None if it is replaced already."""
         if self._ring is not None and (
-            self._ring[0] == place or (self._is_every_read and self._ring[1].count > self.count)
+            self._ring[0] == ring_name or (self._is_every_read and self._ring[1].count > self.count)
         ):
             return self._ring[1]
         try:
-            opened = RingReader(place)
+            opened = RingReader(ring_name)
         except (OSError, ValueError, struct.error) as error:
             now_s = time.monotonic()
-            if self._missing[0] != place:  # another notice should be coming
-                self._missing = place, now_s
+            if self._missing[0] != ring_name:  # another notice should be coming
+                self._missing = ring_name, now_s
             if now_s > self._missing[1] + _REPLACED_S:
                 raise RunError(
                     f"its memory cannot be opened from here ({error}): this program may run in another"
@@ -210,5 +210,5 @@ class _Follower:
                 ) from error
             return None
         self.close()
-        self._ring = place, opened
+        self._ring = ring_name, opened
         return opened

@@ -97,9 +97,9 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """The count of the newest record, in the ring at a place."""
+    """The count of the newest record, in the ring of a name."""
 
-    place: str
+    ring: str
     count: int
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from app.acquisition.place import NAME, Place, file_of, is_taken
+from app.acquisition.address import NAME, Address, file_of, is_taken
 from app.acquisition.remote.connection import Connection
 from app.acquisition.running_instrument import CLOSING_S
 from app.bench.config import Bench, save_bench
@@ -36,7 +36,7 @@ class OwnConnection(Connection):
         """
         self.bench, self.process, self._log, self._forget_bench = bench, process, log, forget_bench
         self._is_ending = self.goes_on = False
-        super().__init__("window", Place(name, process.pid, endpoint="", key=""))
+        super().__init__("window", Address(name, process.pid, endpoint="", key=""))
 
     @property
     def is_alive(self) -> bool:
@@ -63,15 +63,15 @@ class OwnConnection(Connection):
                 raise RunError(f"the instrument's process could not be reached within {_STARTS_S:g} s, and was ended")
             time.sleep(_LOOK_S)
         self._forget_bench()  # it was read; a window that is killed leaves none
-        self.place = Place.of(self.place.name)
+        self.address = Address.of(self.address.name)
         super()._reach()
 
     def _is_announced(self) -> bool:
         """True if the process has the name; another one may have taken it."""
-        if not is_taken(self.place.name):
+        if not is_taken(self.address.name):
             return False
         # On Windows, the process of a virtual environment starts another one.
-        return sys.platform == "win32" or Place.of(self.place.name).process == self.process.pid
+        return sys.platform == "win32" or Address.of(self.address.name).process == self.process.pid
 
     def _how_it_ended(self) -> str:
         with suppress(subprocess.TimeoutExpired):

@@ -26,7 +26,7 @@ _COUNT_AT = 32  # of the newest record, in the header
 
 
 class RingWriter:
-    """Owns a ring; `place` is where readers find it."""
+    """Owns a ring; `name` is what readers find it by."""
 
     def __init__(self, slot_bytes: int, file: Path, *, slots: int = 8, count: int = 0) -> None:
         """Make slots for records of that size; `count` goes on from an earlier ring. A file's name begins as `file`."""
@@ -37,11 +37,11 @@ class RingWriter:
         size = _HEADER_BYTES + slots * self._stride
         if sys.platform == "linux":
             self._descriptor = os.memfd_create("svwfs ring")
-            self.place = f"/proc/{os.getpid()}/fd/{self._descriptor}#{serial}"
+            self.name = f"/proc/{os.getpid()}/fd/{self._descriptor}#{serial}"
         else:
             self._file = file.with_name(f"{file.name}-{serial}")
             self._descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
-            self.place = f"{self._file}#{serial}"
+            self.name = f"{self._file}#{serial}"
         os.ftruncate(self._descriptor, size)
         self._memory = mmap.mmap(self._descriptor, size)
         self._memory[: _FACTS.size] = _FACTS.pack(_MAGIC, slots, self._stride, serial.encode())
@@ -83,10 +83,10 @@ class RingWriter:
 
 
 class RingReader:
-    """Reads the ring at a place; `OSError` if it is gone, `ValueError` if it is none of this version."""
+    """Reads the ring of a name; `OSError` if it is gone, `ValueError` if it is none of this version."""
 
-    def __init__(self, place: str) -> None:
-        file, _, serial = place.rpartition("#")
+    def __init__(self, name: str) -> None:
+        file, _, serial = name.rpartition("#")
         descriptor = os.open(file, os.O_RDONLY)
         try:
             self._memory = mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ)
@@ -95,7 +95,7 @@ class RingReader:
         magic, self._slots, self._stride, found = _FACTS.unpack(self._memory[: _FACTS.size])
         expected = magic == _MAGIC and found == serial.encode()
         if not expected or len(self._memory) < _HEADER_BYTES + self._slots * self._stride:
-            raise ValueError(f"{place} is no ring of this version")
+            raise ValueError(f"{name} is no ring of this version")
 
     @property
     def count(self) -> int:

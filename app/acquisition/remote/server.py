@@ -18,9 +18,9 @@ from typing import Any
 
 import zmq
 
+from app.acquisition.address import Address, bound_log, file_of
 from app.acquisition.command_queue import done
 from app.acquisition.instrument import Instrument
-from app.acquisition.place import Place, bound_log, file_of
 from app.acquisition.remote.messages import (
     MOST_BYTES,
     Accepted,
@@ -94,10 +94,10 @@ class Server:
     def __init__(
         self,
         bench: Bench,
-        place: Place,
+        address: Address,
         open_devices: Callable[[Bench, Callable[[float], None]], Devices] | None = None,
     ) -> None:
-        """Open the socket of the place; `RunError` if that fails."""
+        """Open the socket of the address; `RunError` if that fails."""
         self.acquisition = Acquisition(
             bench,
             open_devices,
@@ -108,7 +108,7 @@ class Server:
         self._published = 0  # number of measurements
         self._unwritten: deque[tuple[int, Measurement, bool]] = deque(maxlen=1)  # number; whether it is shown only
         self._pause_s, self._written_s = math.inf, -math.inf
-        self._ring_file = file_of(place.name, "ring")
+        self._ring_file = file_of(address.name, "ring")
         self._ring: RingWriter | None = None
         self._older_rings: deque[RingWriter] = deque()
         self._writing, self._shared_objects = Lock(), SharedObjects()
@@ -129,12 +129,12 @@ class Server:
         self._socket.setsockopt(zmq.MAXMSGSIZE, MOST_BYTES)  # nobody fills the memory
         self._socket.setsockopt(zmq.LINGER, _LINGER_MS)
         try:
-            self._socket.bind(place.endpoint)
+            self._socket.bind(address.endpoint)
         except zmq.ZMQError as error:
             self._context.destroy(linger=0)
-            raise RunError(f"clients cannot be served at {place.endpoint}: {error}") from error
-        self._key = place.key.encode()
-        self.place = replace(place, endpoint=self._socket.getsockopt_string(zmq.LAST_ENDPOINT))
+            raise RunError(f"clients cannot be served at {address.endpoint}: {error}") from error
+        self._key = address.key.encode()
+        self.address = replace(address, endpoint=self._socket.getsockopt_string(zmq.LAST_ENDPOINT))
 
     def run(self, begin: Callable[[Acquisition], object]) -> None:
         """Start the acquisition, send its first commands by `begin`, and serve until it ends or a client ends it.
@@ -154,7 +154,7 @@ class Server:
             try:
                 self.acquisition.start()
                 begin(self.acquisition)
-                self.place.announce()
+                self.address.announce()
                 while self.acquisition.is_alive and not self._is_over:
                     poller.poll(_TICK_MS)
                     self._wake.clear()
@@ -369,7 +369,7 @@ class Server:
         now_s = time.monotonic()
         if has_new_timings and now_s > self._timings_s + _PULSE_S:
             self._timings, self._timings_s = self.acquisition.timings.summary(), now_s
-            bound_log(self.place.name)
+            bound_log(self.address.name)
         state = self._present(is_over=is_over)
         if state != self._state or now_s > self._sent_s + _PULSE_S:
             self._state, self._sent_s = state, now_s
@@ -389,7 +389,7 @@ class Server:
         self._tell(identity, self._present())
 
     def _notice(self) -> Notice:
-        return Notice("", 0) if (ring := self._ring) is None else Notice(ring.place, ring.count)
+        return Notice("", 0) if (ring := self._ring) is None else Notice(ring.name, ring.count)
 
     def _tell(self, identity: bytes, message: object) -> None:
         """Send a message; only states and notices refer to objects that travel by themselves."""

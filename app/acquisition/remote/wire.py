@@ -66,7 +66,7 @@ class Packed:
     def _tagged(self, value: Any) -> tuple[str, Any]:
         """A value's kind and its plain content; see `_Reader`."""
         if isinstance(value, np.ndarray):
-            return "array", [value.dtype.str, value.shape, self._place(value)]
+            return "array", [value.dtype.str, value.shape, self._offset(value)]
         if isinstance(value, Path):
             return "path", str(value)
         if isinstance(value, Mapping):
@@ -88,10 +88,10 @@ class Packed:
         contents = {each.name: getattr(value, each.name) for each in fields(value)}
         return {name: self._plain(each() if isinstance(each, Deferred) else each) for name, each in contents.items()}
 
-    def _place(self, array: NDArray[Any]) -> int:
-        place, self._end = self._end, _aligned(self._end + array.nbytes)
-        self._arrays.append((place, array))
-        return place
+    def _offset(self, array: NDArray[Any]) -> int:
+        offset, self._end = self._end, _aligned(self._end + array.nbytes)
+        self._arrays.append((offset, array))
+        return offset
 
 
 def _unknown(number: int) -> Any:

@@ -158,7 +158,7 @@ class MeasuredRun(UnattendedRun):
     ) -> None:
         """Prepare a span of `seconds` after the warm-up; the memory is measured over its last `memory_s`."""
         super().__init__(acquisition, progress)
-        self._process, self._record_into = acquisition.place.process, record_into
+        self._process, self._record_into = acquisition.address.process, record_into
         self._warm_up_s, self._seconds, self._memory_s = warm_up_s, seconds, memory_s
         self._span: Span | None = None
         self._made_s = time.perf_counter()

@@ -44,7 +44,7 @@ class Attachment:
         """The reason that commands are refused; empty if they are not."""
         connection = self.connection
         if connection is not None and connection.is_silent:
-            return f"the instrument's process {connection.place.process} does not answer: if that lasts, end it"
+            return f"the instrument's process {connection.address.process} does not answer: if that lasts, end it"
         if connection is None or connection.has_control:
             return ""
         return watching(connection.controller)

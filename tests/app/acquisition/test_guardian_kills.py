@@ -30,11 +30,11 @@ GONE = "the guardian of the light has ended; the light was switched off: open th
 HOLDER = """
 import sys, time
 from app.acquisition.guarded_light import GuardedLight
-from app.acquisition.place import taken_place
+from app.acquisition.address import taken_address
 from drivers.serial_lights import DC4100Settings
 
-with taken_place() as place:
-    place.announce()
+with taken_address() as address:
+    address.announce()
     light = GuardedLight(DC4100Settings(port=sys.argv[1]))
     light.keep_alive(1000)  # as before long work
     light.set_on(True)

@@ -20,9 +20,9 @@ from support.gui_bench import BENCH, FakeCamera, opener
 from support.leftovers import left_widgets
 from support.simulated_faults import lose_frames
 
+from app.acquisition.address import Address
 from app.acquisition.devices import open_devices
 from app.acquisition.frame_path import FramePath
-from app.acquisition.place import Place
 from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
@@ -57,7 +57,7 @@ class InThisProcess:
 
     def connect(self, bench: Bench) -> Acquisition:
         made = Acquisition(bench)
-        made.place = Place(self._name, os.getpid(), "", "")  # type: ignore[attr-defined] # as a connection's
+        made.address = Address(self._name, os.getpid(), "", "")  # type: ignore[attr-defined] # as a connection's
         return made
 
 

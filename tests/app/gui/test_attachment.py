@@ -30,7 +30,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def window(make_window: MakeWindow, server: Server, qtbot: QtBot) -> MainWindow:
-    assert server.place.process
+    assert server.address.process
     made = make_window()
     made.open(Access(lambda: reach("window"), lambda _: ()))
     wait_for_wavefront(qtbot, made)
@@ -40,7 +40,7 @@ def window(make_window: MakeWindow, server: Server, qtbot: QtBot) -> MainWindow:
 @pytest.mark.long
 def test_window_shows_and_commands_the_instrument(window: MainWindow, server: Server, qtbot: QtBot) -> None:
     assert window.windowTitle().endswith(", attached")
-    assert f"instrument: process {server.place.process}, alive" in window.status_line.devices.toolTip()
+    assert f"instrument: process {server.address.process}, alive" in window.status_line.devices.toolTip()
     assert "window" in window.status_line.devices.toolTip()
     window.controls.requested.emit("dark", 3)
     qtbot.waitUntil(lambda: "dark taken" in said_in(window))
@@ -96,7 +96,7 @@ def test_state_of_each_process_is_shown(
     qtbot.waitUntil(lambda: devices.text() == "finder gone")
     assert "finder: process 8, gone\n" in devices.toolTip()
     server.end()
-    qtbot.waitUntil(lambda: f"instrument: process {server.place.process}, gone" in devices.toolTip())
+    qtbot.waitUntil(lambda: f"instrument: process {server.address.process}, gone" in devices.toolTip())
     assert "connected" not in devices.toolTip()
 
 
@@ -187,7 +187,7 @@ def test_window_goes_on_with_an_instrument_that_was_started_again(
         assert connection is not None
         assert connection.has_control
         qtbot.waitUntil(lambda: "shut down" not in said_in(window))
-        assert f"instrument: process {second.place.process}, alive" in window.status_line.devices.toolTip()
+        assert f"instrument: process {second.address.process}, alive" in window.status_line.devices.toolTip()
         window.controls.requested.emit("dark", 3)
         qtbot.waitUntil(lambda: "dark taken" in said_in(window))
 

@@ -17,7 +17,7 @@ from support.recordings import record
 from support.served import connected
 from support.window_tools import choose_button, said_in
 
-from app.acquisition.place import NAME, file_of, is_taken, taken_place
+from app.acquisition.address import NAME, file_of, is_taken, taken_address
 from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
 from app.bench.config import Bench, load_bench, save_bench
@@ -109,7 +109,7 @@ def test_window_runs_its_instrument_in_a_process_that_ends_with_it(
 
     def act(window: MainWindow) -> None:
         qtbot.waitUntil(lambda: is_measured(window))
-        assert connection_of(window).place.process == started[-1].pid != os.getpid()
+        assert connection_of(window).address.process == started[-1].pid != os.getpid()
         assert "--trust-library" not in str(started[-1].args)  # the window has asked
         assert "attached" not in window.windowTitle()
         assert window.controller.left == ""
@@ -218,7 +218,7 @@ def test_bench_that_the_window_of_a_recording_opens_has_a_process(
     def act(window: MainWindow) -> None:
         window.benches.open(str(other_toml))
         qtbot.waitUntil(lambda: is_measured(window))
-        assert connection_of(window).place.process == started[0].pid
+        assert connection_of(window).address.process == started[0].pid
 
     assert live_window(monkeypatch, small_toml, act, "--replay", str(folder)) == 0
     assert [each.poll() for each in started] == [0]
@@ -281,8 +281,8 @@ def test_process_that_ends_at_once_is_told_with_its_last_words(
         assert window.attachment.connection is None
         assert not window.messages.reconnect.isHidden()
 
-    with taken_place() as place:
-        place.announce()
+    with taken_address() as address:
+        address.announce()
         assert live_window(monkeypatch, small_toml, act) == 0
     assert [each.poll() for each in started] == [1]
 

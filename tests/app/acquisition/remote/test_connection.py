@@ -18,9 +18,9 @@ from support.gui_bench import BENCH, FakeCamera
 from support.patience import HANG_S, wait_until
 from support.served import connected, newest, served
 
+from app.acquisition.address import taken_address
 from app.acquisition.instrument import Instrument
 from app.acquisition.light_switch import LightSwitch
-from app.acquisition.place import taken_place
 from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.messages import Command
 from app.acquisition.remote.server import Server
@@ -131,7 +131,7 @@ def test_command_that_waits_cannot_light_after_the_light_was_switched_off(
     monkeypatch.setattr(fake_camera.light, "set_on", note_try)
     with served(fake_camera, begin=lambda _: None) as server:
         wait_until(lambda: server.acquisition.status is not None)
-        with closing(Connection("test", server.place)) as connection:
+        with closing(Connection("test", server.address)) as connection:
             lighting, darkening = connection.submit(Instrument.set, "is_light_on", True), connection.switch_light_off()
             may_reach.set()
             with pytest.raises(WrongState, match="switched off meanwhile"):
@@ -361,10 +361,10 @@ def test_a_client_ends_the_instrument(fake_camera: FakeCamera) -> None:
 
 def test_an_instrument_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.acquisition.remote.connection.ANSWER_S", 0.5)
-    with taken_place() as place, zmq.Context() as context, context.socket(zmq.ROUTER) as socket:
-        socket.bind(place.endpoint)
-        place.announce()
-        with pytest.raises(RunError, match=f"process {place.process} does not answer"):
+    with taken_address() as address, zmq.Context() as context, context.socket(zmq.ROUTER) as socket:
+        socket.bind(address.endpoint)
+        address.announce()
+        with pytest.raises(RunError, match=f"process {address.process} does not answer"):
             reach("test")
     assert not [each for each in threading.enumerate() if each.name.startswith("connection")]
 

@@ -20,7 +20,7 @@ from support.command_line import run
 from support.patience import HANG_S, own_time, wait_until
 from support.served import connected
 
-from app.acquisition.place import NAME, is_taken, runtime_folder
+from app.acquisition.address import NAME, is_taken, runtime_folder
 from app.acquisition.remote.connection import Connection, reach
 from app.bench.config import load_bench, save_bench
 from app.errors import RunError

@@ -61,7 +61,7 @@ def test_frames_measured_before_a_command_are_shown_but_no_longer_passed_on(tmp_
                 frames.outdate(2)
             frame = make_frame(np.zeros((3, 4), np.uint16), index=index)
             frames.announce(
-                Notice(ring.place, ring.write(Packed(RingRecord(Measurement(frame, None, "x"), is_shown_only=False))))
+                Notice(ring.name, ring.write(Packed(RingRecord(Measurement(frame, None, "x"), is_shown_only=False))))
             )
             wait_until(lambda: frames.newest is not None and frames.newest.frame.index == index)  # noqa: B023 - at once
         frames.close()
@@ -73,7 +73,7 @@ def publish(ring: RingWriter, frames: RemoteFrames, count: int, *, is_shown_only
     """Let an instrument write a record whose frame has the index `count`, and tell of it."""
     made = Measurement(make_frame(np.zeros((3, 4), np.uint16), index=count), None, "x")
     ring.write(Packed(RingRecord(made, is_shown_only)), count)
-    frames.announce(Notice(ring.place, count))
+    frames.announce(Notice(ring.name, count))
 
 
 def indices(measurements: Iterator[Measurement], count: int) -> list[int]:
@@ -159,7 +159,7 @@ def test_memory_that_cannot_be_opened_is_told(frames: RemoteFrames, monkeypatch:
 def test_memory_that_was_replaced_may_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     times_s, follower = iter((0.0, 2.9, 3.1, 6.0, 6.2)), _Follower(lambda _: None)
     monkeypatch.setattr("app.acquisition.remote.frames.time", SimpleNamespace(monotonic=lambda: next(times_s)))
-    for place in ("3#replaced", "3#replaced", "4#missing", "4#missing"):
-        assert follower.next(f"/proc/0/fd/{place}") is None
+    for name in ("3#replaced", "3#replaced", "4#missing", "4#missing"):
+        assert follower.next(f"/proc/0/fd/{name}") is None
     with pytest.raises(RunError, match="cannot be opened"):
         follower.next("/proc/0/fd/4#missing")

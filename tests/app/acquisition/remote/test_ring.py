@@ -33,7 +33,7 @@ def record(number: int) -> Packed:
 
 
 def test_records_arrive_until_they_are_overwritten(ring: RingWriter) -> None:
-    with closing(RingReader(ring.place)) as reader:
+    with closing(RingReader(ring.name)) as reader:
         assert (reader.count, reader.read(0), reader.read(1)) == (0, None, None)
         for number in range(1, 11):
             assert ring.has_room_for(record(number))
@@ -53,14 +53,14 @@ def test_larger_records_do_not_fit(ring: RingWriter) -> None:
 
 
 def test_counts_go_on_in_the_next_ring(tmp_path: Path) -> None:
-    with closing(RingWriter(20_000, tmp_path / "ring", count=41)) as ring, closing(RingReader(ring.place)) as reader:
+    with closing(RingWriter(20_000, tmp_path / "ring", count=41)) as ring, closing(RingReader(ring.name)) as reader:
         assert ring.write(record(42)) == 42
         assert reader.read(42) is not None
         assert reader.read(41) is None
 
 
 def test_counts_that_are_left_out_take_no_slot(ring: RingWriter) -> None:
-    with closing(RingReader(ring.place)) as reader:
+    with closing(RingReader(ring.name)) as reader:
         for count in range(1, 41, 4):
             assert ring.write(record(count), count) == reader.count == count
         assert [count for count in range(50) if reader.read(count) is not None] == [25, 29, 33, 37]
@@ -68,7 +68,7 @@ def test_counts_that_are_left_out_take_no_slot(ring: RingWriter) -> None:
 
 def test_a_record_being_written_is_not_returned(ring: RingWriter) -> None:
     seen: list[bytes | None] = []
-    with closing(RingReader(ring.place)) as reader:
+    with closing(RingReader(ring.name)) as reader:
         for number in (1, 2, 3, 4):
             ring.write(record(number))
 
@@ -87,7 +87,7 @@ def test_a_record_being_written_is_not_returned(ring: RingWriter) -> None:
 def test_records_overwritten_while_they_are_copied_are_refused(
     ring: RingWriter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with closing(RingReader(ring.place)) as reader:
+    with closing(RingReader(ring.name)) as reader:
         ring.write(record(1))
 
         class Overtaken:
@@ -124,7 +124,7 @@ def test_a_busy_writer_never_gives_a_torn_record(ring: RingWriter) -> None:
     thread = threading.Thread(target=write, name="writer")
     thread.start()
     try:
-        with closing(RingReader(ring.place)) as reader:
+        with closing(RingReader(ring.name)) as reader:
             while whole < 300:
                 if (body := reader.read(count := reader.count)) is not None:
                     number, array = unpacked(body)
@@ -143,7 +143,7 @@ from app.acquisition.remote.ring import RingWriter
 from app.acquisition.remote.wire import Packed
 ring = RingWriter(1000, Path(sys.argv[1], "ring"))
 ring.write(Packed("whole"))
-print(ring.place, flush=True)
+print(ring.name, flush=True)
 time.sleep(600)
 """
 
@@ -154,11 +154,11 @@ def test_nothing_stays_of_a_killed_writer_and_readers_keep_what_they_have(tmp_pa
     command = [sys.executable, "-c", OWNER, str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as owner:  # noqa: S603 - this interpreter
         assert owner.stdout is not None
-        place = owner.stdout.readline().strip()
-        with closing(RingReader(place)) as reader:
+        name = owner.stdout.readline().strip()
+        with closing(RingReader(name)) as reader:
             owner.send_signal(signal.SIGKILL)
             owner.wait()
-            wait_until(lambda: not Path(place.partition("#")[0]).exists())
+            wait_until(lambda: not Path(name.partition("#")[0]).exists())
             body = reader.read(1)
             assert body is not None
             assert unpacked(body) == "whole"
@@ -177,4 +177,4 @@ def test_another_file_is_no_ring(tmp_path: Path) -> None:
 def test_ring_of_another_process_at_the_same_place_is_refused(ring: RingWriter) -> None:
     """As in another container, where a process may have the same number."""
     with pytest.raises(ValueError, match="no ring"):
-        RingReader(f"{ring.place.partition('#')[0]}#another")
+        RingReader(f"{ring.name.partition('#')[0]}#another")

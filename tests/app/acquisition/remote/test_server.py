@@ -16,8 +16,8 @@ from support.gui_bench import BENCH, FakeCamera, make_frame
 from support.patience import HANG_S, wait_until
 from support.served import connected, newest, served
 
+from app.acquisition.address import file_of
 from app.acquisition.instrument import Instrument
-from app.acquisition.place import file_of
 from app.acquisition.remote.connection import reach
 from app.acquisition.remote.messages import (
     MOST_BYTES,
@@ -48,17 +48,17 @@ def test_strangers_are_not_heard(server: Server) -> None:
         wait_until(lambda: server.acquisition.status is not None)
         messages: list[list[bytes | bytearray]] = [
             [b"wrong key", Packed(Hello("stranger", True, 0.0)).message()],
-            [server.place.key.encode(), b"no message"],
-            [server.place.key.encode(), text_message('{"of":[]}')],
-            [server.place.key.encode(), text_message('{"tuple":[' * 5000 + "]}" * 5000)],
-            [server.place.key.encode()],
+            [server.address.key.encode(), b"no message"],
+            [server.address.key.encode(), text_message('{"of":[]}')],
+            [server.address.key.encode(), text_message('{"tuple":[' * 5000 + "]}" * 5000)],
+            [server.address.key.encode()],
             [b""],
-            [server.place.key.encode(), Packed(Command(1, "shut_down")).message()],  # without a hello
-            [server.place.key.encode(), Packed(Sign.ALIVE).message(), b"more"],
+            [server.address.key.encode(), Packed(Command(1, "shut_down")).message()],  # without a hello
+            [server.address.key.encode(), Packed(Sign.ALIVE).message(), b"more"],
         ]
         for parts in messages:
             with context.socket(zmq.DEALER) as socket:
-                socket.connect(server.place.endpoint)
+                socket.connect(server.address.endpoint)
                 socket.send_multipart(parts)
         newest(watching)
         time.sleep(0.3)
@@ -72,14 +72,14 @@ def silent_client(server: Server) -> Iterator[zmq.Socket[bytes]]:
     """A client that has said hello, and reads no more."""
     with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
         socket.setsockopt(zmq.RCVHWM, 1)
-        socket.connect(server.place.endpoint)
+        socket.connect(server.address.endpoint)
         say(socket, server, Hello("silent", True, 0.0))
         wait_until(lambda: server._clients)
         yield socket
 
 
 def say(socket: zmq.Socket[bytes], server: Server, message: object) -> None:
-    socket.send_multipart([server.place.key.encode(), Packed(message).message()])
+    socket.send_multipart([server.address.key.encode(), Packed(message).message()])
 
 
 def send_notices(server: Server, count: int) -> None:
@@ -239,11 +239,11 @@ def test_everything_is_closed_though_one_step_fails(fake_camera: FakeCamera, mon
         assert server._socket.closed
         assert server._ring is not None
         with pytest.raises(FileNotFoundError):
-            RingReader(server._ring.place)
+            RingReader(server._ring.name)
 
 
 def test_log_of_a_library_that_prints_at_every_frame_stays_small(server: Server) -> None:
-    with file_of(server.place.name, "log").open("ab") as log:
+    with file_of(server.address.name, "log").open("ab") as log:
         for line in (b"a frame\n" * 200_000, b"a crash\n"):
             log.write(line)
             log.flush()

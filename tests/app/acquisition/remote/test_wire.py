@@ -120,7 +120,7 @@ def test_other_things_cannot_be_sent(value: object) -> None:
         {"of": ["urllib.parse:DefragResult", ["a", "b"]]},
         {"of": ["app.acquisition.worker:Acquisition", {"bench": None}]},
         {"of": ["app.files:Path", ["x"]]},
-        {"of": ["app.acquisition.remote.messages:Notice", {"place": "x"}]},
+        {"of": ["app.acquisition.remote.messages:Notice", {"ring": "x"}]},
         {"of": ["app.nothing:Notice", {}]},
         {"code": "1"},
         {"array": ["f8", [1000], 0]},

@@ -21,11 +21,11 @@ _VARIABLE = "SVWFS_INSTRUMENT"  # names the instrument to processes that it star
 _FOLDER = "SVWFS_RUNTIME_DIR"
 _LASTING = "lock", "log"  # endings of what stays when an instrument has ended
 _LOG_BYTES = 1_000_000  # a vendor's library may print at every frame
-_PATIENCE_S = 1.0  # with a client that looks at this moment whether the last instrument was killed
+_TIMEOUT_S = 1.0  # for a client that looks at this moment whether the last instrument was killed
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class Address:
     """Address of a running instrument."""
 
     name: str
@@ -35,7 +35,7 @@ class Place:
 
     @classmethod
     def of(cls, name: str = NAME) -> Self:
-        """Read the place of the instrument that runs under a name; `RunError` if there is none."""
+        """Read the address of the instrument that runs under a name; `RunError` if there is none."""
         file = file_of(name, "json")
         clear_abandoned(name)
         try:
@@ -59,42 +59,42 @@ class Place:
 def is_taken(name: str) -> bool:
     """Return whether an instrument can be reached under a name."""
     try:
-        Place.of(name)
+        Address.of(name)
     except RunError:
         return False
     return True
 
 
 @contextmanager
-def taken_place(name: str = NAME) -> Iterator[Place]:
-    """Take the place of a name for this process until the end of a `with`.
+def taken_address(name: str = NAME) -> Iterator[Address]:
+    """Take the address of a name for this process until the end of a `with`.
 
     What a killed instrument left there is replaced. `RunError` if another one runs there; `InputError` for a bad name.
     """
-    with _lock(name, _PATIENCE_S), _spared_by_cleaners():
+    with _lock(name, _TIMEOUT_S), _spared_by_cleaners():
         _clear(name)
         endpoint = f"ipc://{file_of(name, 'socket')}" if os.name == "posix" else "tcp://127.0.0.1:*"
         os.environ[_VARIABLE] = name  # for the guardian of the light, which this process may start
         try:
-            yield Place(name, os.getpid(), endpoint, secrets.token_hex(16))
+            yield Address(name, os.getpid(), endpoint, secrets.token_hex(16))
         finally:
             os.environ.pop(_VARIABLE, None)
             _clear(name)
 
 
-def clear_abandoned(name: str | None = None, patience_s: float = 0.0) -> None:
+def clear_abandoned(name: str | None = None, timeout_s: float = 0.0) -> None:
     """Remove what an instrument has left if it was killed; by default the one that has started this process, if any."""
     name = os.environ.get(_VARIABLE) if name is None else name
     if name is not None and _left(name):
-        with suppress(RunError), _lock(name, patience_s):  # held while one runs
+        with suppress(RunError), _lock(name, timeout_s):  # held while one runs
             _clear(name)
 
 
 @contextmanager
-def _lock(name: str, patience_s: float = 0.0) -> Iterator[None]:
+def _lock(name: str, timeout_s: float = 0.0) -> Iterator[None]:
     """Hold a lock that the system releases when this process ends, however that happens; `RunError` if it is held."""
     descriptor = os.open(file_of(name, "lock"), os.O_RDWR | os.O_CREAT, 0o600)
-    until_s = time.monotonic() + patience_s
+    until_s = time.monotonic() + timeout_s
     try:
         while not _has_locked(descriptor):
             if time.monotonic() > until_s:

@@ -1,4 +1,4 @@
-"""The meeting place of an instrument and its clients: one folder for each user, one instrument for each name."""
+"""The address of an instrument and its clients: one folder for each user, one instrument for each name."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.acquisition.place import Place, clear_abandoned, file_of, runtime_folder, taken_place
+from app.acquisition.address import Address, clear_abandoned, file_of, runtime_folder, taken_address
 from app.acquisition.remote.connection import reach
 from app.acquisition.remote.ring import RingWriter
 from app.errors import InputError, RunError
@@ -38,23 +38,23 @@ def test_the_ring_of_a_killed_instrument_is_removed(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_place_belongs_to_one_instrument() -> None:
-    with taken_place() as place:
-        place.announce()
-        assert Place.of() == place
-        with pytest.raises(RunError, match="runs as instrument already"), taken_place():
+    with taken_address() as address:
+        address.announce()
+        assert Address.of() == address
+        with pytest.raises(RunError, match="runs as instrument already"), taken_address():
             pass
-        with taken_place("second") as second:
-            assert second.endpoint != place.endpoint
+        with taken_address("second") as second:
+            assert second.endpoint != address.endpoint
     with pytest.raises(RunError, match="no instrument runs"):
-        Place.of()
+        Address.of()
 
 
 @pytest.mark.parametrize("name", ["", "../x", "a b", "a/b"])
 def test_names_that_are_no_words_are_refused(name: str) -> None:
-    with pytest.raises(InputError, match="cannot have the name"), taken_place(name):
+    with pytest.raises(InputError, match="cannot have the name"), taken_address(name):
         pass
     with pytest.raises(InputError, match="cannot have the name"):
-        Place.of(name)
+        Address.of(name)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Windows has a temporary folder for each user")
@@ -73,5 +73,5 @@ def test_desktop_and_cron_find_the_same_folder(monkeypatch: pytest.MonkeyPatch, 
 
 def test_a_folder_that_others_may_enter_is_refused() -> None:
     runtime_folder().chmod(0o755)
-    with pytest.raises(RunError, match="open to others"), taken_place():
+    with pytest.raises(RunError, match="open to others"), taken_address():
         pass
