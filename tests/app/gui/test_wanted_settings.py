@@ -62,7 +62,7 @@ def test_last_of_many_choices_wins_and_the_others_are_not_built(
         controls.requested.emit("mask", "stars")
         window.refresh()
         assert controls.choices["mask"].currentText() == "stars"
-        assert (controls.pupil_modes.value(), controls.basis.currentText()) == (12, "Zernike")
+        assert (controls.pupil_modes.value(), controls.basis.currentText()) == (12, "Zernike (Noll)")
         assert [one.property("wanted") for one in (controls.pupil_modes, controls.basis)] == [True, True]
         assert not controls.registration.property("wanted")
         window.messages.warn("an old message")
