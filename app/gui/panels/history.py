@@ -13,11 +13,11 @@ from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QWidget
 from app.bench.settings_form import typed_number
 from app.gui.panels.panel import Entries, Panel, Request, Shown, Verdict
 from app.gui.widgets import theme
-from app.gui.widgets.buttons import Button, Choice, Toggle
+from app.gui.widgets.buttons import Button, Choice, Toggle, close_button
 from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberLine
 from app.gui.widgets.file_work import FileWork
-from app.gui.widgets.layouts import Item, Scrolled, column, row
+from app.gui.widgets.layouts import Item, Scrolled, column, fill_dialog, row
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import NOTHING, number
 from app.gui.widgets.texts import ElidedLabel, colour_text, label, mark_refused
@@ -315,8 +315,7 @@ class LimitsForm(QDialog):
         self._add_row(grid, "", self._pinned_label)
         self.use_pinned("")
         about = label(_ABOUT_LIMITS, "dim")
-        ends = row(self.beep, (QWidget(), 1), Button("Close", "Close (Esc)", self.close))
-        column(grid, about, ends, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
+        fill_dialog(self, grid, about, row(self.beep, (QWidget(), 1), close_button(self)))
 
     def _add_row(self, grid: QGridLayout, name: str, shown_name: QLabel) -> None:
         at = grid.rowCount()

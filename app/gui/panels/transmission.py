@@ -4,7 +4,7 @@ import math
 
 from app.gui.panels.panel import Panel, Request, Shown
 from app.gui.widgets.layouts import column
-from app.gui.widgets.presentation import ColourScale, number
+from app.gui.widgets.presentation import linear, number
 from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import Maps, ViewGrid
 from app.results.view_analysis import TransmissionMaps, transmission_maps
@@ -41,7 +41,7 @@ class TransmissionPanel(Panel):
             self.sentence.setText(unknown if found is None else "No lenslet has a transmission")
             return
         low, high = math.floor(found.lowest / _STEP) * _STEP, math.ceil(found.highest / _STEP) * _STEP
-        scale = ColourScale("inferno", low, max(high, low + _STEP), "", (0.0, 0.5, 1.0))
+        scale = linear(low, max(high, low + _STEP))
         self.grid.show_maps(Maps(found.values, scale, lambda *at: "row {}, column {}: ".format(*at) + number(at[-1])))
         mean, sigma, noise = map(number, (found.mean, found.sigma, found.noise))
         self.sentence.setText(f"Mean {mean}, RMS {sigma}, error {noise} by noise")

@@ -21,7 +21,7 @@ from app.gui.widgets.enlarged_view import EnlargedView
 from app.gui.widgets.fields import BUTTONS_WIDTH_PX, NumberField
 from app.gui.widgets.file_work import FileWork
 from app.gui.widgets.layouts import column, row_of
-from app.gui.widgets.presentation import PRESENTATIONS, AdaptiveScale, Presentation, number, position_texts
+from app.gui.widgets.presentation import PRESENTATIONS, AdaptiveScale, number, position_texts
 from app.gui.widgets.texts import ElidedLabel, colour_text
 from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
 from app.measurement.measurement import Measurement
@@ -261,19 +261,24 @@ class WavefrontPanel(Panel):
         sensor = self.shown.wavefront.sensor
         per_rad = self.shown.per_rad if presentation.has_unit else 1.0
         is_psf = self.quantity is Quantity.PSF
+
+        def in_words(value: float) -> str:
+            return presentation.value(value, unit)
+
         values = (found.values if is_psf else aligned(found.values, sensor.arrangement)) * per_rad
         limit = self._scale
         self._follow(limit, max(presentation.limit(values), presentation.finest * per_rad))
         scale = presentation.scale(limit.value, unit)
         if is_psf:
             reach_mrad = found.reach_rad * 1e3
-            text = partial(_describe_angle, presentation, unit, np.linspace(-reach_mrad, reach_mrad, values.shape[-1]))
+            at_mrad = np.linspace(-reach_mrad, reach_mrad, values.shape[-1])
+            text = partial(_describe_angle, in_words, at_mrad)
             both = (reach_mrad, reach_mrad)
             self._show_maps(Maps(values, scale, text, is_smooth=True, reach=both, reach_unit="mrad"))
         else:
             x_mm = (sensor.lenslet_columns - 1) / 2 * sensor.lenslet_pitch_m * 1e3
             y_mm = (sensor.lenslet_rows - 1) / 2 * sensor.row_spacing_m * 1e3
-            text = partial(_describe_lenslet, presentation, unit)
+            text = partial(_describe_lenslet, in_words)
             measured = np.where(self.shown.wavefront.displacement.valid, values, np.nan)  # the others are hatched
             self._show_maps(Maps(measured, scale, text, reach=(x_mm, y_mm), reach_unit="mm"))
 
@@ -290,17 +295,15 @@ class WavefrontPanel(Panel):
             self._enlarged.refresh()
 
 
-def _describe_lenslet(presentation: Presentation, unit: str, row: int, column: int, value: float) -> str:
-    text = presentation.value(value, unit) if np.isfinite(value) else "lost, no value"
+def _describe_lenslet(in_words: Callable[[float], str], row: int, column: int, value: float) -> str:
+    text = in_words(value) if np.isfinite(value) else "lost, no value"
     return f"Lenslet row {row}, column {column}: {text}"
 
 
-def _describe_angle(
-    presentation: Presentation, unit: str, angle_mrad: Floats, row: int, column: int, value: float
-) -> str:
+def _describe_angle(in_words: Callable[[float], str], angle_mrad: Floats, row: int, column: int, value: float) -> str:
     if not np.isfinite(value):
         return "no value"
-    return f"{angle_mrad[column]:+.2f}, {angle_mrad[row]:+.2f} mrad: {presentation.value(value, unit)}"
+    return f"{angle_mrad[column]:+.2f}, {angle_mrad[row]:+.2f} mrad: {in_words(value)}"
 
 
 class DisplayMenu(QMenu):

@@ -24,7 +24,7 @@ from app.gui.shell.wording import as_sentence
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button
 from app.gui.widgets.file_work import FileWork, answer
-from app.gui.widgets.layouts import column
+from app.gui.widgets.layouts import fill_dialog
 from app.gui.widgets.texts import label
 
 _LAST = "last/bench"  # key of the saved state
@@ -203,7 +203,7 @@ class BenchDialog(QDialog):
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self._buttons = QHBoxLayout()
         self._buttons.addStretch()
-        column(self.text, self._buttons, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
+        fill_dialog(self, self.text, self._buttons)
 
     def show_message(self, title: str, html: str, choices: Choices) -> None:
         """Show a message; each button closes the dialog before it acts."""

@@ -13,7 +13,7 @@ from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.wording import exposure_found, lattice_found, linearity_found
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button
-from app.gui.widgets.layouts import Scrolled, column, row, within_screen
+from app.gui.widgets.layouts import Scrolled, fill_dialog, row, within_screen
 from app.gui.widgets.texts import label
 from app.measurement.auto_exposure import AutoExposure
 from app.measurement.averages import BackgroundCheck
@@ -103,7 +103,7 @@ class CalibrationGuide(QDialog):
         self.no = Button("", "Esc", lambda _: self._answers[False]())
         answers = row((self.question, 1), self.yes, self.no)
         self.steps = Scrolled(steps)
-        column((self.steps, 1), answers, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
+        fill_dialog(self, (self.steps, 1), answers)
 
     def begin(self, frames: int) -> None:
         """Take all steps, averaging `frames` frames into dark and reference; while they run, only show them."""

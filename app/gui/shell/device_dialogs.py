@@ -10,9 +10,9 @@ from app.acquisition.instrument import Status
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
 from app.gui.shell.wording import area_taken
-from app.gui.widgets.buttons import Button, Choice
+from app.gui.widgets.buttons import Button, Choice, close_button
 from app.gui.widgets.fields import NumberField, TextField
-from app.gui.widgets.layouts import column, row
+from app.gui.widgets.layouts import fill_dialog, row
 from app.gui.widgets.texts import label
 from app.measurement.sensor_region import SensorArea, in_steps, region_around
 from drivers.interface import Range, Region
@@ -47,12 +47,12 @@ class SensorRegionDialog(QDialog):
         self.around = Button("Around the lattice", about, self._fill_around)
         self.apply = Button("Apply", "Set the region; then take a new dark (D) and reference (R)", self._set_area)
         self.apply.setDefault(True)
-        close = Button("Close", "Change nothing (Esc)", self.close)
+        close = close_button(self, "Change nothing (Esc)")
         form = QFormLayout()
         for name, field in zip((*_SIDES, "Binning"), (*self._sides, self.binning), strict=True):
             form.addRow(label(name, "dim"), field)
         fills, ends = row((self.whole, 1), (self.around, 1)), row((self.apply, 1), (close, 1))
-        column(self.limits, form, fills, self.in_force, ends, spacing=8, parent=self).setContentsMargins(11, 11, 11, 11)
+        fill_dialog(self, self.limits, form, fills, self.in_force, ends)
 
     @property
     def area(self) -> SensorArea:
@@ -139,9 +139,9 @@ class DevicePresets(QDialog):
         self.save = Button("Save", "Save exposure, gain, current and mask in force under this name", self._save)
         self.apply = Button("Apply", "Set exposure, gain, current and mask of the chosen preset", self._apply)
         self.delete = Button("Delete", "Delete the chosen preset", self._delete)
-        chosen = row(self.apply, self.delete, (QWidget(), 1), Button("Close", "Close (Esc)", self.close))
+        chosen = row(self.apply, self.delete, (QWidget(), 1), close_button(self))
         lines = self.about, (self.names, 1), row((self.name, 1), self.save), chosen
-        column(*lines, spacing=8, parent=self).setContentsMargins(12, 12, 12, 12)
+        fill_dialog(self, *lines)
         self._list()
 
     def _presets(self) -> dict[str, dict[str, object]]:

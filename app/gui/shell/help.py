@@ -11,9 +11,9 @@ from PyQt6.QtWidgets import QDialog, QFrame, QTextBrowser, QWidget
 import app
 from app.gui.panels.panel import Entries
 from app.gui.shell.messages import MessageStrip
-from app.gui.widgets.buttons import Button, keeps_key
+from app.gui.widgets.buttons import Button, close_button, keeps_key
 from app.gui.widgets.copies import copy_text
-from app.gui.widgets.layouts import column, row, within_screen
+from app.gui.widgets.layouts import fill_dialog, row, within_screen
 from app.gui.widgets.texts import label
 from app.run_facts import machine_facts, versions
 
@@ -120,9 +120,7 @@ class TextDialog(QDialog):
         self.back = Button("Back", "The page before (Alt+Left)", self.view.backward)
         self.back.hide()
         self.copy = Button("Copy", "Copy the whole text", lambda: copy_text(self.view.toPlainText()))
-        close = Button("Close", "Close (Esc)", self.close)
-        buttons = row(self.back, (QWidget(), 1), self.copy, close, spacing=8)
-        column((self.view, 1), buttons, spacing=8, parent=self).setContentsMargins(11, 11, 11, 11)
+        fill_dialog(self, (self.view, 1), row(self.back, (QWidget(), 1), self.copy, close_button(self), spacing=8))
         self.resize(within_screen(self, QSize(760, 480)))
 
     def show_page(self, page: QUrl) -> None:
@@ -217,7 +215,7 @@ class Tour(QFrame):
         self.next = Button("Next", "The next part", self._advance)
         self.end = Button("End the tour", "It stays in the menu Help", self.close)
         buttons = row((self.count, 1), self.end, self.next)
-        column(self.title, self.text, buttons, spacing=8, parent=self).setContentsMargins(14, 12, 14, 12)
+        fill_dialog(self, self.title, self.text, buttons)
         window.installEventFilter(self)
 
     def begin(self) -> None:

@@ -305,11 +305,10 @@ class MainWindow(BaseWindow):
         self.status_line.show_verdict(shown.verdict)
         self.messages.show_state(
             failure=self._failure,
-            way_out=way_out(status),
             may_reconnect=status is None or not status.is_replay,
             may_take_control=self.attachment.may_take_control,
             warning="; ".join(filter(None, [alarm, self.replay.notice, self.attachment.notice])),
-            advice=advice(status, self._activity, measurement),
+            advice=way_out(status) if self._failure else advice(status, self._activity, measurement),
         )
 
     def open_file(self, path: Path) -> None:

@@ -13,7 +13,7 @@ from app.acquisition.running_instrument import Activity
 from app.gui.shell.wording import as_sentence
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button
-from app.gui.widgets.layouts import row
+from app.gui.widgets.layouts import fill_strip
 from app.gui.widgets.texts import ElidedLabel, colour_text
 
 _NOTICE_S = 8.0  # how long a notice is shown
@@ -54,7 +54,7 @@ class MessageStrip(QFrame):
         hidden = (self.reconnect, self.control, self.accept, self.discard, self.dismiss, self.progress, self.cancel)
         for widget in hidden:
             widget.hide()
-        row((self.text, 1), *hidden, parent=self).setContentsMargins(10, 3, 6, 3)
+        fill_strip(self, (self.text, 1), *hidden)
         self.setFixedHeight(self.cancel.sizeHint().height() + 8)  # the same with and without a button
 
     @property
@@ -131,16 +131,9 @@ class MessageStrip(QFrame):
             self.progress.setToolTip(f"{activity.text}: Esc cancels" if activity.may_cancel else activity.text)
 
     def show_state(
-        self,
-        *,
-        failure: str,
-        warning: str,
-        advice: str,
-        way_out: str = "",
-        may_reconnect: bool = True,
-        may_take_control: bool = False,
+        self, *, failure: str, warning: str, advice: str, may_reconnect: bool = True, may_take_control: bool = False
     ) -> None:
-        """Show the message of highest priority; `way_out` tells what follows from a failure and what to do.
+        """Show the message of highest priority; a `failure` is shown with the `advice`.
 
         If this window `may_take_control`, a button does.
         """
@@ -156,7 +149,7 @@ class MessageStrip(QFrame):
         self.discard.setVisible(self._asks)
         self.dismiss.setVisible(bool(self._alarm) and not failure)
         if failure:
-            self._show(f"{failure}  \N{EM DASH}  {way_out}", theme.RED)
+            self._show(f"{failure}  \N{EM DASH}  {advice}", theme.RED)
         elif self._alarm:
             self._show(self._alarm, theme.RED)
         elif self._asks:

@@ -24,7 +24,7 @@ from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberField, TextField
 from app.gui.widgets.file_work import FileWork, answer
-from app.gui.widgets.layouts import row
+from app.gui.widgets.layouts import fill_strip
 from app.gui.widgets.texts import ElidedLabel, label, mark_refused
 from app.progress import counted
 from app.recording.folder import describe, name_problem, read_run
@@ -59,7 +59,7 @@ class RecordingPanel(QWidget):
         # A menu bar never updates the width of its corner; with a fixed height, too, a new text is not laid out.
         self.text.setFixedSize(self.text.fontMetrics().horizontalAdvance(_WIDEST), self.text.minimumHeight())
         self.text.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        row(self.text, self.keep, self.record, parent=self).setContentsMargins(10, 3, 6, 3)
+        fill_strip(self, self.text, self.keep, self.record)
         self._show_button(is_recording=True)
         self.record.setMinimumWidth(self.record.sizeHint().width())  # of the longer of its two texts
         theme.follow(self, lambda: self._show_button(is_recording=self.record.isChecked()))
@@ -158,7 +158,7 @@ class RecordingBar(QFrame):
         self._afterwards = (self.open, self.replay, self.report, self.export)
         self._limits = (label("Stop after", "dim"), self.stop_after, self.unit)
         parts = ((self.text, 3), (self.name, 2), (self.note, 3), *self._limits, *self._afterwards, self.done)
-        row(*parts, parent=self).setContentsMargins(10, 3, 6, 3)
+        fill_strip(self, *parts)
         self._show_stage(None)
         self.hide()
 

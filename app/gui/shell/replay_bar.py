@@ -10,7 +10,7 @@ from app.acquisition.instrument import Status
 from app.gui.panels.controls import ControlsPanel
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice
-from app.gui.widgets.layouts import row
+from app.gui.widgets.layouts import fill_strip
 from app.gui.widgets.texts import label
 from app.gui.widgets.timers import REFRESH_MS, timer
 from app.recording.recover import frames_in_words
@@ -65,7 +65,7 @@ class ReplayBar(QFrame):
         self.speed.activated.connect(lambda _: self._set_speed())
         steps = self.back, self.play, self.forth
         parts = self.badge, *steps, (self.slider, 1), self.text, label("Speed", "dim"), self.speed
-        row(*parts, parent=self).setContentsMargins(10, 4, 6, 4)
+        fill_strip(self, *parts)
         self._timer = timer(self, REFRESH_MS, self.refresh)
         self.use(None)
 

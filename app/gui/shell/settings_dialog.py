@@ -14,11 +14,11 @@ from app.bench.device_kinds import KINDS
 from app.bench.settings_form import NAMES, FormField, SettingsForm, fault_in_words, fault_path, name_of
 from app.errors import InputError
 from app.gui.widgets import theme
-from app.gui.widgets.buttons import Button, Choice
+from app.gui.widgets.buttons import Button, Choice, close_button
 from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberLine, TextLine
 from app.gui.widgets.file_work import FileWork
-from app.gui.widgets.layouts import Scrolled, column, row, within_screen
+from app.gui.widgets.layouts import Scrolled, fill_dialog, row, within_screen
 from app.gui.widgets.texts import ElidedLabel, colour_text, label, mark_refused
 from app.gui.widgets.timers import timer
 from app.progress import run_in_thread
@@ -60,10 +60,9 @@ class SettingsDialog(QDialog):
         self.apply = Button("Open", "", self._apply)
         about = "Save these settings as a bench file, and open it"
         self.save = Button("Save \N{HORIZONTAL ELLIPSIS}", about, self._save)
-        close = Button("Close", "Change nothing (Esc)", self.close)
-        ends = row((self.problem, 1), self.apply, self.save, close)
+        ends = row((self.problem, 1), self.apply, self.save, close_button(self, "Change nothing (Esc)"))
         parts = self.devices, (row(self.sections, (self.pages, 1)), 1), ends
-        column(*parts, spacing=8, parent=self).setContentsMargins(12, 12, 12, 12)
+        fill_dialog(self, *parts)
         self._timer = timer(self, 100, self._poll)
 
     def edit(self, bench: Bench) -> None:

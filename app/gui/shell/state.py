@@ -16,8 +16,8 @@ from PyQt6.QtWidgets import (
 )
 
 from app.gui.widgets import theme
-from app.gui.widgets.buttons import Button, Choice
-from app.gui.widgets.layouts import FRAME_PX, column, row, within_screen
+from app.gui.widgets.buttons import Choice, close_button
+from app.gui.widgets.layouts import FRAME_PX, fill_dialog, row, within_screen
 from app.gui.widgets.texts import label
 
 _LAYOUT = 1  # a state of another version is ignored
@@ -117,8 +117,7 @@ class PreferencesDialog(QDialog):
         form.addRow("Theme", self.theme)
         form.addRow("Size of texts", self.size_choice)
         form.addRow("", label("The size changes at the next start.", "dim"))
-        ends = row((QWidget(), 1), Button("Close", "Close (Esc)", self.close))
-        column(form, ends, spacing=12, parent=self).setContentsMargins(14, 12, 14, 12)
+        fill_dialog(self, form, row((QWidget(), 1), close_button(self)))
 
     def _save(self) -> None:
         self._saved.setValue(_THEME, self.theme.currentData())

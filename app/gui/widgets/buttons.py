@@ -35,6 +35,11 @@ class Button(QPushButton):
         return keeps_key(event, Qt.Key.Key_Space, *ENTER) or super().event(event)
 
 
+def close_button(dialog: QWidget, tool_tip: str = "Close (Esc)") -> Button:
+    """Make the button that closes a dialog."""
+    return Button("Close", tool_tip, dialog.close)
+
+
 class Toggle(Button):
     """A button that stays pressed until the next click."""
 

@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QDialog, QWidget
 
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Toggle
-from app.gui.widgets.layouts import column, row, within_screen
+from app.gui.widgets.layouts import column, fill_dialog, row, within_screen
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import number
 from app.gui.widgets.texts import ElidedLabel
@@ -195,8 +195,7 @@ class EnlargedView(QDialog):
         self.contour_toggle = Toggle("Contours", "Lines of equal value", self.refresh, is_on=True)
         sections = column((self.across, 1), (self.down, 1), spacing=12)
         parts = row((self.map, 5), (sections, 3), (self.surface, 4), spacing=12)
-        layout = column(row((self.text, 1), self.contour_toggle), (parts, 1), parent=self)
-        layout.setContentsMargins(10, 8, 10, 8)
+        fill_dialog(self, row((self.text, 1), self.contour_toggle), (parts, 1))
         self.resize(within_screen(parent, QSize(1180, 480)))
         self.refresh()
 
@@ -225,7 +224,7 @@ class EnlargedView(QDialog):
         if maps is None:
             for curve in self._curves:
                 curve.setData([], [])
-            self.text.setText("no wavefront")
+            self.text.setText(self._grid.empty)
             return
         (row_at, column_at), unit = self.map.at, maps.reach_unit
         x, y = (np.linspace(-reach, reach, count) for reach, count in zip(maps.reach, values.shape[::-1], strict=True))

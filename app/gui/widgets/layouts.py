@@ -36,6 +36,16 @@ def column(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QVB
     return _filled(QVBoxLayout(parent), items, spacing)
 
 
+def fill_dialog(dialog: QWidget, *items: Item) -> None:
+    """Arrange the contents of a dialog or a bubble from top to bottom, with margins."""
+    column(*items, spacing=10, parent=dialog).setContentsMargins(14, 12, 14, 12)
+
+
+def fill_strip(strip: QWidget, *items: Item) -> None:
+    """Arrange the contents of a strip above or below the panels from left to right."""
+    row(*items, parent=strip).setContentsMargins(10, 3, 6, 3)
+
+
 def _filled(layout: L, items: tuple[Item, ...], spacing: int) -> L:
     layout.setContentsMargins(0, 0, 0, 0)
     layout.setSpacing(spacing)

@@ -35,7 +35,7 @@ class ColourScale:
     is_signed: bool = False
 
     def pixels(self, values: Floats) -> Pixels:
-        """Return the colours of values, the same shape; NaN is transparent."""
+        """Return the colours (...) of values (...), which are in the unit of the scale; NaN is transparent."""
         known = np.isfinite(values)
         fraction = np.clip((np.where(known, values, self.low) - self.low) / (self.high - self.low), 0, 1) ** self.power
         table = colour_table(self.colours)
@@ -53,19 +53,24 @@ class ColourScale:
         return text.replace("-", "\N{MINUS SIGN}") if value else "0"
 
 
-def diverging(limit: float, unit: str = "rad") -> ColourScale:
+def diverging(limit: float, unit: str) -> ColourScale:
     """Return the scale of phases from -limit to +limit: blue, white, red."""
     return ColourScale("CET-D1", -limit, limit, unit, _HALVES, is_signed=True)
 
 
-def uncertain(limit: float, unit: str = "rad") -> ColourScale:
+def uncertain(limit: float, unit: str) -> ColourScale:
     """Return the scale of standard deviations from 0 to the limit."""
     return ColourScale("viridis", 0.0, limit, unit, _FIFTHS)
 
 
-def bright(limit: float, _: str = "") -> ColourScale:
+def bright(limit: float, _: str) -> ColourScale:
     """Return the scale of intensities from 0 to the limit; its square root shows faint light."""
     return ColourScale("inferno", 0.0, limit, "\N{SQUARE ROOT} scale", _ROOTS, power=0.5)
+
+
+def linear(low: float, high: float) -> ColourScale:
+    """Return the scale of counts or shares without a unit."""
+    return ColourScale("inferno", low, high, "", _HALVES[::2])
 
 
 @lru_cache
@@ -125,7 +130,7 @@ class Presentation:
         return f"{text}   {self.names[1]} {number(second)}", text, number(first)
 
     def limit(self, maps: Floats) -> float:
-        """Return the limit that the scale needs; NaN if all maps are NaN."""
+        """Return the limit that the scale of maps (...) needs, in their unit; NaN if all are NaN."""
         known = np.abs(maps[np.isfinite(maps)])
         if not known.size:
             return float("nan")

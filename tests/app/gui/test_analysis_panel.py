@@ -282,13 +282,13 @@ def test_verdict_states_error_and_patch() -> None:
 
 
 def test_colours_run_from_low_to_high_and_nan_is_transparent() -> None:
-    for scale, middle in ((diverging(2.0), 0.0), (uncertain(2.0), 1.0), (bright(2.0), 0.5)):
+    for scale, middle in ((diverging(2.0, "rad"), 0.0), (uncertain(2.0, "rad"), 1.0), (bright(2.0, ""), 0.5)):
         pixels = scale.pixels(np.array([scale.low - 1, scale.low, middle, 2.0, 3.0, np.nan]))
         bar = colour_table(scale.colours)
         np.testing.assert_array_equal(pixels, [bar[0], bar[0], bar[len(bar) // 2], bar[-1], bar[-1], 0])
-    assert [text for _, text in bright(0.2).ticks] == ["0", "0.02", "0.05", "0.1", "0.2"]
-    np.testing.assert_allclose([at for at, _ in bright(0.2).ticks], np.sqrt([0, 0.1, 0.25, 0.5, 1]))
-    assert diverging(1.5).ticks[0] == (0.0, "\N{MINUS SIGN}1.5")
+    assert [text for _, text in bright(0.2, "").ticks] == ["0", "0.02", "0.05", "0.1", "0.2"]
+    np.testing.assert_allclose([at for at, _ in bright(0.2, "").ticks], np.sqrt([0, 0.1, 0.25, 0.5, 1]))
+    assert diverging(1.5, "rad").ticks[0] == (0.0, "\N{MINUS SIGN}1.5")
 
 
 def test_space_variant_sample_leaves_an_error_of_single_correction(make_window: MakeWindow, qtbot: QtBot) -> None:

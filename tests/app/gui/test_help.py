@@ -65,7 +65,7 @@ def test_log_tells_what_failed(make_window: MakeWindow, qtbot: QtBot) -> None:
     camera = FakeCamera()
     camera.fault = RuntimeError("smoke")
     window = make_window(camera)
-    window.messages.show_state(failure="the camera was unplugged", warning="", advice="F1", way_out="off")
+    window.messages.show_state(failure="the camera was unplugged", warning="", advice="F1")
     qtbot.waitUntil(lambda: "The camera was unplugged" in window.messages.log)
     assert "F1" not in window.messages.log
 

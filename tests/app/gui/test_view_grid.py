@@ -29,7 +29,7 @@ from reconstruction.arrays import Floats
 
 
 def show(grid: ViewGrid, phase: Floats, limit_rad: float) -> None:
-    grid.show_maps(Maps(phase, diverging(limit_rad), lambda row, column, value: f"{row} {column} {value}"))
+    grid.show_maps(Maps(phase, diverging(limit_rad, "rad"), lambda row, column, value: f"{row} {column} {value}"))
 
 
 def test_views_lie_as_in_the_field_and_lenslets_as_in_the_pupil(make_window: MakeWindow) -> None:
