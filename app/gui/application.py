@@ -144,7 +144,7 @@ def unattended_steps(
     screenshot: Path | None = None,
     on_finish: Callable[[RunningInstrument, Measurement], object] = lambda _, __: None,
 ) -> Iterator[None]:
-    """Wait for a wavefront and then for `seconds`; save a screenshot, and pass on the last measurement with one."""
+    """Wait for a wavefront and then `seconds`; save a screenshot, and pass on the last wavefront's measurement."""
     shown = list[Measurement]()
 
     def note(measurement: Measurement) -> None:

@@ -1,4 +1,4 @@
-"""Widgets outside the window: a picture until its libraries are loaded, and the dialog after an early end."""
+"""Splash screen while the libraries are loaded, and the dialog after an early end."""
 
 import sys
 import time
@@ -34,7 +34,7 @@ class Splash(QSplashScreen):
             self._paint()
 
     def _paint(self) -> None:
-        """Handle events until the picture is on the screen: while the libraries load, nothing else does."""
+        """Handle events until the picture is on the screen; nothing else does while libraries load."""
         until_s, is_exposed = time.monotonic() + _EXPOSED_S, False
         while time.monotonic() < until_s:
             QApplication.processEvents()
@@ -45,7 +45,7 @@ class Splash(QSplashScreen):
 
 
 def show_ending(sentence: str, details: str) -> None:
-    """Show how the program ended, and details on request, until the dialog is closed; no terminal tells."""
+    """Show how the program ended, with details on request, where no terminal does."""
     _application = theme.styled_application()  # kept alive with the dialog
     dialog = QMessageBox(QMessageBox.Icon.Critical, "svwfs", sentence)
     dialog.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)

@@ -1,4 +1,4 @@
-"""The camera panel: the newest frame with lattice, lost lenslets and mean displacement drawn over it."""
+"""The camera panel: the newest frame below lattice, lost lenslets and mean displacements."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -205,7 +205,7 @@ class CameraPanel(Panel):
         self._draw()
 
     def _adapt_contrast(self) -> None:
-        """Follow the statistics, or the full scale; a remembered frozen contrast begins with its levels."""
+        """Follow statistics or full scale; a remembered frozen contrast begins with those of its first frame."""
         found, choice = self.shown.statistics, self.contrast.currentText()
         if choice == _FULL and self.full_scale:
             low, high = 0, self.full_scale
@@ -290,7 +290,7 @@ class CameraPanel(Panel):
         return [(int(row), int(column)) for row, column in np.argwhere(inside)]
 
     def _click(self, event: Any) -> None:  # pyqtgraph declares no types
-        """Inspect a lenslet at a click of the left button, unless another click follows or a tool is in use."""
+        """Inspect a lenslet at a single left click, unless a tool is in use."""
         if event.button() != Qt.MouseButton.LeftButton or self._view.is_drawing:
             return
         self._click_timer.stop()

@@ -1,4 +1,4 @@
-"""The coefficients panel: bars with error bars, a table to copy, and the field map of the pinned coefficient."""
+"""The coefficients panel: bars with errors, a table, and the field map of the pinned coefficient."""
 
 import math
 from typing import Any

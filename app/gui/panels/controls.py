@@ -1,4 +1,4 @@
-"""The controls panel: the light; devices, calibration in its order, and reconstruction; all values are in SI units."""
+"""The controls panel: light, devices, calibration and reconstruction; all values are in SI units."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -173,7 +173,7 @@ class ControlsPanel(Panel):
         self.light.setIcon(theme.validity_lamp("doubtful"))
 
     def enable_devices(self, *, is_enabled: bool) -> None:
-        """Enable all, or only the reconstruction: a recording plays in place of the devices, by buttons of its own."""
+        """Enable all, or only the reconstruction while a recording plays in place of the devices."""
         self._has_devices = is_enabled
         self.start.setVisible(is_enabled)
         reconstruction = {self.registration, self.warp, self.method, self.basis, self.pupil_modes, self.refine}
@@ -237,7 +237,7 @@ class ControlsPanel(Panel):
         self.lattice.show_step("good" if pitch else "missing", "", pitch)
 
     def show_numbers(self) -> None:
-        """Show how bright a recent frame is, and in the tool tips what was chosen automatically for its wavefront."""
+        """Show the brightness of a recent frame, and in tool tips what was chosen for its wavefront."""
         measurement, statistics = self.shown.measurement, self.shown.statistics
         if measurement is None or statistics is None:
             return
@@ -304,7 +304,7 @@ class _LightButton(Toggle):
 
 
 def _modes_range(bench: Bench) -> Range:
-    """Numbers of pupil modes: at most one for each lenslet, or what is in force; the lowest stands for automatic."""
+    """Range of pupil modes: at most one for each lenslet, or what is in force; the lowest is automatic."""
     lenslets = bench.sensor.lenslet_rows * bench.sensor.lenslet_columns
     return Range(PUPIL_MODES.start - 1, max(min(lenslets, PUPIL_MODES[-1]), bench.reconstruction.pupil_modes or 0))
 

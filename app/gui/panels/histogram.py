@@ -14,7 +14,7 @@ from app.results.frame_statistics import NEARLY_FULL
 
 
 class HistogramPanel(Panel):
-    """Number of pixels over their counts, on a logarithmic scale; dashed lines where pixels are full, or nearly.
+    """Number of pixels over counts, on a logarithmic scale, with lines at full and nearly full pixels.
 
     Two handles set which counts are black and white in the camera picture.
     """

@@ -1,4 +1,4 @@
-"""The history panel: strip charts on a common time axis, the form of their limits, and the verdict by these."""
+"""The history panel: strip charts on a common time axis, their limits, and the verdict by these."""
 
 import math
 from collections.abc import Mapping
@@ -60,7 +60,7 @@ class StripChart(QWidget):
         row(_wide_as(_NAME, self.name, self.value), (self.plot, 1), _wide_as(_DRIFT, *self.drift), parent=self)
 
     def show_series(self, time_min: Floats, values: Floats, span_min: float, unit: str, limits: SeriesLimits) -> None:
-        """Show values (time,) over the minutes before now, NaN in gaps, and the limits that are crossed or near."""
+        """Show values (time,) over the minutes before now, NaN in gaps, and crossed or near limits."""
         known = np.isfinite(values)
         self.curve.setData(time_min, values, connect="finite")
         low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 1.0)
@@ -289,7 +289,7 @@ class LimitLine(NumberLine):
         return math.nan if number is None else number, unit or units[0]
 
     def with_unit(self) -> str:
-        """Return the text with its unit, so that it still means the same in another unit of the display."""
+        """Return the text with its unit, so that its meaning does not change with the display."""
         text = self.text().strip()
         value, unit = self.typed(text)
         return f"{text} {unit}" if math.isfinite(value) and not text.endswith(unit) else text
@@ -328,7 +328,7 @@ class LimitsForm(QDialog):
             grid.addWidget(line, at, side)
 
     def _change(self, name: str) -> None:
-        """Mark texts that are no number, and pairs whose lower limit is above the upper one; others come into force."""
+        """Mark texts that are no number, and pairs that exclude all values; others come into force."""
         lower, upper = self.lines[name]
         are_crossed = lower.value_of(lower.text()) > upper.value_of(upper.text())
         reasons = []

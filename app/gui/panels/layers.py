@@ -1,4 +1,4 @@
-"""The layers panel: misfit over the distance, the layers found with their phase, or one at a known distance, live."""
+"""The layers panel: misfit over the distance, and the phase of found layers or of a known one."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ _GAP_PX = 10  # between two images
 
 
 class _Images(QWidget):
-    """Four images of one size below their names; the first three share a colour bar, and the residual has its own."""
+    """Four images of one size below their names; three share a colour bar, the residual has its own."""
 
     def __init__(self) -> None:
         super().__init__()

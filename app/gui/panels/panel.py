@@ -35,7 +35,7 @@ class Verdict(NamedTuple):
 
 
 class Shown(QObject):
-    """State shared by the panels: the newest measurement, the chosen view and unit, and whether that is live."""
+    """State shared by the panels: newest measurement, chosen view and unit, and whether they are live."""
 
     view_chosen = pyqtSignal()
     exclusion_requested = pyqtSignal(object, object)  # of lenslets (row, column): whether, or None to change each

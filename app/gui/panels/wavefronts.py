@@ -1,4 +1,4 @@
-"""The wavefront panel: the chosen quantity at every view of the field, and the menu of its display options."""
+"""The wavefront panel: the chosen quantity at every view of the field, and its display options."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -121,7 +121,7 @@ class WavefrontPanel(Panel):
         self.show_wavefront(measurement.wavefront)
 
     def show_wavefront(self, wavefront: Wavefront | None) -> None:
-        """Show the views of a wavefront, or that there is none; `show_result` shows the other quantities."""
+        """Show the views of a wavefront, if any; `show_result` shows the other quantities."""
         if wavefront is None and self._newest is None:
             return
         self._newest = wavefront

@@ -1,1 +1,1 @@
-"""The shell of the window, which exists once: its menus, docks and dialogs, and the commands that it sends."""
+"""The shell of the window: its menus, docks and dialogs, and the commands that it sends."""

@@ -1,4 +1,4 @@
-"""Analyses: computes what the visible panels request, on threads of its own, and shows them the results."""
+"""Computes what the panels request, on threads of its own, and shows them the results."""
 
 import math
 import time

@@ -1,4 +1,4 @@
-"""The process of the instrument, if that is not the window's: who controls it, and whether it goes on."""
+"""The instrument in a process of its own: who controls it, and whether it goes on."""
 
 from collections.abc import Callable
 
@@ -51,7 +51,7 @@ class Attachment:
 
     @property
     def processes(self) -> str:
-        """State of each process of the instrument, its clients, and the frames that it was too fast for; in lines."""
+        """Lines: the state of each process of the instrument, its clients, and overtaken frames."""
         acquisition = self._controller.acquisition
         lines = [f"{each.name}: process {each.pid}, {each.condition}" for each in self._processes]
         if isinstance(acquisition, Connection):
@@ -90,7 +90,7 @@ class Attachment:
             )
 
     def ask_to_leave(self, then: Callable[[], object]) -> bool:
-        """Ask whether the instrument goes on, and call `then`; return False if it need not be asked, or ends with it.
+        """Ask whether the instrument goes on, and call `then`; return False if it ends with the window.
 
         An instrument that another client controls goes on.
         """

@@ -1,4 +1,4 @@
-"""Commands of svwfs beside the window, each in a process of its own: a report, an export, another window."""
+"""Commands of svwfs in processes beside the window: a report, an export, another window."""
 
 from collections.abc import Callable
 from pathlib import Path

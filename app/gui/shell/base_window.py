@@ -1,4 +1,4 @@
-"""Base of the main window: focus, times of painting, dropped files, pictures of it, and errors that it survives."""
+"""Base of the main window: focus, times of painting, dropped files, screenshots, and caught errors."""
 
 import sys
 import time
@@ -89,7 +89,7 @@ class LateMeasurements:
         self._redraws = 0  # since one was left out
 
     def leave_out(self, newest: Measurement, shown: Measurement | None) -> bool:
-        """Return whether to leave out the redraw of the newest measurement; another one is `shown` now."""
+        """Return whether to leave out the redraw of the newest measurement."""
         leaves_out = self._redraws >= _REDRAWS and shown is not None and _is_late(newest, shown)
         self._redraws = 0 if leaves_out else self._redraws + 1
         return leaves_out
@@ -104,7 +104,7 @@ def _is_late(newest: Measurement, shown: Measurement) -> bool:
 
 
 class ErrorReports:
-    """Turns errors of timers and slots into a red message; each is shown and printed once until it is dismissed."""
+    """Shows errors of timers and slots in red, and prints them, each once until it is dismissed."""
 
     def __init__(self, show: Callable[[str], object]) -> None:
         """`show` receives a sentence for the user."""

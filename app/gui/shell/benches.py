@@ -64,7 +64,7 @@ class Benches(QObject):
         self.error: InputError | None = None  # of the last attempt to open a bench
 
     def open(self, source: str, overrides: tuple[str, ...] = (), *, is_trusted: bool = False) -> None:
-        """Open a bench file or a preset, changed by `overrides`; `is_trusted` confirms the libraries that it names."""
+        """Open a bench file or a preset, changed by `overrides`; `is_trusted` confirms its libraries."""
 
         def connect(found: Bench | _Fault) -> None:
             if isinstance(found, _Fault):
@@ -78,7 +78,7 @@ class Benches(QObject):
         self._reading.run(partial(_read, source, overrides), connect)
 
     def _connect_trusted(self, bench: Bench, source: str = "", *, is_trusted: bool = False) -> None:
-        """Connect a bench, or ask first whether its libraries are trusted; `source` is empty without a file."""
+        """Connect a bench, or ask first whether its libraries are trusted; `source` is its file, if any."""
 
         def connect(libraries: tuple[Library, ...]) -> None:
             if libraries:
@@ -125,7 +125,7 @@ class Benches(QObject):
         self.settings_dialog.make(replace(load_bench(DEFAULT), lattice=None))
 
     def _use(self, bench: Bench, before: Bench | None) -> None:
-        """Connect the devices of a bench, unless it differs from the open one, `before`, in the reconstruction only."""
+        """Connect a bench, unless it differs from the open one, `before`, only in the reconstruction."""
         changed: dict[str, Any] = {"registration": bench.registration, "reconstruction": bench.reconstruction}
         if before is None or self._controller.failure or replace(before, **changed) != bench:
             self._connect_trusted(bench)

@@ -26,7 +26,7 @@ _LAMP_PX = 16
 
 
 class Routines:
-    """Finds exposure, lattice and nonlinearity, and checks the background; lattice and nonlinearity are proposed."""
+    """Sets the exposure, checks the background, and proposes lattice and nonlinearity."""
 
     def __init__(self, controller: Controller, settings: SettingsControl, camera: CameraPanel) -> None:
         self._controller, self._settings, self._camera = controller, settings, camera
@@ -71,7 +71,7 @@ class Routines:
 
 
 class CalibrationGuide(QDialog):
-    """Lists the steps with their states, and asks a person where it must; the measurement is seen beside it."""
+    """Takes the steps, shows their states, and asks a person where it must."""
 
     def __init__(self, controller: Controller, use_lattice: Callable[[Lattice], object], parent: QWidget) -> None:
         super().__init__(parent)
@@ -106,7 +106,7 @@ class CalibrationGuide(QDialog):
         fill_dialog(self, (self.steps, 1), answers)
 
     def begin(self, frames: int) -> None:
-        """Take all steps, averaging `frames` frames into dark and reference; while they run, only show them."""
+        """Take all steps, averaging `frames` frames into dark and reference; only show steps under way."""
         self.show()
         self.activateWindow()
         if self._is_running:

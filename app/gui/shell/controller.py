@@ -1,4 +1,4 @@
-"""The open acquisition, the commands that the window sends to it, and the settings that are wanted of it."""
+"""The open acquisition, the commands that the window sends to it, and the settings that it wants."""
 
 import time
 from collections.abc import Callable
@@ -56,7 +56,7 @@ class Controller(QObject):
 
     @property
     def is_attached(self) -> bool:
-        """True if the instrument runs in a process that this window has not started, and that goes on when it ends."""
+        """True if the instrument runs in a process that this window has not started."""
         return isinstance(self.acquisition, Connection) and not isinstance(self.acquisition, OwnConnection)
 
     @property
@@ -97,7 +97,7 @@ class Controller(QObject):
         self._access = access
 
     def connect_devices(self, *, is_lit: bool) -> None:
-        """Start an acquisition, if a bench is open; close the previous one first. `is_lit`: see `start_up`."""
+        """Start an acquisition, if a bench is open, and close the previous one; `is_lit`: see `start_up`."""
         if self._access is None:
             return
         try:
@@ -116,7 +116,7 @@ class Controller(QObject):
         release_memory()  # of the one before
 
     def close(self, meanwhile: Callable[[], object]) -> None:
-        """Turn the light off at once and close the devices; wait for the worker, calling `meanwhile` at 25 Hz.
+        """Turn the light off at once, close the devices, and call `meanwhile` at 25 Hz until that is done.
 
         A process that does not answer is not waited for as long.
         """
@@ -195,7 +195,7 @@ class SettingsControl:
             each.clear()
 
     def want(self, name: str, value: Any) -> None:
-        """Set what the controls call `name`: a setting of a device, or one of the bench, "section.key"."""
+        """Change a setting of a device, or one of the bench by its name "section.key"."""
         self.wanted[name] = value
         if _kind(name) == _BENCH:
             self.change((name, value))
@@ -203,7 +203,7 @@ class SettingsControl:
             self._keep(name, self._controller.messages.warn if name in _MODES else None)
 
     def change(self, *changes: tuple[str, Any], then: Then = None) -> None:
-        """Change the mask or settings of the open bench, see `Instrument.change_settings`; the devices stay open."""
+        """Change mask or settings of the open bench by `Instrument.change_settings`; devices stay open."""
         self._changes += changes
         self._keep(_BENCH, then or self._next.get(_BENCH))
 

@@ -1,4 +1,4 @@
-"""Dialogs of the devices, beside which the measurement continues: sensor region and binning, and named presets."""
+"""Dialogs of the devices: sensor region and binning, and named presets."""
 
 import json
 
@@ -122,7 +122,7 @@ class SensorRegionDialog(QDialog):
 
 
 class DevicePresets(QDialog):
-    """Lists presets of exposure, gain, current and mask, which are kept between starts: saves, applies and deletes."""
+    """Saves, applies and deletes presets of exposure, gain, current and mask, kept between starts."""
 
     def __init__(self, controller: Controller, controls: ControlsPanel, saved: QSettings, parent: QWidget) -> None:
         """Apply presets as the `controls` would."""

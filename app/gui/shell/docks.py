@@ -75,7 +75,7 @@ class PanelDocks:
     """The docks of a window."""
 
     def __init__(self, window: QMainWindow, panels: Iterable[Panel], bar: QWidget) -> None:
-        """Dock all panels in the default layout; the `bar` stands above the controls, which stay in place then."""
+        """Dock all panels in the default layout, with the `bar` above the controls."""
         self._window = window
         self.docks = tuple(map(Dock, panels))
         self._tabs = [dock for dock in self.docks if dock.panel.dock_area == "tab"]
@@ -152,7 +152,7 @@ class PanelDocks:
                 front.raise_()
 
     def _take_turns(self) -> None:
-        """Make the camera the first tab of the plots if the window is low, and part them when it is not any more."""
+        """Make the camera the first tab of the plots in a low window, and part them in a taller one."""
         window, camera = self._window, self._at("left")
         is_low = window.height() < _LOW_LINES * window.fontMetrics().height()
         if not is_low:
@@ -169,7 +169,7 @@ class PanelDocks:
                 window.resize(within_screen(window, window.size()))  # the layout before may have needed more
 
     def _arrange(self) -> None:
-        """Follow the height, show the header of each panel without a tab, and dress the tabs, which Qt makes anew."""
+        """Follow the height, show headers of panels without a tab, and dress the tabs, which Qt makes anew."""
         self._take_turns()
         docked = [dock for dock in self.docks if not (dock.isHidden() or dock.isFloating())]
         self._hint.setVisible(not docked)

@@ -1,4 +1,4 @@
-"""Help: keys and conventions, the message log, the documentation, how to cite, versions, and a tour of the window."""
+"""Help: keys, conventions, message log, documentation, citation, versions, and a tour of the window."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -133,7 +133,7 @@ class TextDialog(QDialog):
 
 
 def documentation() -> Path | None:
-    """Return the folder of the documentation: in the installed package, or beside its source; None if it is missing."""
+    """Return the folder of the documentation, in the package or beside its source; None if missing."""
     package = Path(app.__file__).parent
     return next((each for each in (package / "docs", package.parent / "docs") if (each / _FIRST_PAGE).is_file()), None)
 
@@ -261,7 +261,7 @@ class Tour(QFrame):
         self._place()
 
     def _place(self) -> None:
-        """Outline the part; the bubble stays at the middle of the window, so that its button stays in place."""
+        """Outline the part; the bubble stays in the middle, so that its button stays in place."""
         part = self._steps[self._index][0]
         where = QRect(part.mapTo(self._window, QPoint(0, 0)), part.size())
         self._outline.setGeometry(where)

@@ -1,4 +1,4 @@
-"""Control of the light, and of the averages that need it on or off; a person is asked to switch a manual one."""
+"""Control of the light, also of a manual one, and of the averages that need it on or off."""
 
 import math
 import time
@@ -38,7 +38,7 @@ class LightControl:
         return acquisition if acquisition is not None and acquisition.is_alive else None
 
     def poll(self) -> bool:
-        """Return whether a request to switch off has ended since the last call; raise an alarm if it failed."""
+        """Return whether a request to switch off has ended since the last call; show its error, if any."""
         if self._switching_off is None or not self._switching_off.done():
             return False
         error, self._switching_off = self._switching_off.exception(), None
@@ -54,7 +54,7 @@ class LightControl:
             then()
 
     def take_key(self) -> None:
-        """Switch off what shines, or may be lighting up, by an L that is typed into a field; it never lights."""
+        """Switch off what shines, or may be lighting up, by an L that is typed into a field."""
         acquisition = self._acquisition
         status = None if acquisition is None else acquisition.status
         is_lit, is_replay = (False, False) if status is None else (status.is_light_on, status.is_replay)
@@ -102,7 +102,7 @@ class LightControl:
             self._controller.send(lambda to: step.begin(to, frames), lambda _: self._confirm(step, frames))
 
     def _confirm(self, step: CalibrationStep, frames: int) -> None:
-        """Tell that an average was taken; if it is unusable, the warning tells why. After a dark, light is needed."""
+        """Tell that an average was taken, if it is usable, and ask for light after a dark."""
         status, name = self._controller.status, step.title.lower()
         if status is not None and getattr(status, name).validity == "good":
             self._messages.inform(f"{name} taken: mean of {counted(frames)}")

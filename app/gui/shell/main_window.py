@@ -1,4 +1,4 @@
-"""The main window: lays out the panels and refreshes them from the acquisition up to 25 times a second."""
+"""The main window: lays out the panels and refreshes them from the acquisition at up to 25 Hz."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -139,7 +139,7 @@ class MainWindow(BaseWindow):
         theme.follow(self, self._forget_status)
 
     def _menus(self) -> Mapping[str, Entries]:
-        """Return all menus: those of the panels follow the entries of the window that belong before them."""
+        """Return all menus, with the entries of the panels among those of the window."""
         full = Qt.WindowState.WindowFullScreen
         presets: Entries = ()
         preferences: Entries = ()
@@ -191,7 +191,7 @@ class MainWindow(BaseWindow):
         return tuple(entry for panel in self.panels for entry in panel.menu_entries().get(title, ()))
 
     def connect_devices(self) -> None:
-        """Open the devices and start measuring, also after a failure; a light that the user switched off stays off."""
+        """Open the devices and start measuring; a light that the user switched off stays off."""
         self.shown.measurement = self.shown.status = None
         self._failure, self._activity = "", Activity("opening the devices")
         self._forget_status()
@@ -255,7 +255,7 @@ class MainWindow(BaseWindow):
             self.unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
 
     def _show_changed(self, status: Status) -> None:
-        """Show a status unless it is shown; devices that failed, or whose process is silent, stand still."""
+        """Show a changed status; failed devices, or those of a silent process, stand still."""
         if self.controller.is_silent is not self._is_silent:
             self._is_silent = not self._is_silent
             self._forget_status()
@@ -375,7 +375,7 @@ class MainWindow(BaseWindow):
         QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
 
     def quit(self) -> None:
-        """Close the window; ask first whether an instrument of another process goes on, or for a manual light."""
+        """Close the window, after questions about the instrument's process or a manual light."""
 
         def close() -> None:
             QTimer.singleShot(0, self.close)  # within a close event, Qt would skip `closeEvent`

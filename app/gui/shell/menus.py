@@ -63,7 +63,7 @@ class RecentFiles:
     """A list of files or folders under one key of the saved state."""
 
     def __init__(self, saved: QSettings | None, key: str) -> None:
-        """Use what is `saved` under `key`, such as "recent/benches"; without it, remember only this session."""
+        """Use what is `saved` under `key`, such as "recent/benches"; None remembers only this session."""
         self._saved, self._key = saved, key
         self._names: list[str] = []
 

@@ -1,4 +1,4 @@
-"""Messages: the strip that shows the most important one, a question or progress, and the log of all."""
+"""Messages: the strip that shows the most important one, and the log of all."""
 
 import time
 from collections import deque
@@ -59,7 +59,7 @@ class MessageStrip(QFrame):
 
     @property
     def log(self) -> str:
-        """The last thousand messages but advice and what is refused while it is typed, oldest first, with times."""
+        """The last thousand messages with times, oldest first, without advice and refused entries."""
         return "\n".join(f"{time}  {message}" for time, message in self._lines)
 
     def warn(self, text: str) -> None:
@@ -122,7 +122,7 @@ class MessageStrip(QFrame):
             self._answer(is_accepted=True)
 
     def show_activity(self, activity: Activity, *, may_cancel: bool) -> None:
-        """Show the progress of the worker's activity, if any; `may_cancel` is true if the devices are open."""
+        """Show the progress of the worker's activity, if any, and a button that cancels it."""
         self.cancel.setVisible(may_cancel and activity.may_cancel and bool(activity.text))
         self.progress.setVisible(bool(activity.text))
         if activity.text:
@@ -162,7 +162,7 @@ class MessageStrip(QFrame):
             self._show(advice, theme.DIM)
 
     def show_closing(self, light: str) -> None:
-        """Show that the window closes as soon as the devices have ended; `light` tells what becomes of it."""
+        """Show that the window closes when the devices have; `light` tells what becomes of it."""
         self._show(f"closing: {light}; waiting for the frame that is being processed", theme.AMBER)
 
     @property

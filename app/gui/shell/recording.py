@@ -1,4 +1,4 @@
-"""Recording: its buttons in the menu bar, and the bar with its name, note and end, and what can be done afterwards."""
+"""Recording: its buttons in the menu bar, and the bar with name, note, end and further use."""
 
 import math
 import time
@@ -257,7 +257,7 @@ class RecordingBar(QFrame):
         self._opening.run(partial(read_run, folder), lambda _: self.commands.start_window("--replay", folder))
 
     def _restart(self) -> None:
-        """Go on with another acquisition, perhaps without the recording that was under way, which may be cut off."""
+        """Go on with another acquisition; report a recording that a failure has cut off."""
         self._starting = self._asked_disk = None
         acquisition = self._controller.acquisition
         state = None if acquisition is None else acquisition.recording

@@ -1,4 +1,4 @@
-"""The replay bar: play, step, position and speed of a recording that is shown in place of the devices."""
+"""The replay bar: play, step, position and speed of a recording in place of the devices."""
 
 from concurrent.futures import Future
 
@@ -95,7 +95,7 @@ class ReplayBar(QFrame):
         self._timer.start()
 
     def show_status(self, status: Status) -> None:
-        """Show whether the recording plays; keep the controls of the devices disabled, which the status enables."""
+        """Show whether the recording plays; disable the devices, which the status has enabled."""
         if self._player is not None:
             self._controls.enable_devices(is_enabled=False)
             self.play.setText("Pause" if status.is_running else "Play")
@@ -149,7 +149,7 @@ class ReplayBar(QFrame):
             self._write(position)
 
     def _sound(self, position: int) -> int | None:
-        """Return this position, or the next one in the direction of the move whose frame is not known as damaged."""
+        """Return this position, or the next one in the direction of the move without a damaged frame."""
         while position in self.slider.marked:
             position += self._direction
         return position if self.slider.minimum() <= position <= self.slider.maximum() else None

@@ -1,4 +1,4 @@
-"""State kept between two starts: geometry, panels, choices, toggles and limits; theme and size of texts."""
+"""State saved between two starts: geometry, panels, choices, limits, theme, and size of texts."""
 
 from collections.abc import Mapping
 

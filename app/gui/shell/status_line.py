@@ -1,4 +1,4 @@
-"""The status line: rate, delay, losses and valid lenslets, and what is assumed of the sample; the rest as tool tip."""
+"""The status line: rate, delay, losses, valid lenslets, and what is assumed of the sample."""
 
 import math
 import time
@@ -179,7 +179,7 @@ class _Value(QLabel):
         self.setMinimumWidth(self.fontMetrics().horizontalAdvance(widest))  # so that the next does not move
 
     def show_text(self, text: str, more: str = "", colour: QColor = theme.TEXT) -> None:
-        """Show a text; a fixed size, which never shrinks, keeps Qt from laying out and painting all values."""
+        """Show a text in a fixed size that never shrinks, else Qt lays out and paints all values."""
         self.setText(text)
         needed = self.sizeHint()
         self.setFixedSize(max(self.minimumWidth(), needed.width()), needed.height())
@@ -192,7 +192,7 @@ def _duration(seconds: float) -> str:
 
 
 def _timing_table(summaries: Mapping[TimedStage, StageTimes], width_px: int) -> str:
-    """Return median, 99th percentile and maximum of all stages, in ms, as an HTML table with columns of one width."""
+    """Return an HTML table of median, 99th percentile and maximum of all stages, ms."""
     rows = [[stage.replace("_", " ") for stage in STAGES]]
     for name in ("p50_s", "p99_s", "max_s"):
         times_s = [float(getattr(summaries[stage], name)) for stage in STAGES]

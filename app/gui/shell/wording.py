@@ -32,7 +32,7 @@ class Situation:
         self._changed_s = -math.inf  # time of their last change
 
     def follow(self, status: Status) -> None:
-        """Note when the conditions of the frames change: what is wrong with earlier frames is over then."""
+        """Note when the conditions of the frames change: earlier problems are over then."""
         averages = (status.dark, status.reference)
         conditions = (status.bench, status.mask, status.is_sample_in, status.is_light_on, status.exposure_s, *averages)
         if conditions != self._conditions:
@@ -111,7 +111,7 @@ def _is_old(measurement: Measurement) -> bool:
 
 
 def way_out(status: Status | None) -> str:
-    """Return what a failure has shut down, and what to do: a manual light, only a person can switch off."""
+    """Return what a failure has shut down, and what to do."""
     if status is None:
         return "no device is open: reconnect (Ctrl+R)"
     if status.is_replay:

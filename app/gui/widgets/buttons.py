@@ -64,7 +64,7 @@ class Choice(QComboBox):
         *,
         key: str = "",
     ) -> None:
-        """Offer texts, some with data; `changed` is called when another is current. For the `key` see `Toggle`."""
+        """Offer texts, some with data; call `changed` when another is current. `key`: see `Toggle`."""
         super().__init__()
         self.setItemDelegate(QStyledItemDelegate(self))  # Qt's own paints all items like a wanted value
         if (listed := self.view()) is not None:
@@ -79,7 +79,7 @@ class Choice(QComboBox):
             self.currentIndexChanged.connect(changed)
 
     def show_choice(self, allowed: tuple[str | int, ...], chosen: str | int) -> None:
-        """Offer these values by their human names and show the chosen one, without emitting `activated`."""
+        """Offer values by their human names and show the chosen one, without `activated`."""
         if tuple(self.itemData(index) for index in range(self.count())) != allowed:
             self.clear()
             for value in allowed:
@@ -114,7 +114,7 @@ def keeps_key(event: QEvent | None, *keys: Qt.Key) -> bool:
 
 
 def scrolls_past(event: QEvent | None, widget: QWidget) -> bool:
-    """Return whether the wheel turns over a widget without the focus, which must not change a setting."""
+    """Return whether the wheel turns over a widget without the focus; it must not change a setting."""
     is_past = isinstance(event, QWheelEvent) and not widget.hasFocus()
     if event is not None and is_past:
         event.ignore()

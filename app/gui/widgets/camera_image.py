@@ -88,7 +88,7 @@ class Segments(pg.PlotCurveItem):  # type: ignore[misc] # ships no types
     """Segments given by pairs of ends, so that one item draws all; the pens are as wide at any zoom."""
 
     def __init__(self, view: pg.ViewBox, colour: QColor, *, alpha: int = 255, width: int = 1, shadow: int = 0) -> None:
-        """Add an item without segments to a view; `shadow` is the width of a dark line below each, 0 for none."""
+        """Add an item without segments to a view; `shadow` is the width of a dark line below each, px."""
         below = pg.mkPen((0, 0, 0, 200), width=shadow) if shadow else None
         pen = pg.mkPen((colour.red(), colour.green(), colour.blue(), alpha), width=width)
         super().__init__(pen=pen, shadowPen=below, connect="pairs", skipFiniteCheck=True)
@@ -104,7 +104,7 @@ class Segments(pg.PlotCurveItem):  # type: ignore[misc] # ships no types
             self.setData(*ends.T)
 
     def boundingRect(self) -> QRectF:  # noqa: N802 - Qt's name
-        """Return where segments may lie; to find their true border in every frame costs a tenth of painting them."""
+        """Return where segments may lie; their true border costs a tenth of painting them."""
         return QRectF(-1e6, -1e6, 2e6, 2e6)
 
 
@@ -137,7 +137,7 @@ def cell_border(lattice: Lattice, lenslets: tuple[int, int], at: tuple[int, int]
 
 
 def arrows(lattice: Lattice, displacement_px: Floats, magnification: float) -> Floats:
-    """Return an arrow from every lenslet's centre along its displacement (lenslet_row, lenslet_column, xy), px.
+    """Return an arrow from each lenslet's centre along its displacement (lenslet_row, lenslet_column, xy).
 
     Lenslets without a displacement (NaN), or with one of 0, have no arrow.
     """
@@ -150,7 +150,7 @@ def arrows(lattice: Lattice, displacement_px: Floats, magnification: float) -> F
 
 
 def arrow_length_px(displacement_px: Floats) -> float:
-    """Return the length of all but the longest few displacements (lenslet_row, lenslet_column, xy); NaN if none."""
+    """Return the length that few displacements (lenslet_row, lenslet_column, xy) exceed; NaN if none."""
     length_px = np.hypot(*displacement_px[np.isfinite(displacement_px).all(axis=-1)].T)
     length_px.sort()
     return float(length_px[math.ceil(_USUAL * (length_px.size - 1))]) if length_px.size else float("nan")
@@ -163,7 +163,7 @@ def lenslet_at(lattice: Lattice, shape: tuple[int, int], x_px: float, y_px: floa
 
 
 class DrawingView(pg.ViewBox):  # type: ignore[misc] # pyqtgraph declares no types
-    """A view in which a drag of the left button draws while `is_drawing` is set, and else moves the picture."""
+    """A view in which a drag of the left button draws, if `is_drawing`, else moves the picture."""
 
     drawn = pyqtSignal(QPointF, QPointF, bool)  # from, to, and whether the button is released
     is_drawing = False
@@ -186,7 +186,7 @@ def rectangle(start: QPointF, end: QPointF) -> Floats:
 
 
 class Measuring(QWidget):
-    """A line or an area over the picture, movable by its handles, and below the picture what it measures."""
+    """A line or an area over the picture, movable by handles, and below it what it measures."""
 
     def __init__(self, view: pg.ViewBox) -> None:
         super().__init__()
@@ -247,7 +247,7 @@ class Measuring(QWidget):
         return QPointF(min(max(point.x(), -columns), 2 * columns), min(max(point.y(), -rows), 2 * rows))
 
     def use(self, kind: str) -> None:
-        """Remove line and area, and make room for the next "line" or "area"; the picture must not move under it."""
+        """Remove line and area, and make room for the numbers of the next "line" or "area"."""
         for item in (self.line, self.area):
             item.hide()
         self.curve.setData([], [])
@@ -261,7 +261,7 @@ class Measuring(QWidget):
         self._show_length()
 
     def show_measured(self, found: MeasuredPart) -> None:
-        """Show what was measured of the selection; None of an area without pixels, or without a selection."""
+        """Show what was measured of the selection; None without selection, or pixels in it."""
         if isinstance(found, tuple):
             along_px, counts = found
             known = counts[np.isfinite(counts)]

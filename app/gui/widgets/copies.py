@@ -16,7 +16,7 @@ from reconstruction.arrays import Floats
 def add_copy_menu(
     widget: QWidget, numbers: Callable[[QPoint], str], fill: Callable[[QMenu, QPoint], object] = lambda *_: None
 ) -> None:
-    """Open a menu at a right click; `numbers` returns a text for a position, and `fill` adds entries above."""
+    """Open a menu at a right click: `numbers` returns a text for a position, `fill` adds entries."""
 
     def show(at: QPoint) -> None:
         menu = QMenu(widget)

@@ -1,4 +1,4 @@
-"""Curves over the distance of a layer or a corrector, and the choice of where distances are measured from."""
+"""Curves over the distance of a layer or a corrector, and the choice of the distances' origin."""
 
 from typing import get_args
 
@@ -24,7 +24,7 @@ def origin_choice() -> Choice:
 
 
 class DistancePlot(Plot):
-    """A curve over distances, a dashed level beside it, and a vertical line at each distance that was found."""
+    """A curve over distances, a dashed level, and a vertical line at each distance found."""
 
     def __init__(self, title: str, keys: tuple[tuple[str, QColor], ...], tool_tip: str, widest: str) -> None:
         super().__init__(title, axis_label("lenslets"), keys, widest)

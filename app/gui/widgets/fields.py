@@ -1,4 +1,4 @@
-"""Fields to type in, which keep their keys from the shortcuts of the window: numbers with units, and texts."""
+"""Fields for numbers with units and for texts, which keep their keys from the window's shortcuts."""
 
 import math
 
@@ -32,7 +32,7 @@ class InputField:
         return True
 
     def take_light_key(self) -> bool:
-        """Type an L that was left to the shortcuts; return whether there was one: the menu has the entry, too."""
+        """Type an L that was left to the shortcuts; return whether there was one."""
         text, self._light_key = self._light_key, ""
         if text:
             self._type_light_key(text)
@@ -53,7 +53,7 @@ class NumberField(InputField, QDoubleSpinBox):
     refused = pyqtSignal(str)  # why what is typed cannot be used; empty as soon as it can
 
     def __init__(self, *, tool_tip: str, name: str = "", unit: str = "", decimals: int = 0, lowest: str = "") -> None:
-        """Show values in `unit`, such as "ms", and the lowest value as the word `lowest`; errors start with `name`."""
+        """Show values in `unit`, such as "ms", the lowest as the word `lowest`; errors start with `name`."""
         super().__init__()
         self._name, self._unit, self._allowed = name, unit, Range(0, 0)
         self._shown_problem = ""
@@ -77,7 +77,7 @@ class NumberField(InputField, QDoubleSpinBox):
             line.textChanged.connect(self._mark)
 
     def show_value(self, value: float, allowed: Range) -> None:
-        """Show a value and set the allowed range, both in SI units, without emitting; what is typed stays."""
+        """Show a value and set its range, both in SI units, without emitting; what is typed stays."""
         self._latest, line = (value, allowed), self.lineEdit()
         if line is not None and line.isModified() and self.hasFocus():
             return
@@ -253,7 +253,7 @@ class TextField(TextLine):
             application.installEventFilter(self)
 
     def eventFilter(self, on: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
-        """Leave the field when anything else is clicked, also what takes no focus: keys are shortcuts again."""
+        """Leave the field when anything else is clicked: keys are shortcuts again."""
         is_click = event is not None and event.type() == QEvent.Type.MouseButtonPress
         if is_click and isinstance(on, QWidget) and on is not self and on.window() is self.window():
             self.clearFocus()

@@ -24,7 +24,7 @@ class _Piece(NamedTuple):
 
 
 class FileWork(QObject):
-    """Does one piece of work after the other, each on a thread, and passes on its result in the window's thread."""
+    """Does one piece of work after the other on threads, and passes on results in the window's thread."""
 
     def __init__(self, parent: QObject, warn: Callable[[str], object]) -> None:
         """`warn` receives the sentence of an `InputError` or `RunError`."""
@@ -89,7 +89,7 @@ class FileWork(QObject):
 
 
 def answer(question: Callable[[], T], otherwise: T) -> T:
-    """Return the answer to a short question about files, or `otherwise` if the disk does not give it in time."""
+    """Return the answer to a short question about files, or `otherwise` if the disk is late."""
     try:
         return run_in_thread(question, "files")[0].result(_ANSWER_S)
     except TimeoutError:

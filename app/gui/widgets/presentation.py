@@ -1,4 +1,4 @@
-"""Presentation of numbers: colour scales, limits that follow the data, formats, and those of each quantity."""
+"""Presentation of numbers: colour scales, limits that follow the data, and formats."""
 
 import math
 from collections.abc import Callable

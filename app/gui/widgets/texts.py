@@ -62,7 +62,7 @@ class ElidedLabel(QLabel):
             self._take_lines()
 
     def _take_lines(self) -> None:
-        """Take more lines if the text needs them; only another width gives them back, so that nothing jumps."""
+        """Take more lines if needed; only another width gives them back, so that nothing jumps."""
         if self._most > 1:
             self._taken = max(self._taken, min(len(self._wrapped()), self._most))
             self._keep_room()

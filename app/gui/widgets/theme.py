@@ -84,7 +84,7 @@ def styled_application() -> QApplication:
 
 
 def apply_theme(application: QApplication) -> None:
-    """Set the Fusion style for the whole application, in the colours that the desktop prefers, now and later."""
+    """Set the Fusion style for the application, in the colours of the desktop, now and later."""
     application.setStyle("Fusion")
     _colour(application)
     if (hints := application.styleHints()) is not None:
@@ -161,7 +161,7 @@ def lamp(colour: QColor) -> QIcon:
 
 
 def validity_lamp(validity: str) -> QIcon:
-    """Return a lamp that shows a state by its shape, too: a disc if "good", a triangle if "doubtful", else a ring."""
+    """Return the lamp of a state: a disc if "good", a triangle if "doubtful", else a ring."""
     path = QPainterPath()
     if validity == "doubtful":
         path.addPolygon(QPolygonF([QPointF(16, 4), QPointF(30, 28), QPointF(2, 28)]))

@@ -60,7 +60,7 @@ class Places:
 def arrange_views(
     room: tuple[int, int], shape: tuple[int, ...], *, bar_space: int, line_px: int, is_captioned: bool
 ) -> Places:
-    """Arrange maps (view_row, view_column, row, column) in a room, width and height, above captions that fit."""
+    """Arrange maps of a shape (view_row, view_column, row, column) in a room, above captions that fit."""
     arrange = partial(_arrange, QSize(*room), shape, bar_space, line_px)
     captioned = _CAPTIONED if is_captioned else _CAPTIONED[-1:]
     return next(places for lines, least in captioned if (places := arrange(lines)).size.width() >= least)
@@ -326,7 +326,7 @@ class ViewGrid(QWidget):
 
 @lru_cache
 def _colour_bar(colours: str, width: int, height: int) -> QImage:
-    """Return the bar without its numbers; scaling an image in every frame took longer than all maps."""
+    """Return the bar without its numbers; scaling it in every frame took longer than all maps."""
     table = colour_table(colours)
     at = np.linspace(len(table) - 1, 0, height).round().astype(np.intp)
     return _image(np.repeat(table[at, None], width, axis=1)).copy()
