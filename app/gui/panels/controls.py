@@ -186,11 +186,21 @@ class ControlsPanel(Panel):
 
         A focused field changes only when all commands are finished.
         """
-        allowed, wanted = status.capabilities, self.shown.wanted
         self.start.setText("Stop" if status.is_running else "Start")
         self.start.setIcon(theme.start_or_stop(is_running=status.is_running))
         self._is_running = status.is_running
-        registration, reconstruction = status.bench.registration, status.bench.reconstruction
+        self._show_fields(status)
+        self._show_choices(status)
+        self._show_switches(status)
+        dark, reference = status.dark, status.reference
+        about_reference = "\n".join(filter(None, (reference.note, status.mask_note)))
+        self.dark.show_step(dark.validity, dark.taken_at, dark.note)
+        self.reference.show_step(reference.validity, reference.taken_at, about_reference)
+        pitch = "" if status.lattice is None else f"pitch {status.lattice.pitch_px:.3f} px"
+        self.lattice.show_step("good" if pitch else "missing", "", pitch)
+
+    def _show_fields(self, status: Status) -> None:
+        allowed, wanted, reconstruction = status.capabilities, self.shown.wanted, status.bench.reconstruction
         for name, field, value, interval in (
             ("exposure_s", self.exposure, status.exposure_s, allowed.exposure_range_s),
             ("em_gain", self.em_gain, status.em_gain, allowed.em_gain_range),
@@ -202,6 +212,11 @@ class ControlsPanel(Panel):
                 field.show_value(wanted.get(name, value) or 0, interval)
         self.current.setEnabled(status.current_range_a.maximum > status.current_range_a.minimum)
         self.em_gain.setEnabled(allowed.em_gain_range.maximum > allowed.em_gain_range.minimum)
+        self.pupil_modes.setEnabled(reconstruction.method == "modal")
+
+    def _show_choices(self, status: Status) -> None:
+        allowed, wanted = status.capabilities, self.shown.wanted
+        registration, reconstruction = status.bench.registration, status.bench.reconstruction
         for name, values, chosen in (
             ("amplifier", allowed.amplifiers, status.amplifier),
             ("readout_speed", allowed.readout_speeds, status.readout_speed),
@@ -213,11 +228,13 @@ class ControlsPanel(Panel):
         ):
             mark_wanted(self.choices[name], is_wanted=name in wanted)
             self.choices[name].show_choice(values, wanted.get(name, chosen) or AUTOMATIC)
-        self.refine.setChecked(wanted.get("reconstruction.refine", reconstruction.refine))
-        mark_wanted(self.refine, is_wanted="reconstruction.refine" in wanted)
         self.warp.setEnabled(registration.fits_warps)
-        for control in (self.basis, self.pupil_modes):
-            control.setEnabled(reconstruction.method == "modal")
+        self.basis.setEnabled(reconstruction.method == "modal")
+
+    def _show_switches(self, status: Status) -> None:
+        wanted, refine = self.shown.wanted, status.bench.reconstruction.refine
+        self.refine.setChecked(wanted.get("reconstruction.refine", refine))
+        mark_wanted(self.refine, is_wanted="reconstruction.refine" in wanted)
         # Of a manual light only what a person has said is known.
         lights = ("Light\nnoted off", "Light\nby hand") if status.bench.has_manual_light else ("Light off", "Light on")
         if not self._has_devices:
@@ -229,12 +246,6 @@ class ControlsPanel(Panel):
             shown.setText(names[is_on])
             shown.setChecked(is_on and self._has_devices)  # a pressed light has a red edge
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
-        dark, reference = status.dark, status.reference
-        about_reference = "\n".join(filter(None, (reference.note, status.mask_note)))
-        self.dark.show_step(dark.validity, dark.taken_at, dark.note)
-        self.reference.show_step(reference.validity, reference.taken_at, about_reference)
-        pitch = "" if status.lattice is None else f"pitch {status.lattice.pitch_px:.3f} px"
-        self.lattice.show_step("good" if pitch else "missing", "", pitch)
 
     def show_numbers(self) -> None:
         """Show the brightness of a recent frame, and in tool tips what was chosen for its wavefront."""

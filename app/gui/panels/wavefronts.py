@@ -21,7 +21,7 @@ from app.gui.widgets.enlarged_view import EnlargedView
 from app.gui.widgets.fields import BUTTONS_WIDTH_PX, NumberField
 from app.gui.widgets.file_work import FileWork
 from app.gui.widgets.layouts import column, row_of
-from app.gui.widgets.presentation import PRESENTATIONS, AdaptiveScale, number, position_texts
+from app.gui.widgets.presentation import PRESENTATIONS, AdaptiveScale, ColourScale, number, position_texts
 from app.gui.widgets.texts import ElidedLabel, colour_text
 from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
 from app.measurement.measurement import Measurement
@@ -169,8 +169,7 @@ class WavefrontPanel(Panel):
             self._summary.setText("")
             self.grid.set_captions({})
             return
-        presentation, field = PRESENTATIONS[quantity], wavefront.field
-        factor = self.shown.per_rad if presentation.has_unit else 1.0
+        presentation, field, factor = PRESENTATIONS[quantity], wavefront.field, self._factor
         if numbers.first.shape == (field.view_rows, field.view_columns):
             captions: dict[tuple[int, int], Caption] = {}
             for i, j in np.ndindex(numbers.first.shape):
@@ -222,6 +221,11 @@ class WavefrontPanel(Panel):
     def _scale(self) -> AdaptiveScale:
         return self._limits[PRESENTATIONS[self.quantity].family, self.shown.unit]
 
+    @property
+    def _factor(self) -> float:
+        """Factor of values in rad, or 1 for ratios."""
+        return self.shown.per_rad if PRESENTATIONS[self.quantity].has_unit else 1.0
+
     def _fix_limit(self, limit: float) -> None:
         self._scale.use(limit)
         self._redraw()
@@ -255,32 +259,30 @@ class WavefrontPanel(Panel):
 
     def _show(self, found: QuantityMaps) -> None:
         """Show maps over the lenslets, or those of a PSF over angles."""
-        presentation, unit = PRESENTATIONS[self.quantity], self.shown.unit
-        if self.shown.wavefront is None:
+        presentation, wavefront, unit = PRESENTATIONS[self.quantity], self.shown.wavefront, self.shown.unit
+        if wavefront is None:
             return
-        sensor = self.shown.wavefront.sensor
-        per_rad = self.shown.per_rad if presentation.has_unit else 1.0
-        is_psf = self.quantity is Quantity.PSF
 
         def in_words(value: float) -> str:
             return presentation.value(value, unit)
 
-        values = (found.values if is_psf else aligned(found.values, sensor.arrangement)) * per_rad
-        limit = self._scale
-        self._follow(limit, max(presentation.limit(values), presentation.finest * per_rad))
-        scale = presentation.scale(limit.value, unit)
-        if is_psf:
-            reach_mrad = found.reach_rad * 1e3
-            at_mrad = np.linspace(-reach_mrad, reach_mrad, values.shape[-1])
-            text = partial(_describe_angle, in_words, at_mrad)
-            both = (reach_mrad, reach_mrad)
-            self._show_maps(Maps(values, scale, text, is_smooth=True, reach=both, reach_unit="mrad"))
+        def scale_of(values: Floats) -> ColourScale:
+            self._follow(self._scale, max(presentation.limit(values), presentation.finest * self._factor))
+            return presentation.scale(self._scale.value, unit)
+
+        if self.quantity is Quantity.PSF:
+            values, reach_mrad = found.values * self._factor, found.reach_rad * 1e3
+            text = partial(_describe_angle, in_words, np.linspace(-reach_mrad, reach_mrad, values.shape[-1]))
+            reach = (reach_mrad, reach_mrad)
+            self._show_maps(Maps(values, scale_of(values), text, is_smooth=True, reach=reach, reach_unit="mrad"))
         else:
+            sensor = wavefront.sensor
+            values = aligned(found.values, sensor.arrangement) * self._factor
             x_mm = (sensor.lenslet_columns - 1) / 2 * sensor.lenslet_pitch_m * 1e3
             y_mm = (sensor.lenslet_rows - 1) / 2 * sensor.row_spacing_m * 1e3
             text = partial(_describe_lenslet, in_words)
-            measured = np.where(self.shown.wavefront.displacement.valid, values, np.nan)  # the others are hatched
-            self._show_maps(Maps(measured, scale, text, reach=(x_mm, y_mm), reach_unit="mm"))
+            measured = np.where(wavefront.displacement.valid, values, np.nan)  # the others are hatched
+            self._show_maps(Maps(measured, scale_of(values), text, reach=(x_mm, y_mm), reach_unit="mm"))
 
     def _follow(self, scale: AdaptiveScale, needed: float) -> None:
         if not (self.freeze_scale.isChecked() and scale.is_set):
