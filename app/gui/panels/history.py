@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtGui import QShowEvent
+from PyQt6.QtGui import QFontMetrics, QShowEvent
 from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QWidget
 
 from app.bench.settings_form import typed_number
@@ -228,8 +228,8 @@ class HistoryPanel(Panel):
             recent, (unit, factor) = time_s >= -60 * span_min, self._unit_of(name)
             values *= factor
             limit = limits.get(name, SeriesLimits())
-            scaled = SeriesLimits(limit.lowest * factor, limit.highest * factor)
-            chart.show_series(time_s[recent] / 60, values[recent], span_min, unit, scaled)
+            shown_limits = SeriesLimits(limit.lowest * factor, limit.highest * factor)
+            chart.show_series(time_s[recent] / 60, values[recent], span_min, unit, shown_limits)
             samples = self.samples.currentData()
             chart.show_drift(Drift.of(values[-samples:]), samples)
 
@@ -254,7 +254,9 @@ def _wide_as(text: str, *items: Item) -> QWidget:
     """Make a widget of items from top to bottom that is as wide as a text."""
     made = QWidget()
     column(*items, spacing=0, parent=made).addStretch()
-    made.setFixedWidth(made.fontMetrics().horizontalAdvance(text))
+    bold = made.font()
+    bold.setWeight(bold.Weight.DemiBold)  # as values are
+    made.setFixedWidth(QFontMetrics(bold).horizontalAdvance(text))
     return made
 
 

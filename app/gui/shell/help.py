@@ -242,6 +242,7 @@ class Tour(QFrame):
         return super().eventFilter(watched, event)
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
+        self._window.removeEventFilter(self)  # it would show the outline again until it is deleted
         self._outline.close()
         super().closeEvent(event)
 

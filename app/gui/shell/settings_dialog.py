@@ -51,6 +51,7 @@ class SettingsDialog(QDialog):
         self._choices = {"camera": self.camera, "light": self.light}
         self.devices = QWidget()
         connected = QFormLayout(self.devices)
+        connected.setContentsMargins(0, 0, 0, 0)
         for kind, choice in self._choices.items():
             choice.textActivated.connect(partial(self._choose_device, kind))
             connected.addRow(f"Connected {kind}", choice)

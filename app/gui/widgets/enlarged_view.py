@@ -21,6 +21,7 @@ from reconstruction.arrays import Floats
 _CONTOUR, _CURSOR = QColor(0, 0, 0, 150), QColor(0, 0, 0)  # on the map, in every theme
 _TURN_RAD = 0.01  # for each pixel of a drag
 _LINED = 41  # rows or columns; finer surfaces have no lines
+_NUMBERS_PX = 40  # beside the surface, for the numbers of its axes
 
 
 class EnlargedMap(ViewGrid):
@@ -124,7 +125,7 @@ class SurfaceView(QWidget):
 
     def _on_widget(self, projected: Floats) -> Floats:
         """Scale and centre projected points (..., xy), px, with room for the numbers of the axes."""
-        scale = min(self.width() / 1.5, self.height() / 1.35)
+        scale = min((self.width() - 2 * _NUMBERS_PX) / math.sqrt(2), self.height() / 1.35)
         return np.asarray(projected * scale + (self.width() / 2, self.height() / 2))
 
     def _paint_axes(self, painter: QPainter, maps: Maps) -> None:
