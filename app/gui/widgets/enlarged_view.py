@@ -21,7 +21,6 @@ from reconstruction.arrays import Floats
 _CONTOUR, _CURSOR = QColor(0, 0, 0, 150), QColor(0, 0, 0)  # on the map, in every theme
 _TURN_RAD = 0.01  # for each pixel of a drag
 _LINED = 41  # rows or columns; finer surfaces have no lines
-_NUMBERS_PX = 40  # beside the surface, for the numbers of its axes
 
 
 class EnlargedMap(ViewGrid):
@@ -125,7 +124,7 @@ class SurfaceView(QWidget):
 
     def _on_widget(self, projected: Floats) -> Floats:
         """Scale and centre projected points (..., xy), px, with room for the numbers of the axes."""
-        scale = min((self.width() - 2 * _NUMBERS_PX) / math.sqrt(2), self.height() / 1.35)
+        scale = min(self.width() / 1.5, self.height() / 1.35)
         return np.asarray(projected * scale + (self.width() / 2, self.height() / 2))
 
     def _paint_axes(self, painter: QPainter, maps: Maps) -> None:
@@ -145,7 +144,7 @@ class SurfaceView(QWidget):
         painter.drawPolygon(QPolygonF([QPointF(x, y) for x, y in on_base]))
         painter.drawLine(QPointF(*on_base[left]), QPointF(*top))
         ends = dict(maps.scale.ticks)
-        self._write(painter, on_base[left] - (24, 0), ends[min(ends)])
+        self._write(painter, on_base[left] + (-10, 12), ends[min(ends)])
         self._write(painter, top - (0, 10), f"{ends[max(ends)]} {maps.scale.title}")
         outward = on_base - on_base.mean(axis=0)
         for axis, reach, edges in (("x", maps.reach[0], ((0, 1), (2, 3))), ("y", maps.reach[1], ((1, 2), (3, 0)))):
