@@ -100,6 +100,13 @@ class HistoryPanel(Panel):
         self._files = FileWork(self, self.warned.emit)
         self._newest: tuple[float, dict[str, float]] | None = None  # time and values of the newest sample
         self._pinned = ""  # name of a coefficient
+        self._make_choices()
+        self.form = LimitsForm(shown, tuple(_ABOUT), self)
+        self.form.changed.connect(self.refresh)
+        self._lay_out()
+        self._arrange()
+
+    def _make_choices(self) -> None:
         self.toggles = {
             name: Toggle(name, about, is_on=name == RMS, key=f"history/chart {index}")
             for index, (name, about) in enumerate(_ABOUT.items())
@@ -114,8 +121,8 @@ class HistoryPanel(Panel):
         for choice in (self.minutes, self.samples):
             choice.setCurrentIndex(1)
             choice.currentIndexChanged.connect(self.refresh)
-        self.form = LimitsForm(shown, tuple(_ABOUT), self)
-        self.form.changed.connect(self.refresh)
+
+    def _lay_out(self) -> None:
         self.limits = Button("Limits", "Set limits: a crossing is reported, and red here", self.form.show)
         self.export = Button("Export", "Save all series as CSV", self.export_csv)
         self._hint = ElidedLabel("dim", _HINT)
@@ -131,7 +138,6 @@ class HistoryPanel(Panel):
         buttons = row(self.export, self.limits, (QWidget(), 1))
         axis = row(_wide_as(_NAME, (buttons, 1)), (self.time_axis, 1), _wide_as(_DRIFT, self.samples))
         column(header, (area, 1), axis, spacing=2, parent=self)
-        self._arrange()
 
     def menu_entries(self) -> Mapping[str, Entries]:
         return {

@@ -127,11 +127,21 @@ class RecordingBar(QFrame):
         self._asked_disk: Future[float] | None = None  # a network disk may not answer
         self.recent = RecentFiles(saved, "recent/recordings")
         self.commands = BackgroundCommands(controller.messages, self)
-        self._of: Path | None = None  # the recording as it began
+        self._began: Path | None = None  # folder of the recording as it began
         self._finished: _Finished | None = None
         self._naming = FileWork(self, self._messages.warn)
         self._opening = FileWork(self, self._messages.warn)
         self.text = ElidedLabel()
+        self._make_description()
+        self._make_limit()
+        self._make_uses()
+        self.done = Button("Close", "Hide this bar", self.hide)
+        described = (self.text, 3), (self.name, 2), (self.note, 3)
+        fill_strip(self, *described, *self._of_limit, *self._uses, self.done)
+        self._show_stage(None)
+        self.hide()
+
+    def _make_description(self) -> None:
         self._name_problem = ""
         self.name = TextField(tool_tip=_NAME_TIP, hint="name")
         self.note = TextField(tool_tip="Kept in run.json and shown in the report", hint="note")
@@ -139,11 +149,17 @@ class RecordingBar(QFrame):
             field.setMinimumWidth(90)
             field.entered.connect(lambda _: self._describe())
         self.name.textChanged.connect(self._check_name)
+
+    def _make_limit(self) -> None:
         self.stop_after = NumberField(name="Stop after", tool_tip="The recording ends by itself", lowest="never")
         self.stop_after.show_value(0, Range(0, 1e6))
         self.unit = Choice("Frames, or seconds between the first and the last", ("frames", "s"))
         self.stop_after.entered.connect(lambda _: self._limit())
         self.unit.activated.connect(lambda _: self._limit())
+        self._of_limit = (label("Stop after", "dim"), self.stop_after, self.unit)
+
+    def _make_uses(self) -> None:
+        """Make the buttons of a finished recording."""
         self.open = Button("Open folder", "Show the files", lambda: self._use(self._show))
         about = "Play it in another window; the devices go on here"
         self.replay = Button("Replay", about, lambda: self._use(self.play))
@@ -154,13 +170,7 @@ class RecordingBar(QFrame):
         for to, (text, _) in EXPORT_FORMATS.items():
             self.exports.addAction(text, lambda _=False, to=to: self._use(partial(self._export, to)))
         self.export.setMenu(self.exports)
-        self.done = Button("Close", "Hide this bar", self.hide)
-        self._afterwards = (self.open, self.replay, self.report, self.export)
-        self._limits = (label("Stop after", "dim"), self.stop_after, self.unit)
-        parts = ((self.text, 3), (self.name, 2), (self.note, 3), *self._limits, *self._afterwards, self.done)
-        fill_strip(self, *parts)
-        self._show_stage(None)
-        self.hide()
+        self._uses = (self.open, self.replay, self.report, self.export)
 
     @property
     def folder(self) -> Path | None:
@@ -209,10 +219,10 @@ class RecordingBar(QFrame):
         state, kept = acquisition.recording, acquisition.kept
         is_starting = self._starting is not None and not self._starting.done()
         self._panel.show_state(state, self._free_minutes, is_starting=is_starting)
-        if state is not None and state.folder != self._of:
+        if state is not None and state.folder != self._began:
             if self.folder is not None:
                 self._forget()
-            self._of = state.folder
+            self._began = state.folder
             self.show()
         is_recording = state is not None and not state.is_over
         if state is not None and is_recording:
@@ -262,9 +272,10 @@ class RecordingBar(QFrame):
         acquisition = self._controller.acquisition
         state = None if acquisition is None else acquisition.recording
         was_recording = self._stage in {"recording", "finishing"}
-        if was_recording and self._of is not None and (state is None or state.folder != self._of):
+        if was_recording and self._began is not None and (state is None or state.folder != self._began):
             if self._has_failed:
-                self._messages.alarm(f"recording {self._of.name} was cut off: svwfs recover {self._of} finishes it")
+                finishes = f"svwfs recover {self._began} finishes it"
+                self._messages.alarm(f"recording {self._began.name} was cut off: {finishes}")
             self._forget()
         self._has_failed = False
 
@@ -302,9 +313,9 @@ class RecordingBar(QFrame):
     def _show_stage(self, state: RecordingState | None) -> None:
         self._stage = "" if state is None else state.stage
         is_over = state is not None and state.is_over
-        for widget in self._limits:
+        for widget in self._of_limit:
             widget.setVisible(not is_over)
-        for each in self._afterwards:
+        for each in self._uses:
             each.setVisible(is_over and (each is self.open or bool(state and state.frames)))
         if state is None:
             self.text.setText("Next recording")
