@@ -44,6 +44,7 @@ from reconstruction.lattice.search import Survey
 from reconstruction.quality.verdict import Fault, Quality
 
 _LATTICE_FRAMES = 4  # averaged to find the lattice
+_BACKGROUND_FRAMES = 8  # averaged to check the background
 
 DeviceSetting = Literal[
     "is_running", "exposure_s", "em_gain", "amplifier", "readout_speed", "current_a", "is_light_on", "is_sample_in"
@@ -104,6 +105,7 @@ class Instrument:
         self,
         devices: Devices,
         bench: Bench,
+        *,
         timings: Timings | None = None,
         show_preparation: Callable[[str], object] = lambda _: None,
         watch: Callable[[Instrument, str], Watch] = lambda _, __: UNWATCHED,
@@ -224,13 +226,13 @@ class Instrument:
             state.exposure_s, state.current_a = found.exposure_s, found.current_a
             return found
 
-    def check_background(self, frames: int = 8) -> BackgroundCheck:
+    def check_background(self) -> BackgroundCheck:
         """Compare the current background with the dark; `RoutineError` if there is no dark that fits."""
-        watch = self._watch(self, f"checking the background, {counted(frames)}")
+        watch = self._watch(self, f"checking the background, {counted(_BACKGROUND_FRAMES)}")
         doubt, dark = self.darks.doubt(self._now()), self.darks.average
         if dark is None or doubt:
             raise RoutineError(doubt)
-        return check_background(self.devices, dark, frames, watch)
+        return check_background(self.devices, dark, _BACKGROUND_FRAMES, watch)
 
     def find_lattice(self) -> Survey:
         """Find the lenslets in a few frames without the sample, without changing anything."""

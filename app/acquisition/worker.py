@@ -29,7 +29,7 @@ from app.measurement.measurement import FrameTotals, LightState, Measurement
 from app.measurement.routines import Cancelled, Watch
 from app.measurement.sensor_region import SensorArea
 from app.progress import run_in_thread
-from app.recording.recorder import Recorder, RecordingLimit, RecordingState
+from app.recording.recorder import NO_LIMIT, Recorder, RecordingLimit, RecordingState
 from app.timing import Timings
 from drivers.interface import DeviceError, Devices, Frame, WrongState
 from reconstruction.runtime.threads import one_blas_thread, short_switch_interval
@@ -60,6 +60,7 @@ class Acquisition:
         self,
         bench: Bench,
         open_devices: Callable[[Bench, Callable[[float], None]], Devices] | None = None,
+        *,
         sinks: tuple[Callable[[Measurement], None], ...] = (),
         on_show: Callable[[Measurement], object] = lambda _: None,
         hear_requests: Callable[[], object] = lambda: None,
@@ -159,12 +160,7 @@ class Acquisition:
         return self.submit(command)
 
     def start_recording(
-        self,
-        folder: Path,
-        *,
-        command: str = WINDOW,
-        limit: RecordingLimit = RecordingLimit(),  # noqa: B008 - immutable
-        may_rename: bool = False,
+        self, folder: Path, *, command: str = WINDOW, limit: RecordingLimit = NO_LIMIT, may_rename: bool = False
     ) -> Future[None]:
         """Record every frame from now on into a folder, until `stop_recording` or the `limit`.
 
@@ -272,7 +268,13 @@ class Acquisition:
                 stream_sinks(self.bench) as published,
                 self._open_devices(self.bench, self._show_opening) as devices,
                 closing(
-                    Instrument(devices, self.bench, self.timings, self._show_preparation, self._watch)
+                    Instrument(
+                        devices,
+                        self.bench,
+                        timings=self.timings,
+                        show_preparation=self._show_preparation,
+                        watch=self._watch,
+                    )
                 ) as instrument,
             ):
                 self._path.sinks += published

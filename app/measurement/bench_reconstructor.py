@@ -85,7 +85,10 @@ def reconstructor(
     True
     """
     own = OwnMethods(registration, basis)
-    return BenchReconstructor(as_bench(bench), reference, dark=dark, full_scale=full_scale, frame=frame, own=own)
+    made = BenchReconstructor(as_bench(bench), reference, dark=dark, full_scale=full_scale, own=own)
+    if frame is not None:
+        made.prepare(frame)
+    return made
 
 
 def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = ROUNDS) -> Wavefront:
@@ -155,7 +158,7 @@ def find_lattice(reference: Counts, bench: Bench, *, dark: Counts | None = None)
 class BenchReconstructor:
     """Turns frames of one bench into wavefronts; `reconstructor` makes it.
 
-    It is prepared with `frame`, or else with the first frame that is reconstructed.
+    It is prepared with the first frame that is reconstructed, unless `prepare` was called before.
     """
 
     def __init__(
@@ -165,7 +168,6 @@ class BenchReconstructor:
         *,
         dark: Counts | None = None,
         full_scale: float | None = None,
-        frame: Counts | None = None,
         own: OwnMethods = NO_OWN,
     ) -> None:
         reference, dark = as_image(reference, "reference"), None if dark is None else as_image(dark, "dark")
@@ -174,12 +176,15 @@ class BenchReconstructor:
             raise InputError(f"full_scale = {full_scale!r}: give the count at which a pixel saturates, as 4095")
         registration, reconstruction = own.named(bench.registration, bench.reconstruction)
         named = replace(bench, registration=registration, reconstruction=reconstruction)
-        self._calibration = Calibration.of_images(named, reference, dark=dark, full_scale=most, own=own)
+        given = Calibration.of_images(named, reference, dark=dark, full_scale=most)
+        self._calibration = replace(given, own=own)
         self._is_scale_given = full_scale is not None
         self._estimator: Estimator | None = None
-        self.bench = replace(named, lattice=self._calibration.lattice)
-        if frame is not None:
-            self._prepared(as_image(frame, "frame"))
+        self.bench = replace(named, lattice=given.lattice)
+
+    def prepare(self, frame: Counts) -> None:
+        """Prepare everything with the noise that a frame (row, column), counts, shows."""
+        self._prepared(as_image(frame, "frame"))
 
     def __call__(self, frame: Counts) -> Wavefront:
         """Return the wavefront of a frame (row, column), counts; `ReconstructionError` says why there is none."""

@@ -52,12 +52,11 @@ class Calibration:
         dark: Counts | None = None,
         lattice: Lattice | None = None,
         full_scale: float = math.inf,
-        own: OwnMethods = NO_OWN,
     ) -> Calibration:
         """Take a reference and a dark, (row, column), whose noise is unknown, and a `lattice` if it is known."""
         averages = None if dark is None else Average.of_image(dark), Average.of_image(reference)
         lattice = lattice or bench.lattice or surveyed(bench.sensor, *averages, full_scale).lattice
-        return cls(bench, *averages, lattice, full_scale, KnownNoise(), own)
+        return cls(bench, *averages, lattice, full_scale, KnownNoise())
 
     @property
     def dark_image(self) -> Counts | None:

@@ -1,8 +1,6 @@
 """A recording in place of the devices of a bench; its dark and reference while the light is off or the sample out."""
 
 import math
-import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import lru_cache
@@ -29,6 +27,7 @@ from drivers.interface import (
     Stage,
 )
 from reconstruction.arrays import Floats
+from simulated_devices.clock import Clock
 
 _LONGEST_GAP_S = 1.0  # beyond an exposure; longer gaps, for example for a new reference, are shortened
 _LATE_S = 1.0  # the recording waits for a reader that is later
@@ -55,17 +54,10 @@ class RecordedCamera(Camera):
     """
 
     def __init__(
-        self,
-        recording: Recording,
-        frames: range,
-        *,
-        pace: Pace,
-        repeat: bool,
-        now: Callable[[], float] = time.perf_counter,
-        sleep: Callable[[float], None] = time.sleep,
+        self, recording: Recording, frames: range, *, pace: Pace, repeat: bool, clock: Clock | None = None
     ) -> None:
         super().__init__()
-        self._recording, self._frames, self._now, self._sleep = recording, frames, now, sleep
+        self._recording, self._frames, self._clock = recording, frames, clock or Clock()
         self._pace, self._repeat = pace, repeat
         self._position = 0  # of the next frame in `frames`
         self._is_playing = False
@@ -100,7 +92,7 @@ class RecordedCamera(Camera):
 
         `FrameLost` if it is damaged.
         """
-        self._position, self._due_s = position, self._now()
+        self._position, self._due_s = position, self._clock.now()
         return self._play()
 
     def see(self, *, is_lit: bool, is_sample_in: bool) -> None:
@@ -127,7 +119,7 @@ class RecordedCamera(Camera):
 
     def _start(self) -> None:
         self._is_playing, self._count = True, 0
-        self._due_s = self._now() + self._taken().exposure_s
+        self._due_s = self._clock.now() + self._taken().exposure_s
 
     def _stop(self) -> None:
         self._is_playing = False
@@ -135,15 +127,15 @@ class RecordedCamera(Camera):
     _close = _stop
 
     def _read(self, timeout_s: float) -> Frame:
-        wait_s = self._due_s - self._now()
+        wait_s = self._due_s - self._clock.now()
         if self._pace == "fastest":
             wait_s = 0.0 if timeout_s > 0 else math.inf
         absence = "the recording has no frame at this time" if wait_s > timeout_s else self._absence()
         if absence:
-            self._sleep(timeout_s)
+            self._clock.sleep(timeout_s)
             raise DeviceTimeout(absence)
         average = self._average()
-        self._sleep(max(wait_s, 0.0))
+        self._clock.sleep(max(wait_s, 0.0))
         return self._play() if average is None else self._show(average)
 
     def _play(self) -> Frame:
@@ -166,7 +158,7 @@ class RecordedCamera(Camera):
         if damage is not None:
             self.damaged[self._frames.index(before.index)] = str(damage)
             raise FrameLost(str(damage)) from damage
-        return replace(frame, index=index, camera_time_s=due_s, host_time_s=self._now())
+        return replace(frame, index=index, camera_time_s=due_s, host_time_s=self._clock.now())
 
     def _show(self, average: Average) -> Frame:
         pixels = self._averaged(average, self.capabilities.full_scale).pixels(self._count)
@@ -175,7 +167,7 @@ class RecordedCamera(Camera):
             pixels=pixels,
             index=index,
             camera_time_s=due_s,
-            host_time_s=self._now(),
+            host_time_s=self._clock.now(),
             exposure_s=average.exposure_s,
             em_gain=average.em_gain,
         )
@@ -185,7 +177,7 @@ class RecordedCamera(Camera):
         present = self._count, self._due_s
         self._count += 1 + lost
         if self._pace == "own":
-            self._due_s = max(self._due_s, self._now() - _LATE_S)
+            self._due_s = max(self._due_s, self._clock.now() - _LATE_S)
         self._due_s += gap_s / self.speed
         return present
 

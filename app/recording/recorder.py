@@ -39,6 +39,9 @@ class RecordingLimit:
     seconds: float | None = None
 
 
+NO_LIMIT = RecordingLimit()
+
+
 @dataclass(frozen=True, slots=True)
 class RecordingState:
     """Progress of a recording."""
@@ -71,7 +74,7 @@ class BackgroundRecording:
         timings: Timings,
         *,
         records: Sequence[Record] = (),
-        limit: RecordingLimit = RecordingLimit(),
+        limit: RecordingLimit = NO_LIMIT,
     ) -> None:
         self._folder, self._facts, self._timings = folder, facts, timings
         self._waiting = deque(records)
@@ -221,12 +224,7 @@ class Recorder:
                 self._recording.take(record)
 
     def start(
-        self,
-        folder: Path,
-        facts: Mapping[str, Any],
-        *,
-        limit: RecordingLimit = RecordingLimit(),
-        may_rename: bool = False,
+        self, folder: Path, facts: Mapping[str, Any], *, limit: RecordingLimit = NO_LIMIT, may_rename: bool = False
     ) -> None:
         """Record from the next measurement on, until `stop` or a `limit`.
 

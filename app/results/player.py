@@ -53,7 +53,7 @@ class Player:
 
     def acquisition(self) -> Acquisition:
         """Make an acquisition that plays the recording."""
-        return Acquisition(self.bench, self.open_devices, (self.take,))
+        return Acquisition(self.bench, self.open_devices, sinks=(self.take,))
 
     def begin(self, acquisition: RunningInstrument) -> tuple[Future[None], ...]:
         """Set the recorded calibration and start the camera, instead of taking dark and reference."""

@@ -32,7 +32,6 @@ class Capture:
         properties: Properties,
         *,
         shape: tuple[int, int],
-        ring_frames: int,
         in_force: tuple[float, float],
         clock: Callable[[], float],
         trigger: str,
@@ -41,7 +40,6 @@ class Capture:
         self._handle = properties.handle
         self._properties = properties
         self._shape = shape
-        self._ring_frames = ring_frames
         self._clock = clock
         self._is_fired_here = trigger == "software"
         self._is_exposing = trigger == INTERNAL  # as far as known
@@ -57,9 +55,9 @@ class Capture:
         self._wait_handle = 0
         self._to_undo: list[Callable[[], None]] = []
 
-    def begin(self) -> None:
-        """Start the capture; after a failure call `end`."""
-        call = self._library.call
+    def begin(self, ring_frames: int) -> None:
+        """Start the capture into a ring of so many frames; after a failure call `end`."""
+        self._ring_frames, call = ring_frames, self._library.call
         opened = sized(WaitOpen, hdcam=self._handle)
         call("dcamwait_open", byref(opened))
         self._wait_handle = opened.hwait

@@ -307,13 +307,12 @@ class DcamCamera(Camera):
         capture = Capture(
             self._properties,
             shape=(allowed.rows, allowed.columns),
-            ring_frames=self._settings.ring_frames,
             in_force=(self._read_exposure(), self._read_em_gain()),
             clock=self._clock,
             trigger=self._read_trigger(),
         )
         try:
-            capture.begin()
+            capture.begin(self._settings.ring_frames)
         except DeviceError:
             self._unreleased = capture
             self._try(self._release_ring)

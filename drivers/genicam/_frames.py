@@ -138,9 +138,10 @@ class Saturation:
 
 
 def copied_pixels(
-    address: int, *, rows: int, columns: int, row_padding_bytes: int, pixel_format: PixelFormat, byte_order: ByteOrder
+    address: int, shape: tuple[int, int], *, row_padding_bytes: int, pixel_format: PixelFormat, byte_order: ByteOrder
 ) -> NDArray[np.uint16]:
-    """Return a read-only copy of the pixels at the address, (rows, columns) in counts."""
+    """Return a read-only copy of the pixels at the address, counts, of this shape (row, column)."""
+    rows, columns = shape
     if row_padding_bytes:
         row_bytes = pixel_format.size_bytes(columns)
         stored = _bytes_at(address, rows * (row_bytes + row_padding_bytes)).reshape(rows, -1)

@@ -207,8 +207,7 @@ class GenicamCamera(Camera):
         sent_s = self._aravis.call("arv_buffer_get_system_timestamp", buffer) / 1e9
         pixels = frames.copied_pixels(
             address,
-            rows=rows,
-            columns=columns,
+            (rows, columns),
             row_padding_bytes=padding.value,
             pixel_format=self._format,
             byte_order=self._byte_order,

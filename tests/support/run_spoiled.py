@@ -18,7 +18,7 @@ import numpy as np
 from app.bench.config import load_bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames
-from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.bench_reconstructor import reconstructor as reconstructor_of
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.quality.verdict import Fault, Quality
@@ -60,7 +60,7 @@ def rendered(case: Case, seed: int = 1, rms_rad: float = 2.0) -> tuple[Light, Fl
 def measured(case: Case, spoiled: Spoiled, light: Light, seed: int, averaged: int = 1) -> tuple[Wavefront, Quality]:
     dark, reference, frame = spoiled.exposed(light, seed, averaged)
     bench = load_bench("small_demo", (*case.settings, *spoiled.settings))
-    reconstructor = BenchReconstructor(bench, reference, dark=dark, frame=frame)
+    reconstructor = reconstructor_of(bench, reference, dark=dark, frame=frame)
     wavefront = reconstructor(frame)
     return wavefront, reconstructor.quality(frame, wavefront)
 

@@ -28,7 +28,7 @@ class OwnConnection(Connection):
     """A connection that ends the instrument when it is closed, unless it `goes_on` or another client controls it."""
 
     def __init__(
-        self, bench: Bench, name: str, process: subprocess.Popen[bytes], log: Path, forget_bench: Callable[[], None]
+        self, bench: Bench, name: str, process: subprocess.Popen[bytes], *, log: Path, forget_bench: Callable[[], None]
     ) -> None:
         """Begin to connect to a process that has just been started, and prints into the file `log`.
 
@@ -174,7 +174,9 @@ class OwnInstrument:
                 why = "goes on" if self._connection.goes_on else "does not end"
                 raise RunError(f"the instrument's process {self._connection.process.pid} {why}: its devices are in use")
             self._connection = None
-        self._connection = OwnConnection(bench, self._name, self.start(bench), self._log, self._folder.cleanup)
+        self._connection = OwnConnection(
+            bench, self._name, self.start(bench), log=self._log, forget_bench=self._folder.cleanup
+        )
         return self._connection
 
     def _tell_crash(self) -> None:

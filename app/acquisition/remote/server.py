@@ -43,7 +43,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import Measurement
-from app.recording.recorder import RecordingLimit
+from app.recording.recorder import NO_LIMIT, RecordingLimit
 from app.timing import StageTimes, TimedStage
 from drivers.errors import BadValue, WrongState
 from drivers.interface import Devices
@@ -314,7 +314,7 @@ class Server:
             inspect.signature(request).bind(None, *command.arguments, **command.named)
         except TypeError as error:
             raise BadValue(f"{name}: {error}") from error
-        limit = command.named.get("limit", command.arguments[0] if name == "limit_recording" else RecordingLimit())
+        limit = command.named.get("limit", command.arguments[0] if name == "limit_recording" else NO_LIMIT)
         if not isinstance(limit, RecordingLimit):
             raise BadValue(f"{name}: {limit!r:.60} is no limit of a recording")
         if is_instruments:

@@ -185,7 +185,8 @@ def reconstructed(bench: Bench, frames: Mapping[str, FramePair], method: TableMe
 def _reconstruct(bench: Bench, own: OwnMethods, pair: FramePair) -> Arrays:
     lattice = bench.design_lattice(*pair.reference.shape)
     dark = np.zeros_like(pair.reference)
-    reconstructor = Calibration.of_images(bench, pair.reference, dark=dark, lattice=lattice, own=own).reconstructor()
+    given = Calibration.of_images(bench, pair.reference, dark=dark, lattice=lattice)
+    reconstructor = replace(given, own=own).reconstructor()
     start_s = time.perf_counter()
     wavefront = reconstructor(pair.frame)
     seconds = time.perf_counter() - start_s

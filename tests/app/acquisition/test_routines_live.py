@@ -133,15 +133,15 @@ def _no_frame(_timeout_s: float) -> None:
 
 def test_background_check_command_needs_a_matching_dark(live: Live) -> None:
     with pytest.raises(RoutineError, match="no dark yet"):
-        live.acquisition.submit(Instrument.check_background, 4).result(HANG_S)
+        live.acquisition.submit(Instrument.check_background).result(HANG_S)
     started(live)
-    check = live.acquisition.submit(Instrument.check_background, 4).result(HANG_S)
+    check = live.acquisition.submit(Instrument.check_background).result(HANG_S)
     assert check.is_good
     assert "still good" in check.verdict
     assert (live.status.is_light_on, live.status.is_running) == (True, True)
     live.do(lambda instrument: instrument.devices.camera.set_exposure(0.05))
     with pytest.raises(RoutineError, match=r"the dark was taken at 20.0 ms: take it again"):
-        live.acquisition.submit(Instrument.check_background, 4).result(HANG_S)
+        live.acquisition.submit(Instrument.check_background).result(HANG_S)
 
 
 def test_calibration_auto_exposes_before_dark_and_reference(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,7 +48,7 @@ def window(qapp: QApplication, qtbot: QtBot, recording: Recording, played: list[
     player = Player(recording.folder, frames="2:")
 
     def make() -> Acquisition:
-        return Acquisition(player.bench, player.open_devices, (player.take, played.append))
+        return Acquisition(player.bench, player.open_devices, sinks=(player.take, played.append))
 
     shown = MainWindow()
     shown.resize(1200, 800)

@@ -12,6 +12,7 @@ from scipy import ndimage
 from app.bench.config import load_bench
 from app.evaluation.frames import NoiseFreeFrames
 from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.bench_reconstructor import reconstructor as reconstructor_of
 from app.measurement.calibration import Calibration
 from app.measurement.estimator import Estimator
 from app.timing import Timings
@@ -47,7 +48,7 @@ def dark() -> NDArray[np.uint16]:
 def measured(frame: NDArray[np.uint16]) -> tuple[Quality, float]:
     """Verdict on a frame, and the median chi-square of its lenslets."""
     bench = load_bench("small_demo", SQUARE)
-    reconstructor = BenchReconstructor(bench, exposed(light()[0], 1), dark=dark(), frame=frame)
+    reconstructor = reconstructor_of(bench, exposed(light()[0], 1), dark=dark(), frame=frame)
     wavefront = reconstructor(frame)
     displacement = wavefront.displacement
     return reconstructor.quality(frame, wavefront), float(np.median(displacement.chi_square[displacement.valid]))
@@ -90,7 +91,7 @@ def test_averaged_reference_rounded_to_a_frame_is_flagged() -> None:
     bench = load_bench("small_demo", SQUARE)
     reference = np.asarray(np.mean([exposed(light()[0], seed) for seed in range(3)], axis=0), np.float32)
     frame = np.rint(reference).astype(np.uint16)
-    reconstructor = BenchReconstructor(bench, reference, dark=dark(), frame=frame)
+    reconstructor = reconstructor_of(bench, reference, dark=dark(), frame=frame)
     assert reconstructor.quality(frame, reconstructor(frame)).faults == Fault.FROZEN
 
 
@@ -100,7 +101,7 @@ def test_averaged_reference_of_little_light_is_not_clipped() -> None:
     reference, frame = (image * np.float32(200 / ELECTRONS) for image in light())
     averaged = np.asarray(np.mean([exposed(reference, seed) for seed in range(16)], axis=0), np.float32)
     image = exposed(frame, 99)
-    reconstructor = BenchReconstructor(load_bench("small_demo", SQUARE), averaged, dark=dark(), frame=image)
+    reconstructor = reconstructor_of(load_bench("small_demo", SQUARE), averaged, dark=dark(), frame=image)
     quality = reconstructor.quality(image, reconstructor(image))
     assert quality.faults == Fault(0), quality.sentence
 
@@ -115,7 +116,7 @@ def test_images_without_noise_leave_misfit_unjudged() -> None:
         ((reference, frame), "the noise of the images is unknown"),
         ((exposed(light()[0], 1), exposed(light()[1], 2)), ""),
     ):
-        reconstructor = BenchReconstructor(bench, images[0], dark=dark(), frame=images[1])
+        reconstructor = reconstructor_of(bench, images[0], dark=dark(), frame=images[1])
         quality = reconstructor.quality(images[1], reconstructor(images[1]))
         assert quality.unjudged.endswith(said)
         assert bool(quality.unjudged) == bool(said)
@@ -164,7 +165,7 @@ def test_compressed_counts_are_flagged(images: str) -> None:
         return np.asarray(np.rint(OFFSET + full_well * (1 - np.exp(-above / full_well))), np.uint16)
 
     reference, frame = compressed(exposed(light()[0], 1), "reference"), compressed(exposed(light()[1], 2), "frame")
-    reconstructor = BenchReconstructor(load_bench("small_demo", SQUARE), reference, dark=dark(), frame=frame)
+    reconstructor = reconstructor_of(load_bench("small_demo", SQUARE), reference, dark=dark(), frame=frame)
     quality = reconstructor.quality(frame, reconstructor(frame))
     assert Fault.LINEARITY in quality.faults
     assert "too small" in quality.reasons[Fault.LINEARITY]
@@ -185,7 +186,7 @@ def test_gamma_in_one_image_is_flagged(image: str, power: float) -> None:
         frame = gamma(frame, power)
     else:
         reference = gamma(reference, power)
-    reconstructor = BenchReconstructor(load_bench("small_demo", SQUARE), reference, dark=dark(), frame=frame)
+    reconstructor = reconstructor_of(load_bench("small_demo", SQUARE), reference, dark=dark(), frame=frame)
     quality = reconstructor.quality(frame, reconstructor(frame))
     assert Fault.LINEARITY in quality.faults
     if power > 1:
@@ -198,7 +199,7 @@ def test_uneven_pixels_and_a_dimmer_frame_are_no_gamma(averaged: int) -> None:
     uneven = 1 + 0.01 * np.random.default_rng(7).normal(size=light()[0].shape)
     images = [exposed(light()[0] * uneven, seed) for seed in range(10, 10 + averaged)]
     reference, frame = np.asarray(np.mean(images, axis=0), np.float32), exposed(0.5 * light()[1] * uneven, 2)
-    reconstructor = BenchReconstructor(load_bench("small_demo", SQUARE), reference, dark=dark(), frame=frame)
+    reconstructor = reconstructor_of(load_bench("small_demo", SQUARE), reference, dark=dark(), frame=frame)
     quality = reconstructor.quality(frame, reconstructor(frame))
     assert quality.faults == Fault(0), quality.sentence
 
@@ -234,13 +235,13 @@ def test_strong_cubic_wavefront_is_no_stray_light(tmp_path: Path) -> None:
     frames = NoiseFreeFrames(bench)
     scale = np.float32(ELECTRONS / frames.reference().max())
     frame = exposed(frames.frame().photons * scale, 2)
-    reconstructor = BenchReconstructor(bench, exposed(frames.reference() * scale, 1), dark=dark(), frame=frame)
+    reconstructor = reconstructor_of(bench, exposed(frames.reference() * scale, 1), dark=dark(), frame=frame)
     assert Fault.ILLUMINATION not in reconstructor.quality(frame, reconstructor(frame)).faults
 
 
 def test_grey_values_are_not_compared_without_a_dark() -> None:
     frame = gamma(exposed(light()[1], 2), 1.8)
-    reconstructor = BenchReconstructor(load_bench("small_demo", SQUARE), exposed(light()[0], 1), frame=frame)
+    reconstructor = reconstructor_of(load_bench("small_demo", SQUARE), exposed(light()[0], 1), frame=frame)
     assert "not alike" not in reconstructor.quality(frame, reconstructor(frame)).sentence
 
 
@@ -254,7 +255,7 @@ def test_moved_images_of_pinholes_are_no_change_of_light(seed: int, rms_rad: flo
     reference = frames.reference("stars")
     scale = np.float32(ELECTRONS / reference.max())
     frame = exposed(frames.frame("stars").photons * scale, 2)
-    reconstructor = BenchReconstructor(bench, exposed(reference * scale, 1), dark=dark(), frame=frame)
+    reconstructor = reconstructor_of(bench, exposed(reference * scale, 1), dark=dark(), frame=frame)
     quality = reconstructor.quality(frame, reconstructor(frame))
     assert quality.faults == Fault(0), quality.sentence
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from app.bench.config import load_bench
 from app.evaluation.frames import simulate
-from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.bench_reconstructor import reconstructor as reconstructor_of
 from reconstruction.wavefront import rms
 
 SETTINGS = (
@@ -33,7 +33,7 @@ def test_dim_frame_of_a_layer_before_the_lenslets(draw: int) -> None:
 
     reference, frame = exposed(images.reference), exposed(images.frames[0])
     dark = np.full_like(reference, BIAS)
-    wavefront = BenchReconstructor(bench, reference, dark=dark, frame=frame)(frame)
+    wavefront = reconstructor_of(bench, reference, dark=dark, frame=frame)(frame)
     (ratio,) = wavefront.sample.ratios
     assert ratio == pytest.approx(-0.975, abs=0.5)  # its distance over the focal length of the collimator
     error_rad = float(np.sqrt(np.nanmean(rms(wavefront.views - images.truth) ** 2)))

@@ -6,7 +6,7 @@ import pytest
 
 from app.bench.config import load_bench
 from app.evaluation.frames import simulate
-from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.bench_reconstructor import reconstructor as reconstructor_of
 from reconstruction.quality.verdict import Fault, Quality
 
 
@@ -14,7 +14,7 @@ def judged(world: str, assumed: str, *settings: str) -> Quality:
     images = simulate(load_bench("small_demo", (f"field.neglect_propagation={world}", *settings)))
     bench = load_bench("small_demo", (f"field.neglect_propagation={assumed}",))
     frame = images.frames[0]
-    reconstructor = BenchReconstructor(bench, images.reference, dark=images.dark, frame=frame)
+    reconstructor = reconstructor_of(bench, images.reference, dark=images.dark, frame=frame)
     return reconstructor.quality(frame, reconstructor(frame))
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from app.bench.config import Bench, load_bench
 from app.evaluation.frames import simulate
-from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.bench_reconstructor import reconstructor as reconstructor_of
 from reconstruction.quality.verdict import Fault, Quality
 from simulated_devices.settings import Source
 
@@ -20,7 +20,7 @@ def judged(true: Bench, told: Bench) -> Quality:
     """The quality of a frame of one bench that is reconstructed with another."""
     images = simulate(true)
     frame = images.frames[0]
-    reconstructor = BenchReconstructor(replace(told, lattice=None), images.reference, dark=images.dark, frame=frame)
+    reconstructor = reconstructor_of(replace(told, lattice=None), images.reference, dark=images.dark, frame=frame)
     return reconstructor.quality(frame, reconstructor(frame))
 
 

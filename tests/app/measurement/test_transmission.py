@@ -10,7 +10,7 @@ import pytest
 from app.bench.config import Bench, load_bench
 from app.evaluation.frames import NoiseFreeFrames
 from app.evaluation.study.estimators import warp_estimator
-from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.bench_reconstructor import reconstructor as reconstructor_of
 from app.results.dataset import result_dataset
 from reconstruction.arrays import Floats, Image
 from reconstruction.frame.noise import CameraNoise
@@ -45,7 +45,7 @@ def measured(mask: str, peak_e: float, seed: int = 0) -> tuple[Floats, Floats]:
         electrons = random.poisson(electrons) + READ_NOISE_E * random.standard_normal(frame.shape)
     images = (np.maximum(image + offset, 0).astype(np.float32) for image in (reference * scale, electrons))
     reference, frame = images
-    made = BenchReconstructor(bench, reference, dark=np.full_like(reference, offset), frame=frame)(frame)
+    made = reconstructor_of(bench, reference, dark=np.full_like(reference, offset), frame=frame)(frame)
     dataset = result_dataset(made)
     return dataset["transmission"].to_numpy(), dataset["transmission_sigma"].to_numpy()
 

@@ -74,7 +74,7 @@ def player(
     recording: Recording, clock: ManualClock, *, pace: Pace = "own", repeat: bool = True, shows: str = "frames"
 ) -> RecordedCamera:
     frames = range(len(recording))
-    camera = RecordedCamera(recording, frames, pace=pace, repeat=repeat, now=clock.now, sleep=clock.sleep)
+    camera = RecordedCamera(recording, frames, pace=pace, repeat=repeat, clock=clock)
     camera.see(is_lit=shows != "dark", is_sample_in=shows == "frames")
     return camera
 

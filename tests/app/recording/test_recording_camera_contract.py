@@ -33,7 +33,7 @@ class YieldingClock(ManualClock):
 
 def opened(folder: Path, *, is_lit: bool = True, is_sample_in: bool = True) -> RecordedCamera:
     clock = YieldingClock()
-    camera = RecordedCamera(Recording(folder), range(FRAMES), pace="own", repeat=True, now=clock.now, sleep=clock.sleep)
+    camera = RecordedCamera(Recording(folder), range(FRAMES), pace="own", repeat=True, clock=clock)
     camera.see(is_lit=is_lit, is_sample_in=is_sample_in)
     return camera
 

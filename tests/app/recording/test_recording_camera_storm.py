@@ -75,7 +75,7 @@ class RecordedCameraStorm(CameraStorm):
         clock = self.device.clock
         try:
             recording = Recording(self.device.path)
-            return RecordedCamera(recording, range(FRAMES), pace="own", repeat=True, now=clock.now, sleep=clock.sleep)
+            return RecordedCamera(recording, range(FRAMES), pace="own", repeat=True, clock=clock)
         except InputError as error:  # there is no camera yet
             raise Disconnected(str(error)) from error
 

@@ -72,7 +72,7 @@ def test_each_frame_uses_its_own_calibration(
     monkeypatch.setattr(Instrument, "measure", slowly)
     player = Player(changing.folder)
     seen: list[Measurement] = []
-    acquisition = Acquisition(player.bench, player.open_devices, (player.take, seen.append))
+    acquisition = Acquisition(player.bench, player.open_devices, sinks=(player.take, seen.append))
     acquisition.start()
     try:
         for step in player.begin(acquisition):

@@ -42,12 +42,7 @@ def arrived(
 ) -> NDArray[np.uint16]:
     memory = ctypes.create_string_buffer(sent, len(sent))
     pixels = copied_pixels(
-        ctypes.addressof(memory),
-        rows=shape[0],
-        columns=shape[1],
-        row_padding_bytes=padding,
-        pixel_format=PIXEL_FORMATS[name],
-        byte_order=order,
+        ctypes.addressof(memory), shape, row_padding_bytes=padding, pixel_format=PIXEL_FORMATS[name], byte_order=order
     )
     memory.raw = bytes(len(sent))
     assert pixels.dtype == np.uint16
