@@ -72,7 +72,7 @@ class SettingsInForce:
         self._changes.append((first, exposure_s, em_gain))
 
     def of_frame(self, frame: float) -> tuple[float, float]:
-        """Return exposure and gain of a frame, the newest that hold by then; later calls are for later frames."""
+        """Return exposure and gain of a frame; later calls are for later frames."""
         newest = max(place for place, (first, _, _) in enumerate(self._changes) if first <= frame)
         del self._changes[:newest]
         return self._changes[0][1:]

@@ -1,4 +1,4 @@
-"""Common base of all devices: name, properties, connection state, ranges of settings, and how devices are found.
+"""Common base of all devices: name, properties, connection state, ranges, discovery.
 
 Each driver offers `discover() -> tuple[DiscoveredDevice, ...]`. It changes nothing, switches nothing on, and raises
 `Unsupported`, naming what is missing, if it cannot search.

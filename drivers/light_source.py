@@ -245,7 +245,7 @@ class LightSource(Device):
 
 
 class LedDriver(LightSource):
-    """A light that reports refusals of commands, and may be switched off at the device or go out on its own."""
+    """A light that reports refusals, and may be switched off by hand or go out on its own."""
 
     _where: str  # the light, in errors
     _panel: str  # where a person can switch it off

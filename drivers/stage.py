@@ -71,7 +71,7 @@ class Stage(Device):
 
 
 class ManualStage(Stage):
-    """A stage without a motor: a person moves the sample and confirms it. The sample starts out of the beam."""
+    """A stage without a motor: a person moves the sample, at first out of the beam, and confirms it."""
 
     def __init__(self, mask: str) -> None:
         super().__init__(mask)

@@ -83,7 +83,7 @@ def taken_address(name: str = NAME) -> Iterator[Address]:
 
 
 def clear_abandoned(name: str | None = None, timeout_s: float = 0.0) -> None:
-    """Remove what an instrument has left if it was killed; by default the one that has started this process, if any."""
+    """Remove the files of a killed instrument; by default of the one that started this process."""
     name = os.environ.get(_VARIABLE) if name is None else name
     if name is not None and _left(name):
         with suppress(RunError), _lock(name, timeout_s):  # held while one runs
@@ -92,7 +92,7 @@ def clear_abandoned(name: str | None = None, timeout_s: float = 0.0) -> None:
 
 @contextmanager
 def _lock(name: str, timeout_s: float = 0.0) -> Iterator[None]:
-    """Hold a lock that the system releases when this process ends, however that happens; `RunError` if it is held."""
+    """Hold a lock that ends with this process at the latest; `RunError` if another one holds it."""
     descriptor = os.open(file_of(name, "lock"), os.O_RDWR | os.O_CREAT, 0o600)
     until_s = time.monotonic() + timeout_s
     try:
@@ -122,13 +122,13 @@ def _has_locked(descriptor: int) -> bool:
 
 
 def _left(name: str) -> list[Path]:
-    """Return the files that an instrument has while it runs: its address, and under some systems socket and ring."""
+    """Return the files of a running instrument: its address, on some systems socket and ring."""
     pattern = file_of(name, "*")
     return [file for file in pattern.parent.glob(pattern.name) if file.suffix.removeprefix(".") not in _LASTING]
 
 
 def bound_log(name: str) -> None:
-    """Empty the log of the instrument of a name if it has grown too large; what is printed next is appended."""
+    """Empty the log of an instrument if it has grown too large."""
     with suppress(OSError):  # there is none
         if (log := file_of(name, "log")).stat().st_size > _LOG_BYTES:
             os.truncate(log, 0)

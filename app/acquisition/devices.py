@@ -76,7 +76,7 @@ def open_camera(settings: DeviceSettings) -> Camera:
 
 
 def open_light(settings: DeviceSettings) -> LightSource:
-    """Open a real light in a guardian, switched off and set to the configured current; a manual one is as it is."""
+    """Open a real light in a guardian, off and at the configured current; a manual one as it is."""
     kind = _kind("light", settings)
     light: LightSource = kind.open(settings) if kind.driver == "manual" else GuardedLight(settings)
     current_a = getattr(settings, "current_a", None)

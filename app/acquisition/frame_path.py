@@ -50,7 +50,7 @@ class FramePath:
         self.process(self._newest_frame(instrument, light), instrument, light)
 
     def process_single(self, frame: Frame, instrument: Instrument, light: LightState | None, file: str) -> None:
-        """Reconstruct a frame from a `file` or elsewhere, as if its exposure ended when it was read, and pass it on."""
+        """Reconstruct a frame from a `file` or elsewhere, as if exposed when it was read, and pass it on."""
         self._gap, self._lost = None, 0
         self.counts = replace(self.counts, acquired=self.counts.acquired + 1)
         self.process(replace(frame, camera_time_s=frame.host_time_s - self._lag_s), instrument, light, file)
@@ -125,7 +125,7 @@ class FramePath:
         self._update_clock(frame)
 
     def _update_clock(self, frame: Frame) -> None:
-        """Update the clock difference; the smallest delay seen belongs to the fastest transfer, until clocks drift."""
+        """Update the clock difference by the smallest delay seen, until clocks drift."""
         elapsed_s = max(frame.host_time_s - self._updated_s, 0.0)
         self._updated_s = frame.host_time_s
         allowed_s = self._clock_lag_s + _CLOCK_DRIFT * elapsed_s

@@ -207,7 +207,7 @@ class _Guardian:
         self._answers.put({"error": error, "text": text})
 
     def _take_over(self) -> str:
-        """Switch the light off from this process; say what has happened, whatever fails: all calls wait for it."""
+        """Switch the light off from this process; say what has happened, whatever fails."""
         text = f"the guardian of the light {'cannot be' if self.process.returncode is None else 'has'} ended"
         try:
             run_in_thread(partial(guardian.switch_off, self._settings), "light off")[0].result(_TAKE_OVER_S)

@@ -1,4 +1,4 @@
-"""The guardian: a process that holds the light, and switches it off when the process of the instrument fails.
+"""The guardian: a process that holds the light, and switches it off when the instrument fails.
 
 The light goes off when the instrument's process has ended in any way, closes the pipe, is frozen, or breaks its
 promise to send a sign of life. `GuardedLight` calls the light through it, over JSON lines: first the settings of the
@@ -146,7 +146,7 @@ def open_light(settings: dict[str, Any]) -> LightSource:
 
 
 def switch_off(settings: dict[str, Any]) -> None:
-    """Switch off a light that nobody holds any more, which opening does; `DeviceError` after several attempts."""
+    """Switch off, by opening, a light that nobody holds; `DeviceError` after several attempts."""
     for attempt in range(_ATTEMPTS):
         try:
             open_light(settings).close()

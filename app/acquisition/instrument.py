@@ -110,7 +110,7 @@ class Instrument:
         show_preparation: Callable[[str], object] = lambda _: None,
         watch: Callable[[Instrument, str], Watch] = lambda _, __: UNWATCHED,
     ) -> None:
-        """`show_preparation` receives what is prepared, and why, before that takes seconds; `watch` each routine."""
+        """`show_preparation` receives what is prepared for seconds, and why; `watch` each routine."""
         self.devices, self._show_preparation, self._watch = devices, show_preparation, watch
         self._timings = timings or Timings()
         self.bench = bench  # with the current settings
@@ -129,7 +129,7 @@ class Instrument:
         return {name: getattr(self.devices, name).properties() for name in ("camera", "light", "stage")}
 
     def processes(self) -> tuple[ProcessState, ...]:
-        """State of the processes that were started for it; any thread may ask, also while a device does not answer."""
+        """State of the processes that were started for it; any thread may ask, at any time."""
         light, solver = self.devices.light, self._solver
         guardian = light.guardian if isinstance(light, GuardedLight) else None
         finder = None if solver is None else solver.process
@@ -176,7 +176,7 @@ class Instrument:
         )
 
     def set(self, name: DeviceSetting, value: Any, *, paused: bool = False) -> Any:
-        """Change a setting of the devices; return the value in force, or for modes of the camera what else changed.
+        """Change a setting of the devices; return the value in force, or what else a mode changed.
 
         Of a light or stage without control, it is noted. With `paused`, all later frames are exposed after the change.
         """
@@ -201,7 +201,7 @@ class Instrument:
         self._prepare("with the new dark")
 
     def take_reference(self, frames: int) -> None:
-        """Average frames without the sample, use them as reference from now on, and find the lattice if unknown."""
+        """Average frames without the sample into the reference, and find the lattice if unknown."""
         watch = self._watch(self, f"taking the reference, {counted(frames)}")
         self.references.keep(take_reference(self.devices, frames, watch), self._now())
         self._prepare("with the new reference; after an installation, its compilation takes half a minute")
@@ -214,7 +214,7 @@ class Instrument:
         self._prepare("with the recorded calibration")
 
     def auto_expose(self) -> AutoExposure:
-        """Find and set exposure and current for what is in the beam; a `RoutineError` says why there are none."""
+        """Find and set exposure and current for the light in the beam; `RoutineError` if there are none."""
         return self._auto_expose(self._watch(self, "finding the exposure"))
 
     def expose_without_sample(self) -> AutoExposure:
@@ -249,7 +249,7 @@ class Instrument:
         return self._survey(reference)
 
     def measure_linearity(self, frames: int = EXPOSURE_FRAMES) -> MeasuredLinearity:
-        """Measure the camera's nonlinearity in exposures of `frames` frames without the sample, changing nothing."""
+        """Measure the camera's nonlinearity in exposures of `frames` frames, changing nothing."""
         watch = self._watch(self, "measuring the camera's nonlinearity")
         return measure_linearity(self.devices, self._pitch_px, frames, watch)
 
@@ -307,7 +307,7 @@ class Instrument:
         return made
 
     def skip(self, frame: Frame) -> Measurement:
-        """Skip a frame, keeping what a later reconstruction needs: calibration and the previous frame's assumptions."""
+        """Skip a frame, keeping calibration and assumptions for a later reconstruction."""
         self._previous = frame
         assumed = Assumptions() if self._solver is None else self._solver.as_before(frame.camera_time_s)
         return Measurement(frame, None, SKIPPED, calibration=self.calibration, assumed=assumed)
@@ -328,7 +328,7 @@ class Instrument:
             self.devices.camera.start()
 
     def _set_mode(self, change: Callable[[Any], object], mode: object) -> str:
-        """Change a mode of the camera, which gets back exposure and gain of its last time in it; say what changed."""
+        """Change a mode of the camera, restore the exposure and gain last used in it; say what changed."""
         camera = self.devices.camera
         exposure_s, em_gain = self._modes[camera.amplifier, camera.readout_speed] = camera.exposure_s, camera.em_gain
         with camera.paused():

@@ -1,4 +1,4 @@
-"""Darks or references that the instrument keeps, one for each sensor region and mask, and their validity."""
+"""Darks or references kept for each sensor region and mask, and their validity."""
 
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -71,7 +71,7 @@ class KeptAverages:
             del self._kept[next(iter(self._kept))]
 
     def use_recorded(self, average: Average | None, now: Circumstances) -> None:
-        """Use an average of a recording, or none; what it does not tell of its circumstances is assumed unchanged."""
+        """Use an average of a recording, or none; circumstances that it lacks are assumed unchanged."""
         self._used = None
         if average is not None:
             exposure_s, em_gain, amplifier = average.exposure_s, average.em_gain, average.amplifier

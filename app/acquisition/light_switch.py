@@ -9,7 +9,7 @@ from drivers.interface import LightSource
 
 
 class LightSwitch:
-    """Switches the light off on a thread of its own, and keeps it off against commands that were sent before.
+    """Switches the light off on a thread of its own, and keeps it off against earlier commands.
 
     They cannot light it either if it went off on its own, as after a freeze. The worker calls `attach` and
     `begin_command`; any thread may call `known` and `switch_off`. A light serialises its calls, so that `switch_off`
@@ -36,7 +36,7 @@ class LightSwitch:
         return self._light is not None and self._light.is_silent
 
     def known(self) -> tuple[int, str]:
-        """Return the number of requests so far, and why the light went off on its own; to call as a command is sent."""
+        """Number of requests so far, and why the light went off on its own, as a command is sent."""
         return self.requests, "" if self._light is None else self._light.off_reason
 
     def begin_command(self, known: tuple[int, str]) -> None:

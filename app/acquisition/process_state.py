@@ -25,7 +25,7 @@ class ProcessState:
 
 
 def stat_of(process: int) -> list[str]:
-    """Return what Linux tells of a process, from its state on; nothing elsewhere, and if the process is gone."""
+    """Return what Linux tells of a process, from its state on; else nothing."""
     with suppress(OSError):
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return []

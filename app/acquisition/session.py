@@ -1,4 +1,4 @@
-"""A live bench for commands, scripts and notebooks: it is opened, calibrated, iterated over or recorded, and closed."""
+"""A live bench for commands, scripts and notebooks: open, calibrate, iterate, record, close."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class LiveBench:
     """The devices of one bench, opened and closed by a `with` block; iterate over it for measurements."""
 
     def __init__(self, bench: Bench, *, average: int = FRAMES, progress: Progress = lambda *_: None) -> None:
-        """Take no dark and reference on entering if `average` is 0; `progress` receives what a method waits for."""
+        """Take no averages on entering if `average` is 0; `progress` receives what a method waits for."""
         self._bench, self._average, self._progress = bench, average, progress
         self._arrived = threading.Condition()
         self._newest: Measurement | None = None
@@ -352,7 +352,7 @@ class LiveBench:
         return self._result(self._acquisition.submit(Instrument.set, name, value, paused=True))
 
     def _result(self, step: Future[T]) -> T:
-        """Wait for a command and return its result; an error that ended the acquisition goes before the command's."""
+        """Wait for a command's result; an error that ended the acquisition goes before the command's."""
         try:
             while not wait([step], _WAIT_S).done:
                 activity = self._acquisition.activity
@@ -437,7 +437,7 @@ class ConnectedBench(LiveBench):
         self._result(self._connection.take_control())
 
     def require_ready(self) -> None:
-        """Start the camera, after what the instrument does already; `RunError` if no frame can have a wavefront."""
+        """Start the camera, once the instrument is ready; `RunError` if no frame can have a wavefront."""
         self._start_camera()
         status = self._status()
         if not status.is_calibrated:

@@ -89,7 +89,7 @@ STEPS = (LATTICE, EXPOSURE, DARK, REFERENCE)
 
 
 def by_hand(step: CalibrationStep, status: Status) -> tuple[str, DeviceSetting, bool] | None:
-    """Return what a person must do before a step, and the setting that notes it with its value; None if nothing."""
+    """Return what a person must do before a step, the setting that notes it, and its value, if any."""
     if status.bench.has_manual_light and status.is_light_on != step.is_lit:
         return f"switch the light {'on' if step.is_lit else 'off'} by hand", "is_light_on", step.is_lit
     if status.bench.has_manual_stage and step.is_lit and status.is_sample_in:
@@ -105,7 +105,7 @@ def without_sample(bench: Bench) -> str:
 
 
 def has_moved(found: Lattice, status: Status) -> bool:
-    """Return whether a lattice lies beside that of the bench by more than a twentieth of the pitch at any lenslet."""
+    """True if a lattice lies beside that of the bench by more than 5 % of the pitch anywhere."""
     sensor, before = status.bench.sensor, status.bench.lattice
     if before is None:
         return False  # the reference will show it

@@ -1,4 +1,4 @@
-"""The acquisition: one worker thread that owns the devices, executes commands between frames, records and publishes.
+"""The acquisition: a worker thread that owns the devices and executes commands between frames.
 
 Every `Measurement` goes to the sinks in order; the newest also lies in a one-slot mailbox. No wait exceeds 0.1 s, so a
 stop takes effect at once. If a device fails, all devices are closed, the light first, and `error` says why.
@@ -50,7 +50,7 @@ _STATUS_SHARE = 0.1  # maximum share of the time spent polling: a slow light mus
 
 
 class Acquisition:
-    """The worker thread, with a recorder; it calls `open_devices(bench, progress)` and all that touches a device.
+    """The worker thread, with a recorder; it alone calls devices, but to switch the light off.
 
     Requests may come from any thread and return at once, most of them with a future. Results are published as the bench
     says.
@@ -147,7 +147,7 @@ class Acquisition:
         return self.show_single(lambda instrument: read_frame(path, instrument.devices.camera), path.name)
 
     def show_single(self, choose: Callable[[Instrument], Frame], file: str = "") -> Future[None]:
-        """Stop the camera, and reconstruct and publish the frame that `choose` returns, as if it came from there.
+        """Stop the camera; reconstruct and publish the frame that `choose` returns.
 
         `file` names the file that it is read from, if that is no recording.
         """
@@ -248,7 +248,7 @@ class Acquisition:
         self._stopping.set()
 
     def close(self, timeout_s: float | None = None) -> None:
-        """Turn the light off, stop, finish the recording, close the devices; wait at most `timeout_s` for all that."""
+        """Turn the light off, stop, finish the recording, close the devices, in `timeout_s` at most."""
         self.begin_close()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
@@ -312,7 +312,7 @@ class Acquisition:
         self._activity = Activity("preparing the devices", fraction)
 
     def _show_preparation(self, what: str) -> None:
-        """Show that the instrument prepares the reconstruction; this cannot be cancelled, and at the end not begun."""
+        """Show that the reconstruction is prepared, which cannot be cancelled, nor begun at the end."""
         if self._stopping.is_set():
             raise Cancelled
         self._keep_alive(_PREPARATION_S)

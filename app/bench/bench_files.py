@@ -23,14 +23,14 @@ class BenchError(InputError):
     """An invalid bench."""
 
     def __init__(self, sentence: str, line: int | None, fault: SettingError | None = None) -> None:
-        """`line` counts from 1, None if the fault lies at no line of the file; `fault` names the wrong setting."""
+        """`line` counts from 1, None if no line is at fault; `fault` names the wrong setting."""
         super().__init__(sentence)
         self.line, self.fault = line, fault
 
 
 @contextmanager
 def written_by(source: object, software: object) -> Iterator[None]:
-    """Say of a bench in a file that cannot be read if a newer svwfs has written it; `software` is its version."""
+    """Name a newer svwfs, of version `software`, as the cause if a bench in a file cannot be read."""
     try:
         yield
     except BenchError as error:
@@ -79,7 +79,7 @@ def line_of_syntax(text: str, sentence: str) -> int | None:
 
 
 def line_of_setting(text: str, path: str) -> int | None:
-    """Return the line of a setting, given by its dotted path, in a valid TOML text: of its key, or of its section."""
+    """Return the line of a setting, or else of its section, in a valid TOML text."""
     lines = dict(reversed(list(_settings(text))))  # the first line of each
     return next((lines[each] for each in (path, path.rpartition(".")[0]) if each in lines), None)
 
@@ -96,7 +96,7 @@ def _settings(text: str) -> Iterator[tuple[str, int]]:
 
 
 def faulty_lines(source: str, error: InputError) -> tuple[Path | None, int | None, tuple[tuple[int, str], ...]]:
-    """Return the file of a bench that could not be read, if it exists, the faulty line, and the lines around that."""
+    """Return file, faulty line and the lines around it of a bench that could not be read."""
     try:
         path = bench_file(source)
         line = error.line if isinstance(error, BenchError) else None

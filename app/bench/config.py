@@ -121,7 +121,7 @@ class Bench(Checked):
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Files and folders that the settings name as inputs, such as a phase screen, a mask image or a recording."""
+        """Input files and folders in the settings: phase screen, mask image, recording."""
         played = (Path(self.camera.folder),) if isinstance(self.camera, RecordingSettings) else ()
         return self.simulation.files + played
 
@@ -142,7 +142,7 @@ class Bench(Checked):
 
     @property
     def frame_shape(self) -> tuple[int, int] | None:
-        """Rows and columns of a frame, px; None if only the camera knows them, or if they are the simulated default."""
+        """Rows and columns of a frame, px; None if they are the simulated default, or the camera's."""
         shape, usual = (self.camera_model.rows, self.camera_model.columns), SimulatedCameraSettings()
         return None if shape == (usual.rows, usual.columns) else shape
 
@@ -266,7 +266,7 @@ def with_known(settings: Settings, values: Mapping[str, object]) -> Settings:
 
 
 def changes_in_words(before: Bench, after: Bench) -> str:
-    """Name the settings of registration and reconstruction that differ, with their new values: "pupil modes 200"."""
+    """Name changed settings of the reconstruction with their new values: "pupil modes 200"."""
     texts = [
         f"{name.replace('_', ' ')} {'automatic' if value is None else value}"
         for old, new in ((before.registration, after.registration), (before.reconstruction, after.reconstruction))
@@ -294,7 +294,7 @@ def write_bench(bench: Bench) -> str:
 
 
 def _arrange(tree: dict[str, Any], name: str) -> None:
-    """Copy `lattice.arrangement` to the sensor, which has it even if the place of the lattice is not known."""
+    """Copy `lattice.arrangement` to the sensor, which has it even if the lattice is unknown."""
     sensor, lattice = (tree.get(section) for section in ("sensor", "lattice"))
     if isinstance(sensor, dict) and "arrangement" in sensor:
         fault = SettingError("sensor.arrangement", "is an unknown key; it is lattice.arrangement")

@@ -1,4 +1,4 @@
-"""The supported cameras and lights: one entry for each driver, with its settings, its device and the search for it."""
+"""The supported cameras and lights: an entry for each driver."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class RecordingSettings:
 
 @dataclass(frozen=True, slots=True)
 class DeviceKind:
-    """A driver. Its module is imported when it is needed; it has the device's class and a function `discover`."""
+    """A driver. Its module, imported when needed, has the device's class and `discover`."""
 
     settings: Any  # their class
     device: str = ""  # module and class; empty: not opened on its own

@@ -53,7 +53,7 @@ def replace_conserve_flux(tree: dict[str, Any], text: str, name: str, *, is_reco
 
 
 def take_non_rigid(tree: dict[str, Any], text: str, name: str, *, is_recorded: bool) -> str:
-    """Take a non-rigid method out of `[registration]`, and the setting that only these had; return the method or "".
+    """Take a non-rigid method and its setting out of `[registration]`; return the method or "".
 
     Raises `BenchError` for such a method in a bench that is not recorded: recordings open, but cannot be reconstructed
     with it.
@@ -77,7 +77,7 @@ def take_non_rigid(tree: dict[str, Any], text: str, name: str, *, is_recorded: b
 
 
 def neglected_propagation(text: str) -> str:
-    """Say that the version of a recorded bench neglected the propagation of light; empty if not, or if unreadable."""
+    """Say that the version of a recorded bench neglected the propagation of light; else empty."""
     try:
         tree = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError):

@@ -108,7 +108,7 @@ class BenchModel:
 
 
 def by_pixel(values: Floats, lattice: Lattice, rows: int, columns: int) -> Image:
-    """Value (lenslet_row, lenslet_column) of the lenslet of each pixel, (row, column); 0 outside the lattice."""
+    """Spread values (lenslet_row, lenslet_column) over pixels (row, column); 0 outside the lattice."""
     row, column = np.mgrid[:rows, :columns]
     cell, _, inside = lattice.cells_at(np.stack([column, row], axis=-1).astype(np.float64), *values.shape)
     cell = np.where(inside[..., None], cell, 0)

@@ -1,4 +1,4 @@
-"""Settings of a bench as a form: fields made from their descriptions, with labels and units for people."""
+"""Settings of a bench as a form, made from their descriptions, with labels and units."""
 
 import copy
 import dataclasses
@@ -130,7 +130,7 @@ class SettingsForm:
     """The settings of a bench while they are edited; nothing is checked before `bench`."""
 
     def __init__(self, tree: Mapping[str, Any], *, is_new: bool = False) -> None:
-        """Edit a copy of a parsed bench file; a new bench takes the mandatory data of its lenslets as examples."""
+        """Edit a copy of a parsed bench file; in a new bench mandatory values are examples."""
         self._tree: dict[str, Any] = tomllib.loads(tomli_w.dumps(tree))
         self._shown = copy.deepcopy(self._tree)  # as the fields were made: their texts may have fewer digits
         self._is_new = is_new

@@ -61,7 +61,7 @@ def unconfirmed(bench: Bench) -> tuple[Library, ...]:
 
 
 def check_unchanged(settings: object) -> None:
-    """Raise `InputError` if the library of a device's settings is no longer the one that this process has confirmed.
+    """Raise `InputError` if a library has changed since this process confirmed it.
 
     A program that calls the Python interface confirms none: it has chosen them itself.
     """

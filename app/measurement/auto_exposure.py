@@ -1,4 +1,4 @@
-"""Auto-exposure: exposure and current at which the brightest lenslets fill a given part of full scale.
+"""Auto-exposure: finds exposure and current at which the brightest lenslets fill a part of full scale.
 
 The exposure time is changed within the camera's current mode; only if that is not enough, the light's current. EM gain
 and amplifier stay, because they change the noise, and so does the sample. The level includes the background, because
@@ -73,7 +73,7 @@ class AutoExposure:
 
 
 def auto_expose(devices: Devices, cell_px: float, watch: Watch, *, fill: float = FILL) -> AutoExposure:
-    """Set the exposure, and if necessary the current, so that the brightest lenslets fill `fill` of full scale.
+    """Set exposure, and current if needed, so that the brightest lenslets fill `fill` of full scale.
 
     `cell_px` is the lenslet pitch on the camera. The light is on during the search and then restored. A `RoutineError`
     says what to do if the goal cannot be reached; then everything is restored.

@@ -1,4 +1,4 @@
-"""Reconstruction of frames that are arrays, for Python and files, with refinement by the bench's forward model."""
+"""Reconstruction and refinement of frames that are arrays, for Python and files."""
 
 from __future__ import annotations
 

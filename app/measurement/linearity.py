@@ -1,4 +1,4 @@
-"""Routine that measures the camera's nonlinearity: exposures of the reference, from short to long and back, twice.
+"""Routine that measures the camera's nonlinearity by exposures of rising and falling length.
 
 Equal exposures at different times tell light that drifts from a nonlinearity. The light's current stays: what an LED
 gives at another current is not known, the exposure time is.

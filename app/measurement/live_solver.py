@@ -1,4 +1,4 @@
-"""Reconstruction of live frames with the layers of the sample and the estimator's bias, which a child process finds.
+"""Reconstruction of live frames with the layers and the bias that a child process finds.
 
 A search for layers takes a second or more, a round of refinement some tenths of one. Sample and bias belong together
 and are replaced together; the frames that follow use what was found last. If the wavefront has changed much since the
@@ -79,7 +79,7 @@ class Finder:
                 self._found = self._found._replace(problem=str(error))
 
     def find(self, newest: Solved) -> Found:
-        """Search for layers in a frame if that is due, and find the bias; both as before where that is impossible."""
+        """Search for layers in a frame if that is due, and find the bias; keep what cannot be found."""
         try:
             self._found = self._find(newest, self._found)
         except ReconstructionError as error:  # the next wavefront may succeed

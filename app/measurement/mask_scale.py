@@ -1,4 +1,4 @@
-"""The mask as a ruler: its image in a reference, against its known size, gives the scale of every wavefront.
+"""The mask as a ruler: its image in a reference gives the scale of every wavefront.
 
 A subimage is as large as the mask times the distance of the camera from the lenslets over the collimator's focal
 length. A camera 4 % out of focus, or a wrong focal length in the bench, scales every wavefront as much, and no
@@ -80,7 +80,7 @@ class MaskScale:
 
 
 def mask_scale(bench: Bench, reference: Image) -> MaskScale | None:
-    """Measure the image of the bench's mask in a reference (row, column), counts; None if it does not show it.
+    """Measure the bench's mask in a reference (row, column), counts; None if that does not show it.
 
     The bench has the lattice of the reference. `ReconstructionError` if that shows nothing. It takes 0.1 s, or more
     for an asymmetric mask that does not lie as the bench has it.

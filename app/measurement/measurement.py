@@ -1,4 +1,4 @@
-"""Measurement: one frame with its result, as shown, recorded, published and replayed; and what was assumed of it."""
+"""Measurement: one frame with its result, and what was assumed for it."""
 
 import math
 from dataclasses import dataclass, field
@@ -49,7 +49,7 @@ class FrameTotals:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Time in which the camera stood between two frames, because it was stopped, or a setting or routine needed it."""
+    """Time in which the camera stood between two frames, and why."""
 
     seconds: float
     cause: str
@@ -91,7 +91,7 @@ class Measurement:
 
 
 def is_skipped(problem: str) -> bool:
-    """Return True if the problem of a frame, as stored in any version's recordings, is that it was skipped."""
+    """True if the problem of a frame, as stored by any version, is that it was skipped."""
     return problem in {SKIPPED, _SKIPPED_BEFORE}
 
 

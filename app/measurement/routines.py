@@ -1,4 +1,4 @@
-"""Shared by all routines: waiting for frames, early ends, and the states of devices, restored or compared.
+"""Parts of all routines: waits for frames, early ends, states of devices.
 
 Routines run in the thread that owns the devices. Each restores camera, light and stage, also when it is cancelled or
 fails; after a device fault it turns the light off.
@@ -100,7 +100,7 @@ class DeviceState:
         return cls(light.is_on, light.current_a, stage.is_sample_in, camera.is_running, camera.exposure_s)
 
     def restore(self, devices: Devices) -> None:
-        """Restore the devices; the light is turned off before anything moves, and on afterwards if it still may."""
+        """Restore the devices; the light goes off before anything moves, and on afterwards if it still may."""
         camera, light, stage = devices.camera, devices.light, devices.stage
         if not self.is_light_on:
             light.set_on(False)

@@ -62,7 +62,7 @@ def in_steps(region: Region, sensor: Region, step_px: int) -> Region:
 
 
 def moved_bench(bench: Bench, before: SensorArea, after: SensorArea, sensor: Region | None) -> Bench:
-    """Convert lattice, pixel pitch and camera of a bench to another area; `BadValue` if it has too few pixels.
+    """Convert a bench to another area of the sensor; `BadValue` if it has too few pixels.
 
     `sensor` is the whole sensor, or None if the camera has only one area.
     """

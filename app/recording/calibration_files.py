@@ -1,4 +1,4 @@
-"""Calibrations on disk: `bench.toml` with the lattice in force, `dark.npz`, `reference.npz`, `camera.json`."""
+"""Calibrations on disk: `bench.toml` with the lattice, dark and reference, `camera.json`."""
 
 import json
 import shutil

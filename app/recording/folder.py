@@ -95,7 +95,7 @@ def remove_empty(folder: Path) -> None:
 
 
 def new_folder(wanted: Path) -> Path:
-    """Make a new folder, named with -2, -3, ... if the name is taken (also by another program at the same moment).
+    """Make a new folder, named with -2, -3, ... if the name is taken.
 
     It is taken, too, by a recording of the same second that got a longer name meanwhile.
     """

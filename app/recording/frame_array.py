@@ -67,7 +67,7 @@ class FrameArray:
 
     @classmethod
     def create(cls, store: Path, name: str, values: NDArray[Any]) -> Self:
-        """Make an array of a recording for values like these of one frame; its first dimension is `t`, the frame.
+        """Make an array for values like these of one frame; its first dimension is `t`, the frame.
 
         With the separator "/", which OME-NGFF demands for images, each frame has its own folder; with "." all chunks
         lie in one.

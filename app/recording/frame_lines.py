@@ -1,4 +1,4 @@
-"""The lines of `frames.jsonl`: one for each frame, written after its pixels; and how to find them after damage."""
+"""The lines of `frames.jsonl`, one for each frame, and the search for them after damage."""
 
 from __future__ import annotations
 

@@ -189,7 +189,7 @@ class Recording:
         )
 
     def displacement(self, index: int) -> Floats | None:
-        """Live displacement, px, (lenslet_row, lenslet_column, field_mode, xy), before any bias; None without one."""
+        """Live displacement, px, (lenslet_row, lenslet_column, field_mode, xy), before any bias."""
         return self._result("displacement", index)
 
     def coefficients(self, index: int) -> Floats | None:

@@ -1,4 +1,4 @@
-"""A recording in place of the devices of a bench; its dark and reference while the light is off or the sample out."""
+"""A recording in place of the devices, with its dark and reference."""
 
 import math
 from contextlib import ExitStack
@@ -88,7 +88,7 @@ class RecordedCamera(Camera):
         return self._line().calibration
 
     def show(self, position: int) -> Frame:
-        """Return the frame at a position in the played range at once, also while stopped; playing continues after it.
+        """Return the frame at a position at once, also while stopped; playing continues after it.
 
         `FrameLost` if it is damaged.
         """

@@ -1,4 +1,4 @@
-"""Recovery of a recording: lists its damage, rebuilds metadata, and finishes it if its program died before it could."""
+"""Recovery of a recording: lists its damage, rebuilds metadata, and finishes it."""
 
 import json
 import os
@@ -115,7 +115,7 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
 
 
 def _refuse_links(folder: Path) -> None:
-    """Raise `InputError` if anything that recovery changes is a symbolic link: the file it leads to is not ours."""
+    """Raise `InputError` if recovery would change a symbolic link, whose file is not ours."""
     arrays = (f"{STORE}/{PIXELS}", f"{STORE}/{RESULTS.format('*')}/*")
     changed = ("*", f"{STORE}/*", f"{STORE}/{RESULTS.format('*')}", *arrays, *(f"{each}/{METADATA}" for each in arrays))
     for path in chain.from_iterable(map(folder.glob, changed)):
@@ -124,7 +124,7 @@ def _refuse_links(folder: Path) -> None:
 
 
 def _length(recording: Recording, lines: FoundLines) -> int:
-    """Number of frames, up to the last whole one: after a power failure a line may exist without its frame."""
+    """Number of frames up to the last whole one: after a power failure some may lack pixels."""
     most = _BEYOND * (1 + max(len(recording), recording.stored_frames))
     if recording.is_complete:
         recorded = recording.recorded_frames
@@ -195,7 +195,7 @@ def _ranges_of(frames: Sequence[int]) -> list[range]:
 
 
 def _put_in_place(lines: FoundLines, frames: int, *, is_complete: bool) -> str:
-    """Put each line in its place and remove what follows; return where the original is, empty if only a half line."""
+    """Put each line in its place and remove the rest; return where the original is, if kept."""
     path, end = lines.path, lines.end_in_place(frames)
     if end is None:
         aside = damaged_name(path)
@@ -267,12 +267,12 @@ def _rebuild_arrays(folder: Path) -> Iterator[str]:
 
 
 def _array_folders(store: Path) -> list[Path]:
-    """Folders of the frames and of the results, the displacements of a calibration before its coefficients."""
+    """Folders of frames and results, displacements of a calibration before its coefficients."""
     return [store / PIXELS, *sorted(store.glob(RESULTS.format("*") + "/*"), reverse=True)]
 
 
 def _zeros_of_a_frame(folder: Path, name: str) -> NDArray[np.uint16] | NDArray[np.float64]:
-    """Return zeros of the shape and type that one frame has in an array; `InputError` if no calibration tells it."""
+    """Return zeros like one frame of an array; `InputError` if no calibration tells its shape."""
     size = _chunk_bytes(folder / STORE / name)
     group, _, kind = name.rpartition("/")
     calibration = read_calibration(folder / CALIBRATION.format(group.rpartition("/")[2] or 0))

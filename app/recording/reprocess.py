@@ -43,7 +43,7 @@ class Reprocessing:
     """
 
     def __init__(self, recording: Recording, change: Change | None = None, *, rounds: int = 0) -> None:
-        """Change each calibration, and refine in at most `rounds`, each frame with its own bias, not the recorded one.
+        """Change each calibration, and refine in at most `rounds`, with a bias of each frame's own.
 
         If the registration differs, each frame starts from the one before in its block, and no bias is subtracted,
         because it belongs to the recorded registration.

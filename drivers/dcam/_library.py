@@ -1,4 +1,4 @@
-"""Hamamatsu's DCAM-API 4 through ctypes: structures, functions, listed cameras, and error codes as device errors."""
+"""Hamamatsu's DCAM-API 4 through ctypes: structures, functions, cameras, errors."""
 
 import ctypes
 import sys

@@ -94,7 +94,7 @@ class Properties:
             return default
 
     def check_online(self) -> None:
-        """Raise `Disconnected` if the library knows that the camera is gone; a running camera may deny the answer."""
+        """Raise `Disconnected` if the library knows that the camera is gone."""
         if self.get_or(Id.SYSTEM_ALIVE, ALIVE_ONLINE) != ALIVE_ONLINE:
             raise Disconnected(GONE)
 

@@ -13,7 +13,7 @@ from drivers.genicam._frames import PIXEL_FORMATS
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenicamSettings:
-    """Selection and settings of a GigE Vision or USB3 Vision camera; what is omitted keeps the camera's value."""
+    """Selection and settings of a GigE or USB3 Vision camera; what is omitted keeps the camera's value."""
 
     driver: Literal["genicam"] = "genicam"
     device: Annotated[str, Doc("Name in `svwfs devices`, serial number or address; empty takes the only one")] = ""

@@ -187,7 +187,7 @@ class GenicamConnection:
         self._aravis.call("arv_stream_push_buffer", self._stream, buffer)
 
     def watch(self) -> None:
-        """Poll the camera without waiting; raise `Disconnected` if an answer is overdue. Call while no frames come."""
+        """Poll a silent camera without waiting; raise `Disconnected` if an answer is overdue."""
         self._check_control()
         now_s = time.perf_counter()
         if self._sign_of_life is None:
@@ -251,7 +251,7 @@ class GenicamConnection:
 
 
 def chosen(wanted: str) -> str:
-    """Return Aravis's identifier of the camera with this name, serial number or address; "" takes the only one."""
+    """Return Aravis's identifier of a camera by name, serial number or address, "" for the only one."""
     with suppress(ValueError):
         return str(ip_address(wanted))  # perhaps in another network, beyond the reach of a discovery
     aravis = load_aravis()

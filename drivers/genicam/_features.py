@@ -1,4 +1,4 @@
-"""Features of a GenICam camera that take more than one value: resets, digitiser, exposure, trigger, binning, region."""
+"""Features of a GenICam camera: resets, digitiser, exposure, trigger, binning, region."""
 
 import math
 import re
@@ -77,7 +77,7 @@ DIGITISERS: Final = ("AdcBitDepth", "SensorBitDepth", "BslSensorBitDepth", "Sens
 
 
 def set_digitiser(connection: GenicamConnection, wanted_bits: int) -> int | None:
-    """Set the digitiser to the smallest depth that suffices, or to its deepest; return the depth, if it is reported.
+    """Set the digitiser to the smallest depth that suffices; return the depth, if it is reported.
 
     A leftover depth of 8 bits would leave the others of a deeper pixel format empty.
     """
@@ -103,7 +103,7 @@ _IN_MICROSECONDS: Final = ("ExposureTime", "ExposureTimeAbs")
 
 
 class ExposureTime:
-    """Exposure time through Aravis, which knows the models, or through an integer feature, which it refuses."""
+    """Exposure time through Aravis, or through an integer feature, which Aravis refuses."""
 
     def __init__(self, connection: GenicamConnection) -> None:
         self._connection = connection

@@ -171,7 +171,7 @@ def _unpack_pfnc(stored: NDArray[np.uint8], pixels: int, bits: int) -> NDArray[n
 
 
 def _unpack_gige(stored: NDArray[np.uint8], pixels: int, bits: int) -> NDArray[np.uint16]:
-    """Unpack Mono10Packed or Mono12Packed: two high bytes around one byte with the low bits of both pixels."""
+    """Unpack Mono10Packed or Mono12Packed: two high bytes around one of the low bits of both."""
     first, low, second = _grouped(stored, 3).astype(np.uint16).T
     more = bits - 8
     counts = np.empty((len(low), 2), np.uint16)

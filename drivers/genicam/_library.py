@@ -1,4 +1,4 @@
-"""The library Aravis (GigE Vision and USB3 Vision), called through ctypes, with its errors as device errors.
+"""The library Aravis (GigE Vision, USB3 Vision) through ctypes, with device errors.
 
 Its GObject introspection would need PyGObject, which pip can only build with system headers.
 """

@@ -227,7 +227,7 @@ def no_permission(port: str) -> str:
 
 
 def discover(driver: str, device: str, words: tuple[str, ...]) -> tuple[DiscoveredDevice, ...]:
-    """Return the USB serial ports that may lead to such a device, certain if the adapter's text has one of `words`.
+    """Return USB serial ports of such a device, certain if the adapter's text has one of `words`.
 
     Opens nothing, because a query could disturb another device.
     """

@@ -1,4 +1,4 @@
-"""Thorlabs DC4100 and DC4104, four-channel LED drivers on a serial port: one channel at constant current.
+"""Thorlabs DC4100 and DC4104 LED drivers on a serial port: one channel at constant current.
 
 The protocol follows Micro-Manager's adapter (DeviceAdapters/ThorlabsDCxxxx) and the manual, Rev. 2.2. Commands have no
 answer; `e?` reports whether they were executed. Currents are whole milliamperes. Opening and closing switch off all

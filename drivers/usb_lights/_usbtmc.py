@@ -1,4 +1,4 @@
-"""USB Test and Measurement Class (USBTMC 1.0, USB-IF 2003): text messages to and from an instrument, over pyusb.
+"""USB Test and Measurement Class (USBTMC 1.0, USB-IF 2003): text messages, over pyusb.
 
 Each transfer has a header of 12 bytes: type, a tag that the answer repeats, length, end of message. After a timeout the
 transfer is aborted and the buffers are cleared: otherwise a late answer would be taken for that of the next query.

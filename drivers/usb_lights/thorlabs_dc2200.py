@@ -1,4 +1,4 @@
-"""Thorlabs DC2200, LED driver on USB: one of its two terminals, at constant current or gated by a TTL signal.
+"""Thorlabs DC2200, LED driver on USB: one of its two terminals, constant or gated by TTL.
 
 Commands follow the manual, section 4.3, in the short forms of Thorlabs' driver (`SOUR:CCUR`, with one R). Where manual,
 Thorlabs' example and public code differ, the first query that the device knows is used. After each command,

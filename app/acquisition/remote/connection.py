@@ -1,4 +1,4 @@
-"""A client's end: the acquisition of an instrument that runs in another process, as if it were in this one.
+"""A client's end: the acquisition of another process as if it were in this one.
 
 One thread speaks with the instrument; another one reads its newest frames, see `RemoteFrames`.
 """
@@ -61,7 +61,7 @@ class _MergedTimings(Timings):
 def reach(
     what: str, name: str = NAME, *, sinks: tuple[Callable[[Measurement], None], ...] = (), takes_control: bool = True
 ) -> "Connection":
-    """Connect to the instrument of a name, and wait for its state; `RunError` if none runs or answers there."""
+    """Connect to the instrument of a name, and wait for its state; `RunError` if none answers."""
     connection = Connection(what, Address.of(name), sinks, takes_control=takes_control)
     connection.wait()
     return connection
@@ -80,7 +80,7 @@ def _sent(
 
 
 class Connection:
-    """The acquisition of another process; the newest measurements go to the sinks, from a thread of this one."""
+    """The acquisition of another process; its newest measurements go to the sinks."""
 
     bench: Bench  # as the instrument was started with; this and what follows are those of its newest state
     status: Status | None = None  # until the devices are open
@@ -163,7 +163,7 @@ class Connection:
         return self._frames.overtaken
 
     def every(self) -> Iterator[Measurement]:
-        """Yield each measurement from now on; see `RemoteFrames.every`. With a sink, the instrument writes them all."""
+        """Yield each measurement from now on; with a sink, the instrument writes them all."""
         return self._frames.every()
 
     @property
@@ -173,7 +173,7 @@ class Connection:
 
     @property
     def loss(self) -> str:
-        """Reason why the instrument ended, or was lost; also after this connection was closed. Empty if it goes on."""
+        """Reason why the instrument ended, or was lost, also after `close`; empty if it goes on."""
         return str(self._ended or "")
 
     @property

@@ -40,7 +40,7 @@ class RemoteFrames:
     def __init__(
         self, find: Callable[[int], Any], sinks: tuple[Callable[[Measurement], None], ...], pause_s: float
     ) -> None:
-        """`find` returns an object that travels by itself, or raises `Absent`; a pause follows each measurement."""
+        """`find` returns an object by its number, or raises `Absent`; a pause follows each measurement."""
         self._find, self._sinks, self._pause_s = find, sinks, pause_s
         self.newest: Measurement | None = None
         self.error: Exception | None = None  # that ended the thread
@@ -67,7 +67,7 @@ class RemoteFrames:
             self._has_news.notify_all()
 
     def outdate(self, count: int) -> None:
-        """Let no sink receive records up to a count any more: they were measured before a command was executed."""
+        """Keep records up to a count from the sinks: they were measured before a command was executed."""
         with self._delivering:
             self._outdated = max(self._outdated, count)
 
@@ -120,7 +120,7 @@ class RemoteFrames:
             self._missed[count] = 1
 
     def _wait_for_news(self, notice: Notice) -> None:
-        """Wait until there is another notice than this one; not for long, as an absent object comes without one."""
+        """Wait for another notice; not for long, as an absent object comes without one."""
         with self._has_news:
             self._has_news.wait_for(lambda: self._notice is not notice or self._closing.is_set(), _WAIT_S)
 

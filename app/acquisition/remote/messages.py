@@ -1,4 +1,4 @@
-"""Messages between an instrument and its clients, and the number of each object that travels by itself."""
+"""Messages between an instrument and its clients, and objects that travel by themselves."""
 
 import math
 import threading
@@ -39,7 +39,7 @@ def watching(controller: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """A client enters; with `takes_control`, it takes control if nobody has it. It reads a record every `pause_s`."""
+    """A client enters, takes control if it may and nobody has it, and reads every `pause_s`."""
 
     name: str
     takes_control: bool
@@ -120,7 +120,7 @@ class Accepted:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A command is done: its result or its error, and the count of the newest frame then; follows the state then."""
+    """Result or error of a command, after the state then, with the count of the newest frame."""
 
     number: int
     result: Any
@@ -130,7 +130,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class SharedObject:
-    """An object by itself, sent before any message that has its number, and the numbers that still occur in some."""
+    """An object, sent before any message with its number, and the numbers that still occur."""
 
     number: int
     value: Any

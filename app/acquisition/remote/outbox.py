@@ -30,7 +30,7 @@ class Outbox:
         self._accepted: set[int] = set()
 
     def add(self, request: str, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> Future[Any]:
-        """Take a command; return the future of its result. One to switch the light off holds for all that wait."""
+        """Take a command and return its future. One to switch the light off holds for all that wait."""
         future: Future[Any] = Future()
         future.set_running_or_notify_cancel()  # what is sent cannot be called back
         command = Command(next(self._numbers), request, arguments, named)

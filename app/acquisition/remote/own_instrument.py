@@ -1,4 +1,4 @@
-"""The instrument of a window: a process that the window starts, and that ends with it unless its user lets it go on."""
+"""The instrument of a window: a process that ends with it unless its user lets it go on."""
 
 import signal
 import subprocess
@@ -25,7 +25,7 @@ _ENDED_S = 0.5  # from the end of its connections to that of a process that cras
 
 
 class OwnConnection(Connection):
-    """A connection that ends the instrument when it is closed, unless it `goes_on` or another client controls it."""
+    """Ends the instrument when it is closed, unless that `goes_on` or another client controls it."""
 
     def __init__(
         self, bench: Bench, name: str, process: subprocess.Popen[bytes], *, log: Path, forget_bench: Callable[[], None]
@@ -99,7 +99,7 @@ class OwnConnection(Connection):
 
 
 class OwnInstrument:
-    """Runs one bench after the other in a process of its own, `svwfs serve`, which it leaves to a connection."""
+    """Runs one bench after the other in a process of its own, `svwfs serve`."""
 
     def __init__(self, name: str = NAME) -> None:
         self._name = name

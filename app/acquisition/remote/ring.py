@@ -1,4 +1,4 @@
-"""Ring of slots in memory that processes share: one writes, any number read, and nobody waits for another.
+"""Ring of slots in shared memory: one process writes, any number read, none waits.
 
 Each record has a count, higher than that of the record before. A slot has twice the count of its record, and an odd
 number while it is written. A reader copies a slot and looks at that before and after: what was overwritten meanwhile is
@@ -29,7 +29,7 @@ class RingWriter:
     """Owns a ring; `name` is what readers find it by."""
 
     def __init__(self, slot_bytes: int, file: Path, *, slots: int = 8, count: int = 0) -> None:
-        """Make slots for records of that size; `count` goes on from an earlier ring. A file's name begins as `file`."""
+        """Make slots for records of a size; `count` goes on from an earlier ring."""
         self._slots, self._stride = slots, _SLOT_HEADER_BYTES + -(-slot_bytes // 64) * 64
         self._written = 0
         self._file: Path | None = None

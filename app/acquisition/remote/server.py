@@ -1,4 +1,4 @@
-"""The instrument's end: serves frames, state and commands to any number of clients, and waits for none of them.
+"""The instrument's end: serves any number of clients, and waits for none of them.
 
 Frames go into a shared ring, everything else through one ZeroMQ socket, whose messages keep their order. One client has
 control; the others watch. A client that falls silent loses it; the measurement goes on.
@@ -137,7 +137,7 @@ class Server:
         self.address = replace(address, endpoint=self._socket.getsockopt_string(zmq.LAST_ENDPOINT))
 
     def run(self, begin: Callable[[Acquisition], object]) -> None:
-        """Start the acquisition, send its first commands by `begin`, and serve until it ends or a client ends it.
+        """Start the acquisition, send its first commands by `begin`, and serve until its end.
 
         Raises what ended it, if it was not asked to.
         """
@@ -187,7 +187,7 @@ class Server:
             self._write()
 
     def _write(self) -> None:
-        """Write the newest measurement into the ring, if that has not been done; without clients it waits for one."""
+        """Write the newest measurement into the ring, if that has not been done."""
         with self._writing:
             try:
                 number, measurement, is_shown_only = self._unwritten.pop()
@@ -235,7 +235,7 @@ class Server:
             time.sleep(_TICK_MS / 1e3)
 
     def _arrived(self, before: list[tuple[bytes, Any]]) -> list[tuple[bytes, Any]]:
-        """Add the messages that have arrived, with their senders; a command before one to switch off may not light."""
+        """Add the arrived messages with their senders; a command before one to switch off may not light."""
         arrived = before
         while self._socket.poll(0):
             identity, key, body = (*self._socket.recv_multipart(), b"", b"")[:3]

@@ -1,4 +1,4 @@
-"""Our own data between processes (dataclasses, named tuples, enums, errors, arrays): JSON text and arrays behind it.
+"""Our own data between processes: JSON text, and arrays behind it.
 
 Never pickle: only types of this project's rooms can arrive, and to make one runs nothing but its constructor. Large
 objects that belong to many frames travel once; where they occur, a message has their number instead.
@@ -99,7 +99,7 @@ def _unknown(number: int) -> Any:
 
 
 def unpacked(buffer: bytes | bytearray | memoryview, find: Callable[[int], Any] = _unknown) -> Any:
-    """Read what `Packed` wrote; its arrays are read-only views of the buffer. `find` returns an object by its number.
+    """Read what `Packed` wrote, with arrays as read-only views; `find` returns an object by number.
 
     Raises
     ------
@@ -154,7 +154,7 @@ class _Reader:
 
 @cache
 def _kind(name: str) -> type:
-    """A dataclass, named tuple, enum or error of this project, by module and name; `ValueError` for anything else."""
+    """A record type, enum or error of this project, by module and name; else `ValueError`."""
     module, _, path = name.partition(":")
     if not module.startswith(_ROOMS):
         raise ValueError(f"{name} is no type of this program")

@@ -24,7 +24,7 @@ _LINGER_MS = 300  # time to send the last messages
 
 
 class Publisher:
-    """Sends measurements to subscribed programs in its own thread; topics without subscriber are not computed."""
+    """Sends measurements to subscribers in its own thread; other topics are not computed."""
 
     def __init__(self, bench: Bench) -> None:
         """Open the port of `bench.streams`; `RunError` if that fails."""

@@ -1,4 +1,4 @@
-"""The address of an instrument and its clients: one folder for each user, one instrument for each name."""
+"""The address of an instrument for its clients: one folder for each user, one instrument for each name."""
 
 from __future__ import annotations
 
