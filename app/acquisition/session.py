@@ -31,7 +31,7 @@ from reconstruction.frame.linearity import MeasuredLinearity
 T = TypeVar("T")
 
 _WAIT_S = 0.05  # between two checks whether the acquisition still runs, and how far it is
-_FINISH_S = 10.0  # for another process to finish a recording that was stopped
+_FINISH_S = 10.0  # for a recording that was stopped
 _SHUT_DOWN_S = 5.0  # for the instrument to say that it will
 
 
@@ -307,7 +307,12 @@ class LiveBench:
         return Path(folder)
 
     def _let_finish(self) -> None:
-        """Wait for the end of a recording that was stopped early; closing the devices does that here."""
+        """Wait for the end of a recording that was stopped early."""
+        ends_s = time.monotonic() + _FINISH_S
+        while time.monotonic() < ends_s and self._acquisition.is_alive:
+            if (state := self._acquisition.recording) is None or state.is_over:
+                break
+            time.sleep(_WAIT_S)
 
     def _start_camera(self) -> None:
         self._result(self._acquisition.submit(Instrument.set, "is_running", True))
@@ -409,13 +414,6 @@ class ConnectedBench(LiveBench):
             super().set_light(on)
         else:
             self._result(self._connection.switch_light_off())
-
-    def _let_finish(self) -> None:
-        ends_s = time.monotonic() + _FINISH_S
-        while time.monotonic() < ends_s and self._connection.is_alive:
-            if (state := self._connection.recording) is None or state.is_over:
-                break
-            time.sleep(_WAIT_S)
 
     @property
     def controller(self) -> str:

@@ -102,6 +102,7 @@ class BenchModel:
         own = self._own
 
         def of_lenslets(x_m: float, y_m: float) -> NDArray[np.complex64]:
+            """Complex amplitude at the pupil samples of the model, (row, column)."""
             return np.asarray(own if field is None else field(x_m, y_m) * own, np.complex64)
 
         return np.asarray(self._model.irradiance(self.source, of_lenslets) * self._light, np.float32)

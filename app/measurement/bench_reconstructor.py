@@ -170,6 +170,7 @@ class BenchReconstructor:
         full_scale: float | None = None,
         own: OwnMethods = NO_OWN,
     ) -> None:
+        """Take reference and dark, (row, column), counts, and the count at which a pixel saturates, if known."""
         reference, dark = as_image(reference, "reference"), None if dark is None else as_image(dark, "dark")
         most = full_scale_of(reference, bench.camera_model.bits) if full_scale is None else full_scale
         if not (isinstance(most, float | int | np.number) and most > 0):
@@ -210,7 +211,7 @@ class BenchReconstructor:
         return self._prepared().reconstructor.layers(wavefront.displacement)
 
     def _prepared(self, frame: Counts | None = None) -> Estimator:
-        """The estimator; prepared with the noise that a frame shows, if this is the first call."""
+        """The estimator; prepared with the noise that a frame (row, column), counts, shows, by the first call."""
         if self._estimator is None:
             given = self._calibration
             known, full_scale = KnownNoise(curve=given.transfer_of(given.reference.mean)), given.full_scale

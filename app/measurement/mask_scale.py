@@ -151,7 +151,7 @@ def _modelled(bench: Bench, points: SourcePoints, width: int, scale: float) -> F
 
 
 def _fitted(model: Callable[[float], Floats], subimage: Floats) -> tuple[float, float, float]:
-    """Residual over the contrast, scale, and its standard error, of the model that fits a subimage best.
+    """Residual over the contrast, scale, and its standard error, of the model that fits a subimage (width, width) best.
 
     Variable projection (G. H. Golub and V. Pereyra 1973): light, background, shift and blur of the image are linear
     and projected out, so that only the scale is searched. The model is moved by whole pixels beforehand, since the
@@ -165,7 +165,7 @@ def _fitted(model: Callable[[float], Floats], subimage: Floats) -> tuple[float, 
     moved = (np.array(np.unravel_index(np.argmax(likeness), likeness.shape)) + most) % (2 * most + 1) - most
 
     def residual(scale: float) -> Floats:
-        """Return what light, background, shift and blur of the model leave of the data."""
+        """Return what light, background, shift and blur of the model leave of the data, (pixel,)."""
         image = ndimage.shift(model(scale), moved, order=0, mode="nearest")
         dy, dx = np.gradient(image)
         nuisance = np.stack([image, np.ones_like(image), dx, dy, ndimage.laplace(image)]).reshape(5, -1).T

@@ -280,7 +280,7 @@ class Recording:
         return None if calibration is None else self._found(calibration, name, index)
 
     def _found(self, calibration: int, name: str, index: int) -> Floats | None:
-        """Live result of a frame; None if it is missing or damaged: svwfs replay finds it again."""
+        """Live result of a frame, shaped as its name says; None if missing or damaged: svwfs replay finds it again."""
         with suppress(DamagedFrame):
             return self._read(f"{RESULTS.format(calibration)}/{name}", index)
         return None

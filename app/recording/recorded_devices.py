@@ -294,14 +294,14 @@ class AveragedFrames:
         return pixels
 
     def _total(self, frames: NDArray[np.int64]) -> Floats:
-        """Sum of each pixel's first frames, in whole counts, so that rounding errors do not add up."""
+        """Sum of each pixel's first frames, (row, column), in whole counts, so that rounding errors do not add up."""
         is_up = (frames % 2 == 1) & (frames < self._frames)
         total: Floats = np.floor(frames * self._sum / self._frames + is_up * self._spread + self._remainder)
         return total
 
 
 def _spread(average: Average, full_scale: int) -> Floats:
-    """Amplitude of each pixel's alternation that gives its variance, counts."""
+    """Amplitude of each pixel's alternation that gives its variance, (row, column), counts."""
     pairs, mean = average.frames // 2, average.mean.astype(np.float64)
     scale = math.sqrt((average.frames - 1) / (2 * pairs)) if pairs else 0.0
     wanted = scale * np.sqrt(np.maximum(average.variance.astype(np.float64) - _ROUNDING, 0))

@@ -187,7 +187,7 @@ def _of_registration(calibration: Calibration) -> object:
 
 
 def _as_start(coefficients: Floats | None) -> Displacement | None:
-    """A starting point; only its coefficients are used."""
+    """A starting point of coefficients (lenslet_row, lenslet_column, field_mode, xy), px."""
     if coefficients is None:
         return None
     shape = coefficients.shape

@@ -159,7 +159,7 @@ def _bytes_at(address: int, size: int) -> NDArray[np.uint8]:
 
 
 def _unpack_pfnc(stored: NDArray[np.uint8], pixels: int, bits: int) -> NDArray[np.uint16]:
-    """Unpack Mono10p or Mono12p: one stream of bits, lowest first."""
+    """Unpack Mono10p or Mono12p to (pixels,): one stream of bits, lowest first."""
     together = 8 // math.gcd(bits, 8)  # pixels that fill whole bytes
     groups = _grouped(stored, together * bits // 8)
     counts = np.empty((len(groups), together), np.uint16)
@@ -171,7 +171,7 @@ def _unpack_pfnc(stored: NDArray[np.uint8], pixels: int, bits: int) -> NDArray[n
 
 
 def _unpack_gige(stored: NDArray[np.uint8], pixels: int, bits: int) -> NDArray[np.uint16]:
-    """Unpack Mono10Packed or Mono12Packed: two high bytes around one of the low bits of both."""
+    """Unpack Mono10Packed or Mono12Packed to (pixels,): two high bytes around one of low bits."""
     first, low, second = _grouped(stored, 3).astype(np.uint16).T
     more = bits - 8
     counts = np.empty((len(low), 2), np.uint16)

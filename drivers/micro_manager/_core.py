@@ -108,7 +108,7 @@ class LoadedCamera:
         return float(least), float(most)
 
     def pop(self) -> tuple[NDArray[np.unsignedinteger], int, float] | None:
-        """Take the oldest frame, if any: pixels, number, and time in seconds since the start."""
+        """Take the oldest frame, if any: pixels (row, column), number, and time in s since the start."""
         return self._waiting("popNextImageMD")
 
     def newest(self) -> int | None:
