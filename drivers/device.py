@@ -94,7 +94,7 @@ class Range:
         return min(max(value, self.minimum), self.maximum)
 
 
-def choose(wanted: str, devices: Sequence[Collection[str]], what: str, setting: str) -> int:
+def choose(wanted: str, devices: Sequence[Collection[str]], *, what: str, setting: str) -> int:
     """Return the place of the device that has the wanted name among its names, "" for the only one.
 
     `what` is the kind of the devices; `setting` chooses among them.

@@ -82,7 +82,7 @@ def taken_address(name: str = NAME) -> Iterator[Address]:
             _clear(name)
 
 
-def clear_abandoned(name: str | None = None, timeout_s: float = 0.0) -> None:
+def clear_abandoned(name: str | None = None, *, timeout_s: float = 0.0) -> None:
     """Remove the files of a killed instrument; by default of the one that started this process."""
     name = os.environ.get(_VARIABLE) if name is None else name
     if name is not None and _left(name):

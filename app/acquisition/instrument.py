@@ -358,7 +358,7 @@ class Instrument:
         """Find the lenslets in a reference of the current region; `ReconstructionError` if it shows none."""
         self._show_preparation("finding the lattice")
         dark = self.darks.fitting(self._now())
-        return surveyed(self.bench.sensor, dark, reference, self.devices.camera.capabilities.full_scale)
+        return surveyed(self.bench.sensor, reference, dark=dark, full_scale=self.devices.camera.capabilities.full_scale)
 
     def _choose_averages(self, cause: str) -> None:
         for averages in (self.darks, self.references):
@@ -380,7 +380,8 @@ class Instrument:
         self._show_preparation(f"preparing the reconstruction {cause}")
         try:
             with camera.paused():
-                estimator = Estimator(Calibration.of(bench, dark, reference, camera.capabilities.full_scale))
+                full_scale = camera.capabilities.full_scale
+                estimator = Estimator(Calibration.of(bench, reference, dark=dark, full_scale=full_scale))
                 self._lattice = estimator.calibration.lattice
                 _ = estimator.judge  # prepared before the first frame
                 self._solver = LiveSolver(estimator)

@@ -289,14 +289,14 @@ class LiveBench:
         else:
             self._start_camera()
             text = "finding layers and correction with the first frames"
-            self._follow(run.until(lambda: knows_sample(acquisition) or not acquisition.is_alive, text))
+            self._follow(run.until(lambda: knows_sample(acquisition) or not acquisition.is_alive, text=text))
             self._result(begin())
 
         def fraction() -> float:
             return 0.0 if acquisition.recording is None else acquisition.recording.frames / frames
 
         try:
-            self._follow(run.until(run.is_recorded, f"recording {counted(frames)}", fraction))
+            self._follow(run.until(run.is_recorded, text=f"recording {counted(frames)}", fraction=fraction))
         except BaseException:  # Ctrl-C, too: the frames so far are a recording
             acquisition.stop_recording()
             self._let_finish()

@@ -56,7 +56,7 @@ class UnattendedRun:
             yield
 
     def until(
-        self, is_over: Callable[[], bool], text: str = "", fraction: Callable[[], float] = lambda: 0.0
+        self, is_over: Callable[[], bool], *, text: str = "", fraction: Callable[[], float] = lambda: 0.0
     ) -> Iterator[None]:
         """Wait, a `fraction` of it done, until it is over."""
         while not is_over():

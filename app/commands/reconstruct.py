@@ -62,7 +62,7 @@ def reconstruct(
                 progress("refining", len(changes_rad) / refine)
 
             progress("modelling the bench", 0.0)
-            wavefront = reconstructor.refined(image, refine, note_round)
+            wavefront = reconstructor.refined(image, refine, seen=note_round)
         quality = reconstructor.quality(image, wavefront)
         notes = (reconstructor.mask_sentence(wavefront), _size_note(loaded, image))
     except ReconstructionError as error:

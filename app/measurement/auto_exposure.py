@@ -103,7 +103,8 @@ def auto_expose(devices: Devices, cell_px: float, watch: Watch, *, fill: float =
                     raise RoutineError(why)
                 state.exposure_s, state.current_a = camera.exposure_s, devices.light.current_a
                 return AutoExposure(state.exposure_s, state.current_a, seen.level / full_scale, len(shots))
-            light = control.possible(next_light(shots, fill * full_scale, full_scale, control.reach), shots)
+            wanted = next_light(shots, fill * full_scale, full_scale=full_scale, reach=control.reach)
+            light = control.possible(wanted, shots)
             if len(shots) == MOST_FRAMES:
                 raise RoutineError(
                     f"after {MOST_FRAMES} frames the brightest lenslets fill {seen.level / full_scale:.0%} of the"
@@ -193,7 +194,7 @@ class Reach:
     highest: float
 
 
-def next_light(shots: list[Shot], goal: float, full_scale: float, reach: Reach) -> float:
+def next_light(shots: list[Shot], goal: float, *, full_scale: float, reach: Reach) -> float:
     """Return the light expected to give the level `goal` (counts), or one that tells more.
 
     It may exceed `reach`: so much would be needed; 0 if any light is too much, infinity if none was detected.

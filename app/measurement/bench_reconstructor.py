@@ -191,7 +191,7 @@ class BenchReconstructor:
         """Return the wavefront of a frame (row, column), counts; `ReconstructionError` says why there is none."""
         return self.refined(frame, 0)
 
-    def refined(self, frame: Counts, rounds: int, seen: Callable[[Round], object] = lambda _: None) -> Wavefront:
+    def refined(self, frame: Counts, rounds: int, *, seen: Callable[[Round], object] = lambda _: None) -> Wavefront:
         """Refine the wavefront of a frame (row, column), counts; see `Estimator.solve`."""
         image = as_image(frame, "frame")
         estimator = self._prepared(image)

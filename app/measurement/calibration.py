@@ -25,7 +25,7 @@ from reconstruction.pipeline import NO_OWN, OwnMethods, Reconstructor
 from reconstruction.quality.verdict import Fault, Quality
 
 
-@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True, kw_only=True)
 class Calibration:
     """A bench with its dark, reference and lattice."""
 
@@ -38,10 +38,10 @@ class Calibration:
     own: OwnMethods = NO_OWN
 
     @classmethod
-    def of(cls, bench: Bench, dark: Average | None, reference: Average, full_scale: float) -> Calibration:
+    def of(cls, bench: Bench, reference: Average, *, dark: Average | None, full_scale: float) -> Calibration:
         """Find the lattice in the reference unless it is configured; `ReconstructionError` if it shows none."""
-        lattice = bench.lattice or surveyed(bench.sensor, dark, reference, full_scale).lattice
-        return cls(bench, dark, reference, lattice, full_scale)
+        lattice = bench.lattice or surveyed(bench.sensor, reference, dark=dark, full_scale=full_scale).lattice
+        return cls(bench=bench, dark=dark, reference=reference, lattice=lattice, full_scale=full_scale)
 
     @classmethod
     def of_images(
@@ -54,9 +54,10 @@ class Calibration:
         full_scale: float = math.inf,
     ) -> Calibration:
         """Take a reference and a dark, (row, column), whose noise is unknown, and a `lattice` if it is known."""
-        averages = None if dark is None else Average.of_image(dark), Average.of_image(reference)
-        lattice = lattice or bench.lattice or surveyed(bench.sensor, *averages, full_scale).lattice
-        return cls(bench, *averages, lattice, full_scale, KnownNoise())
+        lit, unlit = Average.of_image(reference), None if dark is None else Average.of_image(dark)
+        lattice = lattice or bench.lattice or surveyed(bench.sensor, lit, dark=unlit, full_scale=full_scale).lattice
+        known = KnownNoise()
+        return cls(bench=bench, dark=unlit, reference=lit, lattice=lattice, full_scale=full_scale, known=known)
 
     @property
     def dark_image(self) -> Counts | None:
@@ -120,7 +121,7 @@ class Calibration:
         )
 
 
-def surveyed(sensor: Sensor, dark: Average | None, reference: Average, full_scale: float) -> Survey:
+def surveyed(sensor: Sensor, reference: Average, *, dark: Average | None, full_scale: float) -> Survey:
     """Find the lenslets in a reference; `ReconstructionError` if it shows none."""
     return survey(reference.mean, sensor, dark=None if dark is None else dark.mean, full_scale=full_scale)
 

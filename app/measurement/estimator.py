@@ -166,7 +166,7 @@ def _refusals() -> Iterator[None]:
 @kept_while_alive(maxsize=4)  # another setting does not change it
 def _shown_lattice(reference: Average, dark: Average | None, sensor: Sensor, full_scale: float) -> Lattice | None:
     try:
-        return surveyed(sensor, dark, reference, full_scale).lattice
+        return surveyed(sensor, reference, dark=dark, full_scale=full_scale).lattice
     except ReconstructionError:
         return None
 

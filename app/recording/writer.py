@@ -72,7 +72,7 @@ class Record:
         arrays = (self.made.frame.pixels, self.displacement, self.coefficients, self.views)
         return sum(array.nbytes for array in arrays if array is not None)
 
-    def line(self, index: int, calibration: int | None, bias: int | None, start: int | None) -> FrameLine:
+    def line(self, index: int, *, calibration: int | None, bias: int | None, start: int | None) -> FrameLine:
         """Line of the frame at an `index`, with the numbers of what it refers to."""
         made, frame, light = self.made, self.made.frame, self.made.light
         sample, refinement = made.assumed
@@ -148,7 +148,7 @@ class RecordingWriter:
         for name, values in (("displacement", record.displacement), ("coefficients", record.coefficients)):
             if calibration is not None and values is not None:
                 self._put(f"{RESULTS.format(calibration)}/{name}", index, values)
-        self._write_line(record.line(index, calibration, bias, start))
+        self._write_line(record.line(index, calibration=calibration, bias=bias, start=start))
         if record.displacement is not None:
             self._registered = index, record.displacement
         self.frames += 1

@@ -195,7 +195,8 @@ def change_of(bench: Bench | None, settings: tuple[str, ...]) -> Change | None:
     def change(calibration: Calibration) -> Calibration:
         other = bench or changed_bench(calibration.bench, settings)
         try:
-            return Calibration.of(other, calibration.dark, calibration.reference, calibration.full_scale)
+            full_scale = calibration.full_scale
+            return Calibration.of(other, calibration.reference, dark=calibration.dark, full_scale=full_scale)
         except ReconstructionError as error:
             raise InputError(f"the recorded reference does not fit this bench: {error}") from error
 

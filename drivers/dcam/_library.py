@@ -271,7 +271,7 @@ class DcamLibrary:
         """Return the camera of this serial number or index, "" for the only one of `count`; needs a session."""
         cameras = [self._listed(index) for index in range(count)]
         names = [(camera.serial_number, str(camera.index)) for camera in cameras]
-        return cameras[choose(wanted, names, "Hamamatsu camera", "device")]
+        return cameras[choose(wanted, names, what="Hamamatsu camera", setting="device")]
 
     def _listed(self, index: int) -> ListedCamera:
         vendor, model, serial = (self.string(index, STRINGS[name]) for name in ("vendor", "model", "serial number"))

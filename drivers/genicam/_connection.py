@@ -259,7 +259,7 @@ def chosen(wanted: str) -> str:
     if not any(wanted in names for names in listed):
         update_list(aravis)
         listed = _listed(aravis)
-    return listed[choose(wanted, listed, "GenICam camera", "camera.device")][0]
+    return listed[choose(wanted, listed, what="GenICam camera", setting="camera.device")][0]
 
 
 def update_list(aravis: Aravis) -> None:

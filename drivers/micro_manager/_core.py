@@ -28,7 +28,7 @@ def load_pymmcore() -> Any:
 class LoadedCamera:
     """A camera in a core of its own."""
 
-    def __init__(self, core: Any, adapter: str, device: str, folder: str) -> None:
+    def __init__(self, core: Any, *, adapter: str, device: str, folder: str) -> None:
         self._core = core
         if folder and sys.platform == "win32":  # where the adapter looks for its maker's libraries
             os.environ["PATH"] += os.pathsep + folder

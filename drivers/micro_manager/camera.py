@@ -55,7 +55,9 @@ class MicroManagerCamera(Camera):
         self._details: dict[str, Property] = {}  # the adapter's properties when last at rest
         self._mode = 1, Region(0, 0, 0, 0)  # binning and region of the running camera
         try:
-            self._loaded = LoadedCamera(core, settings.adapter, settings.device, settings.adapter_folder)
+            self._loaded = LoadedCamera(
+                core, adapter=settings.adapter, device=settings.device, folder=settings.adapter_folder
+            )
             self._loaded.initialize(settings.properties)
             self._name = f"{self._loaded.call('getDeviceDescription', LABEL)} ({settings.adapter}, {settings.device})"
             self._set_up()

@@ -63,7 +63,7 @@ class ThorlabsDC2200(LedDriver):
         if len(instruments) == 1 and instruments[0].problem:
             raise DeviceError(instruments[0].problem)
         names = [(each.serial_number or each.problem,) for each in instruments]
-        instrument = instruments[choose(settings.serial_number, names, "DC2200", "serial_number")]
+        instrument = instruments[choose(settings.serial_number, names, what="DC2200", setting="serial_number")]
         self._where = f"the DC2200 {instrument.serial_number}"
         self._usb = Usbtmc(instrument, what=self._where, sleep=sleep)
         self._begin()

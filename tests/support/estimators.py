@@ -14,7 +14,9 @@ from reconstruction.pipeline import Reconstructor
 
 def estimator_with(reconstructor: Reconstructor, bench: Bench, reference: Counts) -> Estimator:
     """Estimator of a bench with a reconstructor that is prepared already."""
-    calibration = Calibration(bench, None, Average.of_image(reference), reconstructor.lattice, np.inf)
+    calibration = Calibration(
+        bench=bench, dark=None, reference=Average.of_image(reference), lattice=reconstructor.lattice, full_scale=np.inf
+    )
     estimator = Estimator(calibration)
     vars(estimator)["reconstructor"] = reconstructor
     return estimator

@@ -61,7 +61,13 @@ def inspected(brightness: float = 1.0, bend_px: float = 0.0, *, neglect_propagat
     variance[:, :, 0] = (0.02**2, 0.03**2)
     frame = make_frame(np.rint(500 + brightness * (light - 500)).astype(np.uint16))
     bench = replace(BENCH, field=replace(BENCH.field, neglect_propagation=neglect_propagation))
-    calibration = Calibration(bench, average(np.full((300, 430), 500.0)), average(spots()), LATTICE, 65535)
+    calibration = Calibration(
+        bench=bench,
+        dark=average(np.full((300, 430), 500.0)),
+        reference=average(spots()),
+        lattice=LATTICE,
+        full_scale=65535,
+    )
     base = make_measurement(frame.pixels, views())
     registered = converged(LegendreModes(6), coefficients, variance)
     return replace(base, frame=frame, calibration=calibration, registered=registered)

@@ -98,4 +98,6 @@ def noisy_calibration(small_bench: SmallBench) -> Calibration:
     bench = Bench(sensor=small_bench.sensor, field=FIELD)
     light = np.asarray(small_bench.reference * 3000 / small_bench.reference.max(), np.float64)
     dark = average(np.full(light.shape, 500.0), 9)
-    return Calibration(bench, dark, average(light + 500, 7), small_bench.lattice, 65535.0)
+    return Calibration(
+        bench=bench, dark=dark, reference=average(light + 500, 7), lattice=small_bench.lattice, full_scale=65535.0
+    )

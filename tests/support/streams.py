@@ -50,7 +50,9 @@ def measurement(small_bench: SmallBench, stream_bench: Bench) -> Measurement:
     reference = Average(small_bench.reference, np.zeros_like(small_bench.reference), 1, 0.02, 8.0, "em")
     changed = ReconstructionSettings(basis="zernike")  # since it was opened
     in_force = replace(stream_bench, reconstruction=changed)
-    calibration = Calibration(in_force, None, reference, small_bench.lattice, 65535.0)
+    calibration = Calibration(
+        bench=in_force, dark=None, reference=reference, lattice=small_bench.lattice, full_scale=65535.0
+    )
     return replace(measured(small_bench.reconstructor()(frame), 5), calibration=calibration)
 
 

@@ -299,7 +299,7 @@ class Connection:
             self._take(unpacked(self._socket.recv(), self._arrivals.find))
         if is_gone and self._ended is None:
             self._is_gone, self._started = True, ()
-            clear_abandoned(self.address.name, DYING_S)
+            clear_abandoned(self.address.name, timeout_s=DYING_S)
             process = f"the instrument's process {self.address.process}"
             advice = "its light should be off; if it shines, switch it off by hand or with svwfs light-off"
             self._ended = RunError(f"{process} {self._how_it_ended()}: {advice}")

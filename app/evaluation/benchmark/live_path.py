@@ -181,8 +181,8 @@ class MeasuredRun(UnattendedRun):
             whole_s = self._warm_up_s + self._seconds
             return self.until(
                 lambda: time.perf_counter() >= until_s,
-                text,
-                lambda: min(1.0, (time.perf_counter() - first_s) / whole_s),
+                text=text,
+                fraction=lambda: min(1.0, (time.perf_counter() - first_s) / whole_s),
             )
 
         yield from wait(first_s + self._warm_up_s, "warming up")
@@ -202,7 +202,7 @@ class MeasuredRun(UnattendedRun):
         )
         if folder is not None:
             self.send(lambda to: (to.stop_recording(),))
-            yield from self.until(self.is_recorded, "measuring", lambda: 1.0)
+            yield from self.until(self.is_recorded, text="measuring", fraction=lambda: 1.0)
 
     def _memory_mb(self) -> float | None:
         return resident_mb(os.getpid(), self._process)

@@ -35,7 +35,7 @@ def measured(*settings: str) -> Measurement:
     dark, reference = (
         Average(image, np.zeros_like(image), 1, 0.02, 8.0, "em") for image in (images.dark, images.reference)
     )
-    calibration = Calibration.of(bench, dark, reference, 65535.0)
+    calibration = Calibration.of(bench, reference, dark=dark, full_scale=65535.0)
     frame = images.frames[0].astype(np.uint16)
     wavefront = calibration.reconstructor()(frame)
     counts, now_s = FrameTotals(1, 1, 0), time.perf_counter()

@@ -229,7 +229,7 @@ def test_shorter_exposures_are_tried_before_lower_currents() -> None:
     reach = Reach(lowest=1e-3, lowest_by_exposure=1.0, highest=1e3)
     saturated = [Shot(light, Brightness(FULL_SCALE, 500.0, 6.0), is_saturated=True) for light in (5.0, 4.0)]
     first, second = (
-        next_light(saturated[:count], 0.7 * FULL_SCALE, FULL_SCALE, reach) / reach.lowest_by_exposure
+        next_light(saturated[:count], 0.7 * FULL_SCALE, full_scale=FULL_SCALE, reach=reach) / reach.lowest_by_exposure
         for count in (1, 2)
     )
     assert first >= 1 > second

@@ -160,7 +160,9 @@ def test_noise_is_that_of_the_light(bench: Bench) -> None:
     y, x = np.mgrid[:200, :240]
     light = 20_000 * (1 + np.sin(x / 9) * np.sin(y / 7)) * 0.95
     dark, reference = photographs(light, 12, 1)
-    calibration = Calibration(replace(bench, linearity=CURVE), dark, reference, LATTICE, 65535.0)
+    calibration = Calibration(
+        bench=replace(bench, linearity=CURVE), dark=dark, reference=reference, lattice=LATTICE, full_scale=65535.0
+    )
     known = calibration.noise
     assert known.of_frame is not None
     assert known.of_frame.counts_per_electron == pytest.approx(TRUE_E, rel=0.01)
@@ -210,7 +212,9 @@ def test_frames_are_judged_by_their_light(bench: Bench, monkeypatch: pytest.Monk
 
 def test_other_amplifier_or_gain_than_measured_is_a_fault(bench: Bench) -> None:
     dark, reference = photographs(np.full((200, 240), 1000.0), 4, 2)
-    calibration = Calibration(replace(bench, linearity=CURVE), dark, reference, LATTICE, 65535.0)
+    calibration = Calibration(
+        bench=replace(bench, linearity=CURVE), dark=dark, reference=reference, lattice=LATTICE, full_scale=65535.0
+    )
     assert not calibration.linearity_quality.faults
     for changed in (replace(reference, amplifier="normal"), replace(reference, em_gain=4.0)):
         faults = replace(calibration, reference=changed).linearity_quality
@@ -227,7 +231,9 @@ def test_curve_is_stored_with_bench_and_calibration(bench: Bench, tmp_path: Path
     dark, reference = photographs(np.full((200, 240), 1000.0), 4, 2)
     for each in (bench, corrected):
         folder = tmp_path / str(each is bench)
-        write_calibration(folder, Calibration(each, dark, reference, LATTICE, 65535.0))
+        write_calibration(
+            folder, Calibration(bench=each, dark=dark, reference=reference, lattice=LATTICE, full_scale=65535.0)
+        )
         assert read_calibration(folder).bench.linearity == each.linearity
 
 

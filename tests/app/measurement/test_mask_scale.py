@@ -60,7 +60,9 @@ def test_pattern_of_the_dark_is_no_part_of_the_mask() -> None:
     reference, dark = Average.of_image((light + pattern).astype("f4")), Average.of_image(pattern.astype("f4"))
     source = replace(bench.simulation.source, half_width_m=1.05 * bench.simulation.source.half_width_m)
     larger = replace(bench, simulation=replace(bench.simulation, source=source))
-    quality = scale_quality(Calibration(larger, dark, reference, bench.lattice, math.inf))
+    quality = scale_quality(
+        Calibration(bench=larger, dark=dark, reference=reference, lattice=bench.lattice, full_scale=math.inf)
+    )
     assert "4.8 % smaller" in quality.reasons[Fault.SCALE]  # 1 / 1.05
 
 
