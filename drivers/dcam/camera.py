@@ -17,7 +17,7 @@ from drivers.dcam._library import STRINGS, DcamLibrary, DeviceOpen, load_library
 from drivers.dcam._properties import Properties
 from drivers.dcam._property_ids import Id
 from drivers.device import DiscoveredDevice, Property, Range
-from drivers.errors import REFUSALS, DeviceError, Unsupported, WrongState, attempt
+from drivers.errors import REFUSALS, DeviceError, Unsupported, WrongState, attempt, undone_if_refused
 
 _SQUARE = 100  # larger numbers of a binning are oblong: 102 is 1 x 2
 # A running camera may deny reading these.
@@ -273,14 +273,10 @@ class DcamCamera(Camera):
         return Region(*(round(self._properties.get(each)) for each in (*ids.SUBARRAY_POSITION, *ids.SUBARRAY_SIZE)))
 
     def _set_region(self, region: Region) -> Region:
-        """Change the region and return the one in force; a failure restores the former one."""
         before = self._read_region()
-        try:
+        with undone_if_refused(lambda: self._write_region(before)):
             self._write_region(region)
-            return self._read_region()
-        except DeviceError:
-            self._try(self._write_region, before)
-            raise
+        return self._read_region()
 
     def _write_region(self, region: Region) -> None:
         """Write position 0, size, position, so that the region lies on the sensor at every step."""
