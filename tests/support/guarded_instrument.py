@@ -71,6 +71,12 @@ current_a = 0.1
     return path
 
 
+def _hear_all() -> None:
+    """Die of what jobs of a shell and of `nohup` ignore."""
+    for number in (signal.SIGQUIT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 @contextmanager
 def lit_instrument(bench: Path, lamp: DC4100Wire) -> Iterator[subprocess.Popen[str]]:
     with subprocess.Popen(  # noqa: S603 - this interpreter
@@ -80,7 +86,7 @@ def lit_instrument(bench: Path, lamp: DC4100Wire) -> Iterator[subprocess.Popen[s
         text=True,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGQUIT, signal.SIG_DFL),  # noqa: PLW1509 - jobs of a shell ignore it
+        preexec_fn=_hear_all,  # noqa: PLW1509 - no thread is needed in it
     ) as program:
         try:
             assert program.stdout is not None
