@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from app.acquisition.frame_path import FramePath
-from app.measurement.measurement import Measurement
+from app.measurement.measurement import FrameTotals, Measurement
 from app.timing import Timings
 from drivers.interface import DeviceTimeout, Frame
 
@@ -90,4 +91,28 @@ def test_single_frame_before_the_first_of_the_camera_has_a_latency(monkeypatch: 
     path.process_single(
         _frame(index=0, camera_time_s=7.0, host_time_s=199.5, exposure_s=0.1), instrument, None, "dark.tif"
     )
+    assert made[0].counts == FrameTotals(acquired=1, reconstructed=0)
     assert made[0].latency_s == timings.summary()["to_result"].max_s == pytest.approx(0.5)
+
+
+def test_what_happened_before_a_frame_of_the_camera_did_not_happen_before_that_of_a_file() -> None:
+    made = list[Measurement]()
+    instrument: Any = SimpleNamespace(measure=lambda frame: Measurement(frame, None, ""))
+    path = FramePath((made.append,), Timings(), lambda _: False)
+    frame = _frame(index=5, camera_time_s=0.0, host_time_s=100.0, exposure_s=0.1)
+    for each in (frame, replace(frame, index=2)):  # after five and two lost ones, and a restart
+        path._count(each)
+        path.process(each, instrument, None)
+    path.process_single(frame, instrument, None, "dark.tif")
+    assert [each.lost for each in made] == [5, 2, 0]
+    assert [each.gap is None for each in made] == [True, False, True]
+    assert made[-1].counts == FrameTotals(acquired=3, lost=7)
+
+
+def test_frame_of_a_routine_is_shown_with_its_time_and_not_counted() -> None:
+    shown, taken = list[Measurement](), list[Measurement]()
+    path = FramePath((taken.append,), Timings(), lambda _: False, shown.append)
+    path.show(_frame(index=0, camera_time_s=0.0, host_time_s=100.0, exposure_s=0.1), "taking the dark", None)
+    assert path.newest is shown[0]
+    assert (shown[0].problem, shown[0].exposure_end_s, shown[0].counts) == ("taking the dark", 100.0, FrameTotals())
+    assert not taken

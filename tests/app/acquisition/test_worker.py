@@ -108,6 +108,15 @@ def test_slow_frames_announce_themselves(running: Running, monkeypatch: pytest.M
     assert min(promised) == 1.5
 
 
+def test_every_step_of_a_routine_is_a_sign_of_life(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    promised = list[float]()
+    monkeypatch.setattr(SimulatedLight, "keep_alive", lambda _, within_s: promised.append(within_s))
+    running.begin()
+    promised.clear()
+    running.acquisition.submit(Instrument.take_dark, 10).result(HANG_S)
+    assert promised.count(10.0) >= 10
+
+
 def test_status_does_not_say_on_when_the_light_went_off_meanwhile(
     running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:

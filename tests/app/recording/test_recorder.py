@@ -92,6 +92,7 @@ def test_recent_frames_can_be_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     recorder_.close("")
     recording = Recording(tmp_path / "r")
     assert [recording.line(at).camera_index for at in range(len(recording))] == list(range(200, 301))  # 10 s
+    assert recording.run["frames"]["acquired"] == 101
     np.testing.assert_array_equal(recording.pixels(100), taken[300].frame.pixels)
 
     monkeypatch.setattr(recorder, "_RECENT_BYTES", 10 * taken[0].frame.pixels.nbytes)
@@ -133,6 +134,8 @@ def test_recording_says_for_how_many_minutes_the_disk_has_room(tmp_path: Path, m
     recording.stop()
     recording.join()
     assert recording.state.free_minutes == pytest.approx(7 * 3, rel=1e-3)
+    clock_s[0] = 200.0
+    assert recording.state.seconds == pytest.approx(3, rel=1e-3)  # it has ended
 
 
 def test_free_space_is_given_in_minutes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
