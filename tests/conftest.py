@@ -18,6 +18,7 @@ from support.leftovers import no_leftovers
 from support.optics import PAPER, SmallBench, checkerboard
 
 from app.acquisition.devices import simulated_bench
+from app.bench.config import load_bench
 from app.measurement import live_solver
 from app.measurement.live_solver import Finder
 from simulated_devices.clock import ManualClock
@@ -26,6 +27,7 @@ if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
     from PyQt6.QtWidgets import QApplication
     from pytestqt.qtbot import QtBot
     from support.gui_bench import FakeCamera
+    from support.running import Running
     from support.window_tools import MakeWindow
 
     from app.acquisition.remote.server import Server
@@ -217,6 +219,16 @@ def live(make_window: MakeWindow, qtbot: QtBot) -> tuple[MainWindow, FakeCamera]
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
     return window, camera
+
+
+@pytest.fixture
+def running(quick_toml: Path) -> Iterator[Running]:
+    """An acquisition on the bench of `quick_toml`, to be begun."""
+    from support.running import Running  # noqa: PLC0415 - only where it is wanted
+
+    running = Running(load_bench(quick_toml))
+    yield running
+    running.acquisition.close()
 
 
 @pytest.fixture

@@ -2,79 +2,30 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.patience import HANG_S, own_time, wait_until
+from support.running import Running, is_dark
 from support.simulated_faults import lose_frames, stall, unplug
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument, Status
-from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
-from app.bench.config import Bench, load_bench
+from app.bench.config import load_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import SKIPPED, Measurement
 from app.measurement.routines import Cancelled
-from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
+from drivers.interface import BadValue, Disconnected, WrongState
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.verdict import Fault
 from simulated_devices.bench import SimulatedLight
-from simulated_devices.camera import SimulatedCamera
-
-
-class Running:
-    """Acquisition on the small simulated bench, and its measurements."""
-
-    def __init__(self, bench: Bench) -> None:
-        self.devices: Devices | None = None
-        self.measurements: list[Measurement] = []
-        self.acquisition = Acquisition(bench, self._open, sinks=(self.measurements.append,))
-
-    def _open(self, bench: Bench, progress: Callable[[float], None]) -> Devices:
-        self.devices = open_devices(bench, progress)
-        return self.devices
-
-    @property
-    def camera(self) -> SimulatedCamera:
-        assert self.devices is not None
-        assert isinstance(self.devices.camera, SimulatedCamera)
-        return self.devices.camera
-
-    @property
-    def newest(self) -> Measurement:
-        assert self.acquisition.newest is not None
-        return self.acquisition.newest
-
-    def begin(self) -> None:
-        """Start up and wait for the first wavefront."""
-        self.acquisition.start()
-        for step in start_up(self.acquisition, 3):
-            step.result(HANG_S)
-        wait_until(lambda: bool(self.measurements))
-
-    def end(self) -> None:
-        """Stop the camera, or a last frame may be taken in the dark, and close."""
-        self.acquisition.submit(lambda instrument: instrument.devices.camera.stop()).result(HANG_S)
-        self.acquisition.close()
-
-
-@pytest.fixture
-def running(quick_toml: Path) -> Iterator[Running]:
-    running = Running(load_bench(quick_toml))
-    yield running
-    running.acquisition.close()
-
-
-def _is_dark(instrument: Instrument) -> bool:
-    return not instrument.devices.light.is_on
 
 
 @pytest.mark.usefixtures("no_hurry")
@@ -91,21 +42,6 @@ def test_start_up_yields_wavefronts(running: Running) -> None:
     assert counts.lost == 0
     assert running.newest is running.measurements[-1]
     assert running.acquisition.failure == ""
-
-
-def test_slow_frames_announce_themselves(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else the guardian would take each for a hang, and switch the light off."""
-    promised, measure = list[float](), Instrument.measure
-
-    def measure_slowly(instrument: Instrument, frame: Frame) -> Measurement:
-        time.sleep(0.35)
-        return measure(instrument, frame)
-
-    monkeypatch.setattr(SimulatedLight, "keep_alive", lambda _, within_s: promised.append(within_s))
-    monkeypatch.setattr(Instrument, "measure", measure_slowly)
-    running.begin()
-    wait_until(lambda: any(5 * 0.35 < within_s < 10 for within_s in promised))
-    assert min(promised) == 1.5
 
 
 def test_every_step_of_a_routine_is_a_sign_of_life(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,7 +119,7 @@ def test_cancelled_routine_restores_devices(running: Running) -> None:
     running.acquisition.cancel()
     with pytest.raises(Cancelled):
         long.result(HANG_S)
-    assert not running.acquisition.submit(_is_dark).result(HANG_S)
+    assert not running.acquisition.submit(is_dark).result(HANG_S)
     assert running.acquisition.activity.text == ""
 
 
@@ -212,7 +148,7 @@ def test_cancel_affects_only_running_routine(running: Running) -> None:
     second.result(HANG_S)
 
 
-def test_dark_is_dark_and_reference_lit(running: Running) -> None:
+def test_darkis_dark_and_reference_lit(running: Running) -> None:
     running.begin()
     averages = running.acquisition.submit(
         lambda instrument: (instrument.darks.average, instrument.references.average)
@@ -313,7 +249,7 @@ def test_unplugged_camera_ends_loop_with_light_off(running: Running) -> None:
     with pytest.raises(WrongState):
         _ = running.devices.light.is_on
     with pytest.raises(WrongState, match="camera"):  # a later command does not wait forever
-        running.acquisition.submit(_is_dark).result(HANG_S)
+        running.acquisition.submit(is_dark).result(HANG_S)
 
 
 @pytest.mark.slow
@@ -348,114 +284,6 @@ def test_close_works_before_start_and_twice(quick_toml: Path) -> None:
     acquisition = Acquisition(load_bench(quick_toml), open_devices)
     acquisition.close()
     acquisition.close()
-
-
-def test_slow_reconstruction_skips_to_newest_frame(quick_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    measure = Instrument.measure
-
-    def slowly(instrument: Instrument, frame: Frame) -> Measurement:
-        time.sleep(0.2)
-        return measure(instrument, frame)
-
-    running = Running(load_bench(quick_toml, ("camera.exposure_s=0.0139",)))
-    try:
-        running.begin()
-        monkeypatch.setattr(Instrument, "measure", slowly)
-        first = len(running.measurements)
-        wait_until(lambda: running.acquisition.counts.reconstructed >= first + 16)
-        running.end()
-    finally:
-        running.acquisition.close()
-    everything = [measurement.frame.index for measurement in running.measurements]
-    measured = [measurement for measurement in running.measurements if measurement.wavefront is not None]
-    index = [measurement.frame.index for measurement in measured]
-    last = measured[-1]
-    counts = [measurement.counts for measurement in running.measurements]
-    # Five of 72 frames per second are measured; the others are skipped, not queued. The sinks get all.
-    assert np.median(np.diff(index[first + 2 :])) > 8
-    assert np.all(np.diff(everything) > 0)
-    assert len(everything) == counts[-1].acquired
-    assert {measurement.problem for measurement in running.measurements} == {"", SKIPPED}
-    assert all(count.acquired + count.lost == at + 1 for at, count in zip(everything, counts, strict=True))
-    assert last.counts.reconstructed == len(measured) < last.counts.acquired
-    # With a queue, each measurement would be 0.19 s older than the previous one.
-    assert min(measurement.latency_s for measurement in measured[-4:]) < measured[first + 2].latency_s + 1.0
-    assert running.newest is last
-
-
-def test_slow_skipping_still_measures_and_stops(quick_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    measure, skip = Instrument.measure, Instrument.skip
-
-    def slowly(instrument: Instrument, frame: Frame) -> Measurement:
-        time.sleep(0.2)
-        return measure(instrument, frame)
-
-    def more_slowly_than_they_come(instrument: Instrument, frame: Frame) -> Measurement:
-        time.sleep(0.03)
-        return skip(instrument, frame)
-
-    running = Running(load_bench(quick_toml, ("camera.exposure_s=0.0139",)))
-    try:
-        running.begin()
-        monkeypatch.setattr(Instrument, "measure", slowly)
-        monkeypatch.setattr(Instrument, "skip", more_slowly_than_they_come)
-        wait_until(lambda: running.measurements[-1].problem == SKIPPED)
-        first = running.acquisition.counts.reconstructed
-        wait_until(lambda: running.acquisition.counts.reconstructed >= first + 2)
-        assert running.acquisition.submit(_is_dark).result(HANG_S) is False
-    finally:
-        running.acquisition.close(HANG_S)
-    assert not running.acquisition.is_alive
-
-
-@pytest.mark.slow
-def test_slow_devices_are_polled_less_often(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    status, asked_s, answered_s = Instrument.status, [], []
-
-    def slowly(instrument: Instrument) -> Status:
-        asked_s.append(time.monotonic())
-        time.sleep(0.2)
-        answered_s.append(time.monotonic())
-        return status(instrument)
-
-    running.begin()
-    monkeypatch.setattr("app.acquisition.worker._STATUS_INTERVAL_S", 0.01)
-    monkeypatch.setattr(Instrument, "status", slowly)
-    wait_until(lambda: len(asked_s) > 2)
-    assert min(asked - answered for asked, answered in zip(asked_s[1:], answered_s, strict=False)) >= 1.8
-
-
-def test_light_timeout_while_skipping_is_not_the_cameras(quick_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    skip, status = Instrument.skip, Instrument.status
-    has_skipped = threading.Event()
-
-    def skip_before(instrument: Instrument, frame: Frame) -> Measurement:
-        has_skipped.set()
-        return skip(instrument, frame)
-
-    def silent_once(instrument: Instrument) -> Status:
-        if has_skipped.is_set():
-            monkeypatch.setattr(Instrument, "status", status)
-            raise DeviceTimeout("the light did not answer")
-        return status(instrument)
-
-    def measure_slowly(_: Instrument, frame: Frame) -> Measurement:
-        time.sleep(0.4)
-        return Measurement(frame, None, "slow")
-
-    running = Running(load_bench(quick_toml, ("camera.exposure_s=0.0139",)))
-    try:
-        running.begin()
-        monkeypatch.setattr("app.acquisition.worker._STATUS_INTERVAL_S", 0.0)
-        monkeypatch.setattr("app.acquisition.worker._STATUS_SHARE", math.inf)
-        running.acquisition.submit(_is_dark).result(HANG_S)  # from here on the status is always due
-        monkeypatch.setattr(Instrument, "status", silent_once)
-        monkeypatch.setattr(Instrument, "skip", skip_before)
-        monkeypatch.setattr(Instrument, "measure", measure_slowly)
-        wait_until(lambda: not running.acquisition.is_alive)
-    finally:
-        running.acquisition.close(HANG_S)
-    assert running.acquisition.failure == "the light did not answer"
 
 
 def test_light_switched_off_by_hand_is_detected(running: Running) -> None:
