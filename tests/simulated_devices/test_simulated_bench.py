@@ -51,6 +51,13 @@ def test_states_are_rendered_ahead_and_played(cache_folder: Path) -> None:
             seen.append(current_state(bench))
         assert set(seen) == {0, 1, 2, 3}
         assert (abs(np.diff(seen)) == 1).all()
+        bench.change(is_sample_in=True)
+        long_s = bench.simulation.state_duration_s
+        first = math.ceil((bench.clock.now() - bench._start_s) / long_s)
+        for middle in (first + 0.9, first + 1.1):  # before and after a change, amid the exposure
+            begin_s = bench._start_s + (middle - 0.5) * long_s
+            shown = bench.expose(begin_s, begin_s + long_s).state
+            assert shown == played_state(middle * long_s, states=4, rendered=4, duration_s=long_s)
         drift = bench.renderer.truth_wavefront(1) - bench.renderer.truth_wavefront(0)
         assert 0.01 < drift.std() < bench.renderer.truth_wavefront(0).std()
     finally:

@@ -132,6 +132,16 @@ def test_change_while_running_leaves_waiting_frames(bench: SimulatedBench, camer
     assert [frame.camera_time_s for frame in frames] == pytest.approx([0.02, 0.04, 0.15, 0.25])
 
 
+def test_gain_changed_amid_an_exposure_leaves_its_end(bench: SimulatedBench, camera: SimulatedCamera) -> None:
+    camera.set_exposure(0.02)
+    camera.start()
+    bench.clock.sleep(0.05)
+    camera.set_em_gain(50.0)
+    frames = [camera.read(1.0) for _ in range(4)]
+    assert [frame.em_gain for frame in frames] == [1.0, 1.0, 50.0, 50.0]
+    assert [frame.camera_time_s for frame in frames] == pytest.approx([0.02, 0.04, 0.06, 0.08])
+
+
 def test_light_is_proportional_to_current_and_exposure(
     bench: SimulatedBench, camera: SimulatedCamera, light: SimulatedLight
 ) -> None:

@@ -310,12 +310,20 @@ def test_camera_that_repeats_a_frame_is_reported(quick_toml: Path) -> None:
                 replace(frame, index=frame.index + step, camera_time_s=frame.camera_time_s + step) for step in (1, 2)
             ]
             early = replace(frame, index=frame.index + 3, pixels=frame.pixels + 1)
-            return [instrument.measure(each) for each in (*later, early)]
+            skipped, again = (
+                replace(
+                    early, index=early.index + step, camera_time_s=early.camera_time_s + step, pixels=early.pixels + 1
+                )
+                for step in (1, 2)
+            )
+            made = [instrument.measure(each) for each in (*later, early)]
+            instrument.skip(skipped)
+            return [*made, instrument.measure(again)]
 
-        _, frozen, back = running.acquisition.submit(repeat).result(HANG_S)
+        _, frozen, back, after_skipped = running.acquisition.submit(repeat).result(HANG_S)
     finally:
         running.acquisition.close()
-    assert frozen.quality.faults == Fault.FROZEN
+    assert frozen.quality.faults == after_skipped.quality.faults == Fault.FROZEN
     assert back.quality.faults == Fault.CLOCK
 
 

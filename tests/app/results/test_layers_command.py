@@ -31,6 +31,7 @@ from app.results.layers import (
     ratio_at,
     shown_range_m,
 )
+from reconstruction.arrays import Floats
 from reconstruction.layers.corrector import Corrector
 from reconstruction.layers.layer_search import search_layers
 from reconstruction.layers.layer_solver import Layer
@@ -359,6 +360,18 @@ def test_corrector_needs_a_wavefront_that_changes_over_the_field() -> None:
     same = np.add.outer(np.arange(bench.sensor.lenslet_rows), np.arange(bench.sensor.lenslet_columns)) ** 2.0
     with pytest.raises(ValueError, match="the same at every field position"):
         compare_correctors(lambda _x, _y: same, bench, Corrector("zernike", 10), at_m=None, origin="lenslets")
+
+
+def test_uncorrected_is_the_rms_over_field_and_pupil() -> None:
+    bench = load_bench("small_demo")
+    pupil = np.add.outer(np.arange(bench.sensor.lenslet_rows), np.arange(bench.sensor.lenslet_columns)) / 10.0
+
+    def wavefront(x_m: float, y_m: float) -> Floats:
+        return pupil * (x_m - 2 * y_m) / bench.field.half_width_m
+
+    found, _ = compare_correctors(wavefront, bench, Corrector("zernike", 3), at_m=0.0, origin="lenslets")
+    growth = (found["field_x"] - 2 * found["field_y"]).values / bench.field.half_width_m
+    assert found["uncorrected"].item() == pytest.approx(np.std(pupil) * np.sqrt(np.mean(growth**2)))
 
 
 def test_first_sentence_of_the_help_is_that_of_the_file() -> None:

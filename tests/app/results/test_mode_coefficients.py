@@ -10,7 +10,7 @@ import xarray as xr
 from support.gui_bench import FIELD, SENSOR
 from support.wavefronts import bowl, modal
 
-from app.results.coefficients import ModeChoice, double_zernikes, mode_coefficients, table_of
+from app.results.coefficients import ModeChoice, double_zernikes, field_coefficients, mode_coefficients, table_of
 from reconstruction.arrays import Floats
 from reconstruction.modes.pupil_modes import BASES
 from reconstruction.solve.modal import ModalSolution
@@ -83,6 +83,9 @@ def test_field_map_of_a_coefficient() -> None:
     outside = mode_coefficients(circle, ModeChoice("legendre", None, CENTRE, mapped=3)).field_map
     assert outside is not None
     np.testing.assert_array_equal(np.isnan(outside), x**2 + x[:, None] ** 2 > 1 + 1e-9)
+    maps = field_coefficients(circle, "legendre", positions=21)
+    for name in ("coefficient", "coefficient_sigma"):
+        np.testing.assert_array_equal(np.isnan(maps[name][3]), np.isnan(outside), err_msg=name)
 
 
 def test_double_zernikes_name_the_radii_of_field_and_pupil() -> None:

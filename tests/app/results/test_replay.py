@@ -81,6 +81,23 @@ def mine(plain: Recording, tmp_path: Path) -> Recording:
     return Recording(shutil.copytree(plain.folder, tmp_path / "mine"))
 
 
+def test_frame_after_one_without_light_starts_from_the_one_before(
+    mine: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replace_pixels(mine, 1, np.full_like(mine.pixels(1), 500))
+    starts, measure = list[Displacement | None](), Estimator.measure
+
+    def noted(estimator: Estimator, *given: Any, start: Displacement | None, **more: Any) -> Measurement:
+        starts.append(start)
+        return measure(estimator, *given, start=start, **more)
+
+    monkeypatch.setattr(Estimator, "measure", noted)
+    first, dark, _ = reprocess(mine, [0, 1, 2], change_of(None, ("registration.warp=affine",)))
+    assert first.registered is not None
+    assert dark.registered is None
+    assert starts == [None, first.registered, first.registered]
+
+
 def replayed(folder: Path, *settings: str, **options: Any) -> Replay:
     given: dict[str, Any] = {"frames": None, "out": None, "must_match": False, "progress": lambda *_: None}
     return replay(folder, change_of(None, settings), **{**given, **options})

@@ -41,7 +41,7 @@ def test_a_value_does_not_wait_for_another_that_is_computed() -> None:
         waiting = pool.submit(slow)
         assert begun.wait(HANG_S)
         try:
-            assert pool.submit(Deferred(lambda: "quick")).result(5.0) == "quick"
+            assert pool.submit(Deferred(lambda: "quick")).result(HANG_S) == "quick"
         finally:
             may_end.set()
         assert waiting.result(HANG_S) == "slow"
