@@ -13,6 +13,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 _IGNORED = shutil.ignore_patterns("__pycache__", ".*", "build")
+_HANG_S = 200  # for a test
 _FAILED = 1  # exit status of pytest if a test failed; others mean that none was run
 
 
@@ -43,6 +44,7 @@ def found(copy: Path, name: str, text: str, fault: str, tests: str) -> bool:
     path.write_text(source.replace(text, fault), "utf-8")
     # A long test is run by nobody else every day, so it may not be the one that finds a fault.
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-m", "not long", "-p", "no:cacheprovider", tests]
+    command += [f"--timeout={_HANG_S}", "--timeout-method=thread"]  # a hang is found, too, also if no signal ends it
     environment = os.environ | {"PYTHONPATH": str(copy), "QT_QPA_PLATFORM": "offscreen", "OPENBLAS_NUM_THREADS": "1"}
     environment["SVWFS_HANG_S"] = "20"
     try:
