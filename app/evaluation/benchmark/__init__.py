@@ -1,4 +1,4 @@
-"""The benchmark: everything on the same frames, side by side, as one tree for JSON, and the ratios to keep.
+"""The benchmark: a tree of times and residuals on the same frames, side by side.
 
 Registration beside the contestants; zonal solve and forward model beside other software; frames of growing lattices.
 """
@@ -23,7 +23,7 @@ from app.evaluation.benchmark.contestants import OURS, PEERS, coefficients_of, f
 from app.evaluation.benchmark.timed_frames import TimedFrames, medians_s, noise_free, noisy, side_by_side, tiled
 from app.progress import Progress, between, named
 from app.run_facts import machine_facts, versions
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Booleans, Floats
 from reconstruction.geometry import centered_steps
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.runtime.threads import one_blas_thread
@@ -108,7 +108,7 @@ def _race(clean: TimedFrames, grainy: TimedFrames, peers: Sequence[str], budget_
 
 
 def _our_residuals(frames: TimedFrames) -> dict[str, float]:
-    """Residuals of every warp by the zonal solve that the peers get, and of the modal wavefront of `OURS`."""
+    """Residuals, rad, of every warp by the peers' zonal solve, and of the modal wavefront of `OURS`."""
     residuals = {}
     for name, call in ours(frames):
         wavefront = call()
@@ -129,8 +129,7 @@ def _residual_rad(frames: TimedFrames, coefficients: Floats) -> float:
     coefficients = coefficients.reshape(sensor.lenslet_rows, sensor.lenslet_columns, *coefficients.shape[1:])
     valid = np.asarray(np.isfinite(coefficients).all(axis=(2, 3)))
     slopes = _slopes(frames, np.swapaxes(coefficients, 2, 3))
-    found = zonal_wavefront(slopes, valid, pitch_m=sensor.lenslet_pitch_m, arrangement=sensor.arrangement)
-    return float(np.nanmean(rms(found - frames.truth)))
+    return float(np.nanmean(rms(_zonal(frames, slopes, valid) - frames.truth)))
 
 
 def _zonal_times(frames: TimedFrames, budget_s: float) -> dict[str, float]:
@@ -141,10 +140,7 @@ def _zonal_times(frames: TimedFrames, budget_s: float) -> dict[str, float]:
     slopes = slopes.reshape(-1, *slopes.shape[2:])
     valid = np.ones(coefficients.shape[:2], np.bool_)
     bare = _bare_southwell(sensor.lenslet_rows, sensor.lenslet_columns, sensor.lenslet_pitch_m)
-
-    def ours() -> Floats:
-        return zonal_wavefront(slopes, valid, pitch_m=sensor.lenslet_pitch_m, arrangement=sensor.arrangement)
-
+    ours = partial(_zonal, frames, slopes, valid)
     times_s = medians_s({"ours": ours, "bare": lambda: bare(slopes)}, budget_s)
     return {
         "ours_s": times_s["ours"],
@@ -154,15 +150,19 @@ def _zonal_times(frames: TimedFrames, budget_s: float) -> dict[str, float]:
     }
 
 
+def _zonal(frames: TimedFrames, slopes: Floats, valid: Booleans) -> Floats:
+    """Zonal wavefronts, rad, of slopes (..., lenslet_row, lenslet_column, xy), rad/m."""
+    sensor = frames.bench.sensor
+    return zonal_wavefront(slopes, valid, pitch_m=sensor.lenslet_pitch_m, arrangement=sensor.arrangement)
+
+
 def _slopes(frames: TimedFrames, coefficients: Floats) -> Floats:
     """Slopes of all views, rad/m, (view_row, view_column, lenslet_row, lenslet_column, xy).
 
     `coefficients` (lenslet_row, lenslet_column, field_mode, xy), px.
     """
-    x, y = (
-        view_m / frames.bench.field.half_width_m
-        for view_m in (frames.bench.field.view_x_m, frames.bench.field.view_y_m)
-    )
+    field = frames.bench.field
+    x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
     modes = LegendreModes(coefficients.shape[2]).values(x, y[:, None])
     return np.asarray(np.einsum("rcqd,qyx->yxrcd", coefficients, modes) * frames.bench.sensor.slope_per_px)
 
@@ -216,7 +216,7 @@ _BEND_RAD_PER_M2 = 3e5
 
 
 def _forward_times(frames: TimedFrames, budget_s: float) -> tuple[dict[str, float], str]:
-    """Return seconds of our forward model and HCIPy's per object point, and the problem of HCIPy if it cannot run.
+    """Time our forward model and HCIPy's per object point, s; return also why HCIPy cannot run.
 
     Both get the same phase in closed form and the same object points. Ours repeats its costs per image for these few
     points and covers the camera's pixels with squares of light; HCIPy has one sample per pixel.
@@ -236,7 +236,7 @@ def _forward_times(frames: TimedFrames, budget_s: float) -> tuple[dict[str, floa
 
 
 def _our_image(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
-    """Prepare the image of a square of object points."""
+    """Prepare the image (row, column) of a square of object points, m^2."""
     bench, (rows, columns) = frames.bench, frames.reference.shape
     samples = bench.simulation.pupil_samples
     model = ForwardModel(
@@ -250,7 +250,7 @@ def _our_image(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
 
 
 def _hcipy_image(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
-    """Prepare the image of one object point."""
+    """Prepare the image (row, column) of one object point."""
     hcipy = import_module("hcipy")
     sensor, (rows, columns) = frames.bench.sensor, frames.reference.shape
     width_m, height_m = (2 * half_m for half_m in sensor.pupil_half_width_m)
@@ -270,7 +270,7 @@ def _hcipy_image(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
 
 
 def _positions_m(frames: TimedFrames, points: int) -> NDArray[np.float64]:
-    """Object points on a square, (point, xy)."""
+    """Object points on a square, m, (point, xy)."""
     along_m = centered_steps(points) / points * 2 * frames.bench.field.half_width_m
     return np.stack(np.meshgrid(along_m, along_m), axis=-1).reshape(-1, 2)
 
@@ -279,7 +279,7 @@ _LARGE_LENSLETS, _LARGE_MARGIN_PX = 64, 32  # 31 pixels each on 2048 x 2048
 
 
 def _growth(frames: TimedFrames, sizes: Sequence[int], budget_s: float, progress: Progress) -> list[dict[str, float]]:
-    """Time quadratic warps on lattices of several sizes, affine and cubic ones on the frames' own lattice."""
+    """Time quadratic warps on lattices of several sizes, affine and cubic ones on their own."""
     own = frames.bench.sensor.lenslet_rows
     cases: list[tuple[int, Warp]] = []
     for size in dict.fromkeys((*sizes, own)):
@@ -338,9 +338,10 @@ _TOLERANCE = 0.2  # of the speed before; a larger loss fails
 
 
 def load_baseline() -> dict[str, float]:
-    """Return the committed ratios: the peers' times over ours, side by side, which hardly depend on the computer.
+    """Return the committed ratios: the peers' times over ours.
 
-    After a lasting improvement copy "ratios" from the file of `svwfs benchmark --json`.
+    Measured side by side, they hardly depend on the computer. After a lasting improvement copy "ratios" from the file
+    of `svwfs benchmark --json`.
     """
     ratios: dict[str, float] = json.loads(Path(__file__).with_name("baseline.json").read_text("utf-8"))["ratios"]
     return ratios

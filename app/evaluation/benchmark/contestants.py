@@ -1,4 +1,4 @@
-"""Contestants that register subimages, prepared once for a reference: ours, and peers, each in its best use.
+"""Registration by svwfs and by other libraries, each in its best use, prepared for a reference.
 
 All of them get the same frame above the same dark in the same 31 x 31 pixels per lenslet. They are timed from counts to
 displacements only, ours to wavefronts and coefficients. Only pyrtcao processes a whole frame in one call.
@@ -55,9 +55,11 @@ class _Windows:
         self.top, self.left = (round(float(value)) for value in first)
 
     def light(self, frame: NDArray[Any]) -> Image:
+        """Counts above the dark, (row, column)."""
         return np.asarray(frame - self._dark, np.float32)
 
     def __call__(self, frame: NDArray[Any]) -> Image:
+        """Subimages, counts above the dark, (lenslet, row, column)."""
         pitch_px = self.pitch_px
         inner = self.light(frame)[self.top :, self.left :][: self.rows * pitch_px, : self.columns * pitch_px]
         cells = inner.reshape(self.rows, pitch_px, self.columns, pitch_px).swapaxes(1, 2)
@@ -82,6 +84,7 @@ def _opencv_ecc(frames: TimedFrames, *, is_warm: bool = True, threads: int = _TH
     over_all: Callable[..., Iterator[Image]] = map if threads == 1 else ThreadPoolExecutor(threads).map
 
     def align(reference: Image, subimage: Image, start: Image) -> Image:
+        """Affine map (2, 3), px, from a subimage (row, column) of the reference to that of the frame."""
         warp = start.copy()
         try:
             found = cv2.findTransformECC(reference, subimage, warp, cv2.MOTION_AFFINE, criteria)
@@ -90,6 +93,7 @@ def _opencv_ecc(frames: TimedFrames, *, is_warm: bool = True, threads: int = _TH
         return np.asarray(found[1], np.float32)
 
     def warps(frame: NDArray[Any]) -> Image:
+        """Affine maps (lenslet, 2, 3), px; NaN where lost."""
         return np.stack(list(over_all(align, references, windows(frame) / brightest, starts)))
 
     if is_warm:
@@ -123,7 +127,7 @@ def _scikit_image(frames: TimedFrames) -> Register:
 
 
 def pyrtc(frames: TimedFrames, *, reach_px: int | None = None) -> Register:
-    """Prepare pyrtcao's correlation, which searches `reach_px` pixels in each direction, by default all of a cell."""
+    """Prepare pyrtcao's correlation up to `reach_px` pixels away, by default to the edge of the cell."""
     kernels = import_module("pyrtc.slopes_process")  # an optional extra
     windows, reach_px = _Windows(frames), _free_px(frames) if reach_px is None else reach_px
     lenslets, width = windows.rows, windows.pitch_px
@@ -176,7 +180,7 @@ OURS = _name_of("quadratic", is_warm=True, threads=2)
 
 
 def ours(frames: TimedFrames) -> Iterator[tuple[str, Callable[[], Wavefront]]]:
-    """Yield name and call of every warp, cold and warm (started at the previous frame), in one and two threads."""
+    """Yield name and call of every warp, cold and started at the previous frame, in one and two threads."""
     for warp, threads in product(WARPS, THREADS):
         reconstructor = frames.reconstructor(RegistrationSettings(warp=warp, threads=threads))
         before = reconstructor.register(frames.before)
@@ -197,7 +201,7 @@ def coefficients_of(displacement: Displacement) -> Floats:
 
 
 def frames_per_s(frames: TimedFrames, seconds: float) -> float:
-    """Return the rate of a loop of warm frames."""
+    """Return the rate of a loop of warm frames, 1/s."""
     reconstructor = frames.reconstructor(RegistrationSettings(warp="quadratic"))
     displacement = reconstructor.register(frames.before)
     count, start_s = 0, time.perf_counter()

@@ -1,4 +1,4 @@
-"""Rate and latency of the live path with a window and a recording, and without; for `svwfs benchmark --live`."""
+"""Rate and latency of the live path with and without window, for `svwfs benchmark --live`."""
 
 from __future__ import annotations
 

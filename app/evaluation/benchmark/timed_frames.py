@@ -1,4 +1,4 @@
-"""Timing: calls in turn, and frames of the simulated bench for them, also larger ones tiled from it."""
+"""Calls timed in turn, and frames of the simulated bench for them, also tiled to larger ones."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -86,7 +86,7 @@ def noisy(frames: TimedFrames, rng: np.random.Generator) -> TimedFrames:
 
 
 def tiled(frames: TimedFrames, lenslets: int, *, margin_px: int = 0) -> TimedFrames:
-    """Return frames of `lenslets` x `lenslets`, made of copies side by side, with a dark margin and without a truth.
+    """Tile frames of `lenslets` x `lenslets` with a dark margin; their truth is unknown.
 
     `ValueError` if lenslets of whole pixels do not fill the frame.
     """
@@ -121,9 +121,10 @@ _LEAST_CALLS = 3
 def side_by_side(
     calls: Mapping[str, Callable[[], Any]], budget_s: float, progress: Progress = lambda *_: None
 ) -> dict[str, list[float]]:
-    """Time calls in turn until each has had `budget_s` and three calls, so that other load slows all of them alike.
+    """Time calls in turn until each has had `budget_s` and three calls.
 
-    Returns the seconds of each call by contestant; its first call may compile or load something and is not timed.
+    So other load slows all of them alike. Returns the seconds of each call by contestant; its first call may compile or
+    load something and is not timed.
     """
     seconds: dict[str, list[float]] = {name: [] for name in calls}
     for index, (name, call) in enumerate(calls.items()):

@@ -1,4 +1,4 @@
-"""Corrected images beside the truth: photographs through a strongly space-variant screen, restored in several ways."""
+"""Corrected images beside the truth: photographs through a screen near the sample, restored."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -77,6 +77,7 @@ class _Photographs:
                 yield CaseResult(at={"object": name, "way": way}, values=values, name=f"seed {seed}")
 
     def _restored(self, photograph: Floats, truth: Floats) -> Iterator[tuple[str, Floats]]:
+        """Yield each way and its image, electrons, as photograph and truth: (row, column)."""
         yield "object", truth
         yield "photograph", photograph
         field = self._bench.field
@@ -90,6 +91,7 @@ class _Photographs:
         yield "true PSFs", self._correct(photograph, self._true_phase)
 
     def _correct(self, photograph: Floats, phase_at: PhaseAt, *, is_wiener: bool = False) -> Floats:
+        """Correct a photograph (row, column), electrons, by the wavefront of each field position."""
         made = corrected_image(
             photograph,
             phase_at,
@@ -102,14 +104,17 @@ class _Photographs:
         return made.image.astype(np.float64)
 
     def _psnr_db(self, image: Floats, truth: Floats) -> float:
+        """Peak signal-to-noise ratio within the field of an image (row, column), electrons."""
         inside = self._imaging.inside(truth.shape, self._bench.field)
         return float(10 * np.log10(truth.max() ** 2 / np.mean((image - truth)[inside] ** 2)))
 
     def _photographed(self, truths: Floats) -> Floats:
+        """Mean electrons of photographs of objects (object, row, column), electrons."""
         bench = self._bench
         reach = psf_reach_px(self._imaging, bench.sensor, bench.field, self._measured.views) + _WIDER_PX
 
         def psf_at(x_px: float, y_px: float) -> Floats:
+            """Point-spread function (row, column), sum 1, at a pixel."""
             x_m, y_m = self._imaging.field_m(np.array(x_px), np.array(y_px), truths.shape[1:])
             return true_psf(
                 pupil_field(self._sample, float(x_m), float(y_m)),
@@ -122,6 +127,7 @@ class _Photographs:
         return photographs(truths, psf_at, spacing_px=_NODES_PX)
 
     def _true_phase(self, x_m: float, y_m: float) -> Floats:
+        """Phase of the screen, rad, (lenslet_row, lenslet_column), at a field position."""
         light, sensor = self._sample.light, self._bench.sensor
         u_m, v_m = np.moveaxis(sensor.lenslet_centers_m, -1, 0)
         scale, ratio = light.ray_map.pupil_scale, light.ray_map.field_scale
@@ -129,13 +135,14 @@ class _Photographs:
 
 
 def pupil_field(sample: Sample, x_m: float, y_m: float) -> PupilField:
-    """Light of a field position behind a sample, at the lenslets: phase and amplitude."""
+    """Return the light of a field position at the lenslets, as a function of their position (m)."""
     light = sample.light
     scale, from_x_m, from_y_m = light.ray_map.pupil_scale, *(light.ray_map.field_scale * at_m for at_m in (x_m, y_m))
     return lambda u_m, v_m: light.column(scale * u_m + from_x_m)(scale * v_m + from_y_m)
 
 
 def _constant(phase: Floats) -> PhaseAt:
+    """Take a wavefront (lenslet_row, lenslet_column), rad, for that of the whole field."""
     return lambda _x_m, _y_m: phase
 
 
@@ -160,7 +167,7 @@ class PhotographStudy(Study):
         return Printed(self.title, ("object", *means.columns), lines)
 
     def figure(self, data: pd.DataFrame) -> Figure:
-        """Draw the pictures of the first repeat, a row per object, a column per way; brightness has a gamma of 1/2."""
+        """Draw the first repeat with a gamma of 1/2, a row per object, a column per way."""
         means = self._means(data)
         figure = Figure(figsize=(2.4 * means.shape[1], 2.65 * means.shape[0]), layout="constrained")
         axes = figure.subplots(*means.shape, squeeze=False)
