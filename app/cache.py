@@ -1,4 +1,4 @@
-"""Results that take long to compute, kept in memory for a bench or on disk for all, and the release of memory."""
+"""Caches of results in memory and on disk, and the release of memory."""
 
 import atexit
 import ctypes
@@ -44,7 +44,7 @@ def cache_folder() -> Path:
 
 
 def cached(kind: str, fingerprint: str, compute: Callable[[], Arrays]) -> Arrays:
-    """Return the cached result of `compute`, computing it if necessary; the last 400 of each kind are kept.
+    """Return the cached result of `compute`, or compute it; the last 400 of each kind are kept.
 
     `fingerprint` is a file name that stands for everything the result depends on.
     """

@@ -66,7 +66,7 @@ def _is_read_only(folder: Path) -> bool:
 
 
 def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | None] = (), overwrite: bool) -> None:
-    """Check the files that a command will write before it begins, and clear their folders of stale half-written ones.
+    """Check the files that a command will write, and clear their folders of stale half-written ones.
 
     None among `outputs` stands for an option that was not given. `inputs` are files and folders that the command reads.
     With `overwrite`, existing files may be replaced; inputs never are. `InputError` if an output is an input, lies in
@@ -163,7 +163,7 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]
 
 
 def remove_partial(folder: Path) -> list[Path]:
-    """Remove the files and folders that killed processes left half-written in a folder and those in it; return them.
+    """Remove what killed processes left half-written in a folder and those in it; return the paths.
 
     Nobody may be writing there.
     """

@@ -206,7 +206,7 @@ def write_stack(
     pixel_um: float,
     interval_s: float | None = None,
 ) -> None:
-    """Write as many images (row, column) of one size and type as there are labels, as BigTIFF, one in memory at a time.
+    """Write images (row, column) of one size and type, one for each label, as BigTIFF for ImageJ.
 
     tifffile's own ImageJ mode ends at 4 GB; this writes the same description and tags into a BigTIFF. ImageJ shows
     `labels` above the images, and `information` under Image > Show Info. With an interval they are a film.

@@ -43,7 +43,7 @@ def counted(count: int, noun: str = "frame") -> str:
 
 
 def run_in_thread(work: Callable[[], T], name: str) -> tuple[Future[T], threading.Thread]:
-    """Begin work that may take long on a thread of its own; return the future of its result, and the thread."""
+    """Begin long work on a thread of its own; return the future of its result, and the thread."""
     future: Future[T] = Future()
 
     def run() -> None:

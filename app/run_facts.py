@@ -33,7 +33,7 @@ def software_facts() -> dict[str, Any]:
 
 
 def command_line(*arguments: str | Path) -> tuple[str, list[str]]:
-    """Return program and arguments of a command of the installed svwfs, whatever lies in the working directory."""
+    """Return program and arguments of a command of this svwfs, whatever lies in the working directory."""
     return sys.executable, ["-P", "-c", _RUN, *map(str, arguments)]
 
 
@@ -54,7 +54,7 @@ def versions(*more: str) -> dict[str, str]:
 
 
 def newer_version(writer: object) -> str:
-    """Return the version of a writer, as "svwfs 0.3.0" or "0.3.0", if it is newer than this svwfs; else empty."""
+    """Return the version of a writer, as "svwfs 0.3.0" or "0.3.0", if it is newer than this; else ""."""
     theirs, ours = ([int(part) for part in _VERSION_PART.findall(str(each))] for each in (writer, version("svwfs")))
     return str(writer).removeprefix("svwfs ") if theirs > ours else ""
 

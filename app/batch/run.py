@@ -1,4 +1,4 @@
-"""`svwfs batch`: reconstruct recordings into one store, block by block; what is there already is not done again."""
+"""`svwfs batch`: reconstruct the missing blocks of recordings into one store."""
 
 import signal
 from collections.abc import Iterator, Sequence
@@ -56,7 +56,7 @@ class _DoneBlock:
 
 
 def check_batch(folders: Sequence[Path], out: Path, job: BatchJob) -> tuple[list[BatchInput], Batch]:
-    """Check what a batch reads, without workers; return the complete recordings, and the others in a `Batch`.
+    """Check what a batch reads; return the complete recordings, and the others in a `Batch`.
 
     `InputError` if no recording can be used, `out` cannot be the store of this job, or its settings fit no recording.
     """
@@ -94,7 +94,7 @@ def _check_settings(sources: Sequence[BatchInput], settings: tuple[str, ...]) ->
 
 
 def run_batch(folders: Sequence[Path], out: Path, job: BatchJob, evaluate: Evaluate, progress: Progress) -> Batch:
-    """Reconstruct the blocks of recordings that are missing in the store `out`, which is made if necessary.
+    """Reconstruct the missing blocks of recordings into the store `out`, which is made if necessary.
 
     `evaluate` calls a function with each block, here or on workers that see the same folders. `InputError` if no
     recording can be used, or the store is of another job; `RunError` if nothing can be written, or the workers are
@@ -233,7 +233,7 @@ def reconstruct_block(store: Path, job: BatchJob, block: _Block) -> _DoneBlock:
 
 
 def first_result(job: BatchJob, source: BatchInput) -> xr.Dataset | None:
-    """Return the first result of a recording as a piece of one frame; None if its first block has no wavefront."""
+    """Return the first result of a recording, one frame; None if its first block has no wavefront."""
     job.check_software()
     made = _prepared(source, job)(source.chosen[:BLOCK_FRAMES], lambda *_: None)
     first = next((each for each in made if each.wavefront is not None), None)
@@ -249,7 +249,7 @@ def _prepared(source: BatchInput, job: BatchJob) -> Reprocessing:
 
 
 def dask_setup(_worker: object) -> None:
-    """Ignore Ctrl-C, which a terminal sends to all processes: Dask calls this as a worker process starts.
+    """Ignore Ctrl-C, which a terminal sends to all processes; Dask calls this as a worker starts.
 
     The command stops its workers. They load this module while they start, rather than with the first block.
     """

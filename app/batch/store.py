@@ -1,4 +1,4 @@
-"""The store of a batch and its job: one Zarr group of results (recording, frame, ...) that xarray opens as a dataset.
+"""The store of a batch: a Zarr group of results (recording, frame, ...), and the job it belongs to.
 
 A chunk holds one block of frames of one recording, and every file is written atomically, so workers need no lock. The
 chunk of `state` is written last: a block whose chunk exists is done. Recordings are identified by `run.json` alone.
@@ -161,7 +161,7 @@ class ResultStore:
         self._arrays[_PROVENANCE][number] = json.dumps(record)
 
     def missing(self, number: int, source: BatchInput) -> list[range]:
-        """Chosen frames of each block of a recording that is not done, or has damaged frames, which may be repaired."""
+        """Chosen frames of each block that is not done, or has damaged frames, which may be repaired."""
         folder, block = self._folder / STATE / "c" / str(number), self._arrays[STATE].chunks[1]
         done = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
         state, chosen = np.asarray(self._arrays[STATE][number]), source.chosen
@@ -254,7 +254,7 @@ def store_attributes(folder: Path) -> dict[str, Any]:
 
 
 def open_store(folder: Path) -> xr.Dataset:
-    """Open a store for reading; arrays are read when they are used. `InputError` if the folder holds none."""
+    """Open a store for reading, arrays when they are used; `InputError` if the folder holds none."""
     if not is_store(folder):
         raise InputError(f"{folder}: holds no results of svwfs batch; svwfs.open_recording opens a recording")
     try:
@@ -303,7 +303,7 @@ class BatchInput:
 
     @classmethod
     def of(cls, folder: Path, chosen: str) -> Self:
-        """Take the frames FIRST:END of a recording, or all if `chosen` is empty; `InputError` if it is not complete."""
+        """Take the frames FIRST:END, or all, of a recording; `InputError` if it is not complete."""
         run = read_run(folder)
         if not run["complete"]:
             raise InputError(f"{folder}: is not complete: it still grows, or svwfs recover finishes it")
@@ -317,7 +317,7 @@ class BatchInput:
 
 
 def unique_names(folders: Iterable[Path], taken: Iterable[str]) -> list[str]:
-    """Name each folder by the fewest last parts of its path that no other name has; numbered where paths are equal."""
+    """Name each folder by the fewest last parts of its path that are unique; number equal paths."""
     known = set(taken)
     names: list[str] = []
     for folder in folders:

@@ -88,7 +88,7 @@ def _outcome(future: Any) -> Any:
 
 @contextmanager
 def workers(count: int | None, scheduler: str | None, *, has_dashboard: bool = False) -> Iterator[Workers]:
-    """Start `count` worker processes, by default one for each core, or connect to the scheduler at an address.
+    """Start `count` workers, by default one for each core, or connect to the scheduler at an address.
 
     Processes started here accept only connections with a certificate of this run (TLS), and serve a dashboard on this
     computer only with `has_dashboard`. `InputError` if Dask is not installed, or both are given, `RunError` if there is

@@ -53,7 +53,7 @@ def _run() -> None:
 
 
 def _drop_output() -> None:
-    """Drop printed text that cannot be written: Python would try again at its end, and tell in its own words."""
+    """Drop text that cannot be printed: Python would try again at its end, and tell in its own words."""
     for stream in filter(None, (sys.stdout, sys.stderr)):
         try:
             stream.flush()

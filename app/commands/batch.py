@@ -68,7 +68,7 @@ def batch(
 
 
 def _require_recording(folders: list[Path]) -> None:
-    """Raise `InputError` if none of these folders holds a recording, before anything is loaded that takes seconds."""
+    """Raise `InputError` if none of these folders holds a recording, before the slow imports."""
     from app.recording.folder import read_run
 
     for folder in folders:

@@ -1,4 +1,4 @@
-"""`svwfs benchmark`: speed beside other libraries, or of the live path with and without window and recording."""
+"""`svwfs benchmark`: speed beside other libraries, or of the live path."""
 
 from __future__ import annotations
 

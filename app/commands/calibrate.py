@@ -1,4 +1,4 @@
-"""`svwfs calibrate`: find the lattice in a reference, or measure the camera's nonlinearity; write it into the bench."""
+"""`svwfs calibrate`: find the lattice in a reference, or measure the camera's nonlinearity."""
 
 from __future__ import annotations
 
@@ -243,7 +243,7 @@ def write_found(bench: Bench, name: str, source: str, path: Path) -> None:
 
 
 def bench_text(text: str, bench: Bench, name: str = "lattice") -> str:
-    """Insert a section of `bench`, its lattice or its linearity, into its TOML text, keeping the comments.
+    """Insert the lattice or the linearity of `bench` into its TOML text, keeping the comments.
 
     If the result would not read back to the same bench, for example after --set, the whole bench is written anew.
     """

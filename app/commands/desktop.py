@@ -78,5 +78,5 @@ def _files() -> tuple[Path, Path]:
 
 
 def _quoted(word: str) -> str:
-    """Quote a word of a command as the Desktop Entry Specification says: escaped in quotes, then as any text."""
+    """Quote a word as the Desktop Entry Specification says: escaped in quotes, then as any text."""
     return '"' + re.sub(r'(["`$\\])', r"\\\1", word).replace("\\", "\\\\").replace("%", "%%") + '"'

@@ -40,7 +40,7 @@ _HIDDEN = "(serial number)"
 
 
 def check_and_print(name: str, bench: Bench | None = None, *, serial_numbers: bool = False) -> None:
-    """Check the device of that name against the contract of its kind, and print a report; `RunError` if it fails.
+    """Check a device against the contract of its kind, and print a report; `RunError` if it fails.
 
     With a bench, the name is "camera" or "light", and the device is opened with the bench's settings. The report can be
     published: serial numbers are hidden unless asked for.
@@ -71,7 +71,7 @@ def _check_camera(settings: Any, log: _CheckLog) -> None:
 
 
 def _check_light(settings: Any, log: _CheckLog) -> None:
-    """Check a light with a small share of its current, after a warning, on a terminal when Enter is pressed."""
+    """Check a light with a small share of its current, after a warning and Enter on a terminal."""
     start_s = time.perf_counter()
     with open_light(settings) as light:
         log.print_device(light, start_s)
@@ -155,7 +155,7 @@ def _configured(bench: Bench, name: str) -> DeviceSettings:
 
 
 def _connected(name: str) -> tuple[str, DeviceSettings]:
-    """Return "camera" or "light" and the settings of a connected device, which has the defaults otherwise."""
+    """Return "camera" or "light", and the settings of a connected device, the others at their defaults."""
     if name in {"camera", "light"}:
         raise InputError(f"--check {name} needs --bench: whose {name}?")
     kind = next((kind for kind in KINDS if kind.driver == name.split(":", 1)[0]), None)

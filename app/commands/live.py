@@ -142,7 +142,7 @@ def _is_sound(source: str) -> bool:
 
 
 def _run(open_first: Callable[[MainWindow], object], splash: Splash, own: OwnInstrument) -> int:
-    """Run a window that opens benches in a process of its own; remind of a light that is switched by hand."""
+    """Run a window that opens benches in a process of its own; remind of a manual light."""
     from app.gui.application import run_window  # while the splash is seen
 
     opened: list[OwnConnection] = []

@@ -157,7 +157,7 @@ def _check_files(out: Path, inputs: Collection[Path], *, overwrite: bool) -> Non
 
 
 def _record(live: LiveBench, frames: int, out: Path, calibrate: Callable[[], object]) -> tuple[bool, str]:
-    """Calibrate and record; return whether the user stopped it, and the fault that ended it, empty without one."""
+    """Calibrate and record; return whether the user stopped it, and the fault that ended it, or ""."""
     from drivers.interface import DeviceError
 
     try:
@@ -176,7 +176,7 @@ def _record(live: LiveBench, frames: int, out: Path, calibrate: Callable[[], obj
 
 
 def print_measurement(measured: Measured, out: Path) -> None:
-    """Print mean and scatter of every view's RMS over the frames, its error bar, and the folder of the results."""
+    """Print mean, scatter and error bar of each view's RMS over the frames, and the results' folder."""
     import numpy as np
 
     from app.results.frame_tallies import rms_text

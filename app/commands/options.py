@@ -108,7 +108,7 @@ def check_files(
     plot: Path | None = None,
     overwrite: bool,
 ) -> None:
-    """Check the files that a command will write, before its work; None stands for an option that was not given.
+    """Check the files that a command will write, before its work; None is an option without a value.
 
     The first has one of some `suffixes` if there are any, `plot` is a picture. No input is replaced: neither files that
     are read, nor those of `sources`, recordings and results. `InputError` says what is wrong.

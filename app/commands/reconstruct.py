@@ -104,7 +104,7 @@ def _read_images(
 
 
 def _check_scale(image: NDArray[Any], path: Path, other: NDArray[Any], other_path: Path, bits: int) -> None:
-    """Raise `InputError` if another image has larger counts than this one's type, or the camera, allows it."""
+    """Raise `InputError` if another image has more counts than this one's type, or the camera, allows."""
     import numpy as np
 
     from app.measurement.bench_reconstructor import full_scale_of
@@ -131,7 +131,7 @@ def _size(image: NDArray[Any]) -> str:
 
 
 def print_views(wavefront: Wavefront) -> None:
-    """Print RMS with error bar and PV of every view, arranged as in the field, what was assumed, and the lenslets."""
+    """Print RMS with error bar and PV of every view, valid lenslets, and the assumed sample."""
     from app.measurement.measurement import sample_sentence
     from app.results.dataset import rotation_of
     from app.results.frame_tallies import rms_noise, rms_text

@@ -1,4 +1,4 @@
-"""`svwfs replay`: a recording reconstructed again, to verify it or to compare another bench with its own."""
+"""`svwfs replay`: reconstruct a recording again, to verify it or to compare another bench."""
 
 from __future__ import annotations
 

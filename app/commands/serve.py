@@ -1,4 +1,4 @@
-"""`svwfs serve`: the instrument in a process of its own, for windows, notebooks and commands that attach to it."""
+"""`svwfs serve`: the instrument in a process of its own, to which windows and programs attach."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def print_warning(sentence: str) -> None:
 def print_table(
     title: str | None, headings: Sequence[str], lines: Iterable[Sequence[str]], notes: Iterable[str] = ()
 ) -> None:
-    """Print lines of cells under headings, never so narrow that a pipe cuts a number, and notes below them."""
+    """Print a table of cells with notes below it, never so narrow that a pipe cuts a number."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -85,7 +85,7 @@ def print_table(
 
 
 def print_by_view(field: Field, title: str, cells: Iterable[Iterable[str]]) -> None:
-    """Print a table with a cell (view_row, view_column) for each view; where it is too wide, break before brackets."""
+    """Print a table of cells (view_row, view_column); where it is too wide, break before brackets."""
     from rich.console import Console
     from rich.table import Table
 
@@ -123,7 +123,7 @@ def print_quality(quality: QualityTally) -> None:
 
 
 def print_version_notice(*sources: Path, settings: Iterable[str] = ()) -> None:
-    """Print of recordings or results whose version neglected the propagation of light that this is done again."""
+    """Say which recordings or results neglect the propagation of light, as their version did."""
     from app.results.sources import version_notice
 
     for source in sources:
@@ -147,7 +147,7 @@ def remind(sentence: str) -> None:
 
 
 def ask(request: str) -> None:
-    """Print a request for what only a person at the bench can do, and wait for Enter; `InputError` without terminal."""
+    """Ask a person to do something at the bench, and wait for Enter; `InputError` without terminal."""
     if not sys.stdin.isatty():
         raise InputError(f"this bench has no motors: run the command in a terminal, to be asked to {request}")
     remind(f"{request}, then press Enter")
@@ -156,7 +156,7 @@ def ask(request: str) -> None:
 
 
 def confirm_libraries(bench: Bench, *, is_trusted: bool) -> None:
-    """Ask for each library of a bench whether it may be loaded; if `is_trusted`, remember it without asking.
+    """Ask whether each library of a bench may be loaded; if `is_trusted`, remember it without asking.
 
     A changed library is asked for again. `InputError` if it is refused, or no terminal is attached.
     """

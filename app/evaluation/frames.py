@@ -1,4 +1,4 @@
-"""Frames of the simulated bench with their true wavefronts: noise-free, cached on disk, and those of its camera."""
+"""Frames of the simulated bench with their true wavefronts: noise-free ones, and its camera's."""
 
 from collections.abc import Callable
 from contextlib import closing
@@ -98,7 +98,7 @@ def seeded(bench: Bench, seeds: range, first: int | None = None) -> list[Bench]:
 
 
 def exposure_of(camera: SimulatedCameraSettings, index: int) -> ExposureSettings:
-    """Return the settings of a camera for its frame at an index; the normal amplifier has one read-out speed."""
+    """Return the settings of a camera for one frame; the normal amplifier has one read-out speed."""
     return ExposureSettings(
         index=index,
         exposure_s=camera.exposure_s,

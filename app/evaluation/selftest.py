@@ -41,7 +41,7 @@ Intensity = Callable[[Floats, Floats], Floats]
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """Light in closed form: its phase, rad, of pupil x, y and field x, y in m, and its intensity, of pupil x, y.
+    """Light in closed form: phase, rad, of pupil x, y and field x, y, m; intensity, of pupil x, y.
 
     What stretches a subimage gathers light by the same factor: A^2 = det(1 + (f1 / k) d^2 phi / dx du).
     """

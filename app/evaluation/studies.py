@@ -35,7 +35,7 @@ class CaseResult:
 
 
 def collect(dims: Sequence[str], results: Iterable[CaseResult]) -> pd.DataFrame:
-    """Return a row for each case: position, name, problem and values, sorted by positions as they first occur."""
+    """Return a row for each case: position, name, problem, values; sorted by first occurrence."""
     data = pd.DataFrame(
         {**each.at, "name": each.name, "problem": each.problem, **each.values}  # noqa: PD011 - no data frame
         for each in results
@@ -73,7 +73,7 @@ class Printed(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
-    """A named set of cases; `measure` yields their results for a bench and some seeds, in the same order for each."""
+    """A named set of cases; `measure` yields their results, in the same order for each seed."""
 
     name: str
     title: str

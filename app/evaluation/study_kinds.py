@@ -33,7 +33,7 @@ _SMALL_RAD = 0.01  # below it, residuals are printed with a fourth decimal
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweep(Study):
-    """Residuals of several estimators (`curve`) against one varied quantity (`at`); all sweeps share their files."""
+    """Residuals of estimators (`curve`) against one quantity (`at`); all sweeps share their files."""
 
     axis: str  # the varied quantity with its unit
     axis_per_si: float = 1.0  # unit of `axis` per SI unit
@@ -101,7 +101,7 @@ class Sweep(Study):
         return Output({"seeds": results[-1].seeds, "sweeps": tree}, table, figure)
 
     def printed(self, data: pd.DataFrame) -> Printed:
-        """Return a line for each curve; for each position if these are more, and have names, which may be long."""
+        """Return a line for each curve, or for each position if there are more and they have names."""
         positions = data["at"].cat.categories
         cells: dict[str, dict[Position, str]] = {}
         for row in known_rows(self.summary(data)):
@@ -220,7 +220,7 @@ class TrialStudy(Study):
         return Printed(self.title, headings, lines.values(), ["median / worst (limit)", *refusals])
 
     def figure(self, data: pd.DataFrame) -> Figure:
-        """Draw every trial as a point, a panel per quantity, a row per case; short black lines are the limits."""
+        """Draw each trial as a point, a panel per quantity, a row per case; black lines are the limits."""
         cases, quantities = data["case"].cat.categories.tolist(), quantities_of(data)
         figure = Figure(figsize=(3.0 * (1 + len(quantities)), 1.2 + 0.26 * len(cases)), layout="constrained")
         panels = figure.subplots(1, len(quantities), sharey=True, squeeze=False)[0]
@@ -245,7 +245,7 @@ class TrialStudy(Study):
 def trial(
     *, case: str, name: str, measured: Mapping[str, float], limits: Mapping[str, float], problem: str = ""
 ) -> CaseResult:
-    """Return one trial: measured values and upper limits by quantity with its unit; at least one has a limit."""
+    """Return a trial: values and upper limits by quantity with its unit; at least one has a limit."""
     values = {each: float(value) for each, value in measured.items()}
     values |= {f"{each}{_LIMIT}": limits.get(each, math.nan) for each in measured}
     return CaseResult(at={"case": case}, values=values, name=name, problem=problem)

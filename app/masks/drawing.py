@@ -1,4 +1,4 @@
-"""Drawings of masks for a lithographer: openings, scale bar, orientation mark and notes as SVG, DXF, GDSII or PNG.
+"""Drawings of masks for a lithographer as SVG, DXF, GDSII or PNG, with marks and notes.
 
 The plate is seen from the lenslets, with x to the right and y downwards; in DXF and GDSII, whose y points upwards,
 it looks the same. Filled shapes, in PNG white ones, let light through.
@@ -33,7 +33,7 @@ _PNG_MOST_PIXELS = 8000  # along a side
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drawing:
-    """Mask with its marks: they lie outside the circle of radius `hole_m` about the middle, all openings inside."""
+    """Mask with its marks, outside the circle of radius `hole_m` that holds all openings."""
 
     openings: Openings
     hole_m: float
@@ -99,7 +99,7 @@ def _round_length(most_m: float) -> float:
 
 
 def write_drawing(drawing: Drawing, path: Path) -> None:
-    """Write a drawing in the format that the suffix names, one of `WRITERS`; `InputError` without the extra."""
+    """Write a drawing in the format of its suffix, one of `WRITERS`; `InputError` without the extra."""
     try:
         with atomic_write(path) as temporary:
             WRITERS[path.suffix.lower()](drawing, temporary)

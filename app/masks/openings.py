@@ -63,7 +63,7 @@ def rectangle(left_m: float, top_m: float, right_m: float, bottom_m: float) -> F
 
 
 def _round(half_x_m: float, half_y_m: float) -> Floats:
-    """Return the polygon (corner, xy) that stands for an ellipse: of the same area, and within the tolerance."""
+    """Return a polygon (corner, xy) of the same area as an ellipse, and within the tolerance."""
     count = 4 * math.ceil(math.pi / 4 / math.sqrt(2 * TOLERANCE_M / half_x_m))
     angle = np.arange(count) * (2 * math.pi / count)
     outwards = math.sqrt(angle[1] / math.sin(angle[1]))
@@ -71,7 +71,7 @@ def _round(half_x_m: float, half_y_m: float) -> Floats:
 
 
 def openings(name: str, source: Source, size_m: float) -> Openings:
-    """Return the openings of a mask of the simulator, or of a file with a black-and-white picture of openings.
+    """Return the openings of a mask of the simulator, or of a black-and-white picture of them.
 
     `source` has the proportions of the simulator's masks, and the file of its mask "image"; `size_m` is the side of the
     square that holds the field, instead of the source's. `InputError` if the mask is grey or unknown, or cannot be made
@@ -187,7 +187,7 @@ def _of_pixels(name: str, is_open: NDArray[np.bool_], size_m: float) -> Openings
 
 
 def _rectangles(is_open: NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int]]:
-    """Yield (left, top, right, bottom) of the rectangles that runs of open pixels make with equal ones below them."""
+    """Yield (left, top, right, bottom) of rectangles of equal runs of open pixels below each other."""
     growing: dict[tuple[int, int], int] = {}
     for row, line in enumerate([*is_open, np.zeros(is_open.shape[1], np.bool_)]):
         edges = np.flatnonzero(np.diff(line.astype(np.int8), prepend=0, append=0))
@@ -198,7 +198,7 @@ def _rectangles(is_open: NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int
 
 
 def narrowest_px(is_part: NDArray[np.bool_], *, is_cut_off: bool = False) -> int | None:
-    """Return the width in pixels of the narrowest part of a picture; None if none is narrower than about half of it.
+    """Return the width of the narrowest part of a picture, px; None if that is above about half of it.
 
     The part is True in the picture (row, column). A square that is moved about inside a wide part reaches all of it,
     but for rounded ends and the steps of slanting edges: so places closer than a quarter of its side count as reached.
@@ -219,7 +219,7 @@ def narrowest_px(is_part: NDArray[np.bool_], *, is_cut_off: bool = False) -> int
 
 
 def _is_narrow(is_part: NDArray[np.bool_], side: int, *, is_cut_off: bool) -> bool:
-    """Return True if the part has a place into which no square fits that is a little wider than `side` pixels.
+    """Return True if the part has a place where no square a little wider than `side` pixels fits.
 
     In half pixels every such square has an odd side, 2 side + 1, and a middle.
     """

@@ -54,7 +54,7 @@ ByView: TypeAlias = "tuple[Field, str, Iterable[Iterable[str]]]"  # a cell for e
 
 
 class Analysis:
-    """One analysis: a frozen dataclass whose fields are its options and whose docstring is the help of its command.
+    """An analysis: a frozen dataclass with its options as fields and the help as docstring.
 
     An impossible combination of options is an `InputError`. Window and Python use the same functions of its file. What
     is found is a dataset with names and units, unless the analysis has a `run` of its own.

@@ -58,7 +58,7 @@ class ModeCoefficients:
 
 
 def mode_coefficients(wavefront: Wavefront, choice: ModeChoice) -> ModeCoefficients:
-    """Fit modes to the wavefront at the lenslet centres: to the selected view as shown, or to that of a field mode.
+    """Fit modes to the wavefront at the lenslet centres, of the selected view or of a field mode.
 
     Legendre modes are fitted over all known lenslets, Zernike modes over those in the circle. With the modes of the
     reconstruction, the fit returns its coefficients.
@@ -88,7 +88,7 @@ def mode_coefficients(wavefront: Wavefront, choice: ModeChoice) -> ModeCoefficie
 
 @lru_cache(maxsize=8)
 def _fit(sensor: Sensor, basis: PupilBasis, known_bytes: bytes) -> Floats:
-    """Matrix (pupil_mode, lenslet) from a wavefront to its least-squares coefficients; zero for unused lenslets."""
+    """Matrix (pupil_mode, lenslet) from wavefront to coefficients; zero for unused lenslets."""
     most = min(sensor.lenslet_rows, sensor.lenslet_columns)
     modes = pupil_modes(sensor, basis, min(_MOST_MODES, most * (most + 1) // 2))
     known = np.frombuffer(known_bytes, np.bool_)
@@ -192,7 +192,7 @@ def field_coefficients(
     order: int | None = None,
     positions: int = FieldMaps.positions,
 ) -> xr.Dataset:
-    """Map the coefficients of a wavefront over the field, and write it in double Zernikes (docs/field.md).
+    """Map the coefficients of a wavefront over the field, with double Zernikes (docs/field.md).
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def field_coefficients(
 def field_dataset(
     found: FieldCoefficients, sensor: Sensor, field: Field, *, positions: int, field_order: int | None = None
 ) -> xr.Dataset:
-    """Return maps at positions x positions evenly spread over the field; of Zernike modes also double Zernikes."""
+    """Return maps at positions x positions over the field; of Zernike modes also double Zernikes."""
     if positions < 1:
         raise InputError(f"the positions across the field must be at least 1, not {positions}")
     maps = coefficient_maps(found, field, *[evenly_spread(positions)] * 2)
@@ -241,7 +241,7 @@ def field_dataset(
 
 
 def coefficient_maps(found: FieldCoefficients, field: Field, x: Floats, y: Floats) -> xr.Dataset:
-    """Return the coefficients, without the piston, on a grid x (column,), y (row,) over half the field's width."""
+    """Return the coefficients but the piston on a grid x (column,), y (row,) over half the field's width."""
     import xarray as xr
 
     y = y[:, None]
@@ -271,7 +271,7 @@ def evenly_spread(positions: int) -> Floats:
 
 
 def table_of(maps: xr.Dataset) -> tuple[list[str], list[list[float]]]:
-    """Return columns with their units and rows of a table: positions inside the field, coefficients, their errors."""
+    """Return columns with units and rows of a table: field positions, coefficients, their errors."""
     modes = [name.split(" ", 1)[0] for name in maps["name"].values]
     names = ["x_m", "y_m", *(f"{mode}_rad" for mode in modes), *(f"{mode}_sigma_rad" for mode in modes)]
     values, sigma = maps["coefficient"].values, maps["coefficient_sigma"].values
@@ -283,7 +283,7 @@ def table_of(maps: xr.Dataset) -> tuple[list[str], list[list[float]]]:
 def _double_zernikes(
     found: FieldCoefficients, sensor: Sensor, field: Field, field_order: int | None = None
 ) -> xr.Dataset:
-    """Double Zernikes with their standard deviations; radii of their circles, named as GalSim names its arguments."""
+    """Double Zernikes with standard deviations, and radii of their circles under GalSim's names."""
     import xarray as xr
 
     dimensions, radius_m = ("k", "j"), min(sensor.pupil_half_width_m)

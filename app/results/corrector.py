@@ -144,7 +144,7 @@ def find_corrector(
     count: int = BestCorrector.count,
     distance_m: float | None = None,
 ) -> xr.Dataset:
-    """Find what a corrector conjugate to each distance would leave, and its best command (docs/layers.md).
+    """Find what a corrector at each conjugate distance leaves, and its best command (docs/layers.md).
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def compare_correctors(
     at_m: float | None,
     origin: Origin,
 ) -> tuple[xr.Dataset, Correction]:
-    """Find the best command of correctors at every distance, and choose the best of them, or that at `at_m`.
+    """Find the best commands of correctors at every distance; choose the best one, or that at `at_m`.
 
     `phase_at` returns the wavefront at a field position (x_m, y_m), rad, (lenslet_row, lenslet_column); `ValueError` if
     no lenslet is known. Returns residual and Strehl ratio over the distance, those of the chosen corrector over the
@@ -270,7 +270,7 @@ def _corrections(made_at: Callable[[float], Correction], ratio: float | None) ->
 
 
 def write_phase(path: Path, phase_rad: Floats) -> None:
-    """Write a phase map (row, column): NPY or FITS in rad, or an 8-bit PNG wrapped at 2 pi, 256 levels to a wave."""
+    """Write a phase map (row, column): NPY or FITS in rad, or an 8-bit PNG wrapped at 2 pi."""
     suffix = path.suffix.lower()
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         if suffix == ".npy":

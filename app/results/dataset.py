@@ -74,7 +74,7 @@ def structure(wavefront: Wavefront) -> dict[str, Variable]:
 
 
 def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with_psf: bool = False) -> xr.Dataset:
-    """Return all results of a wavefront, named as in docs/results.md; point-spread functions make them much larger."""
+    """Return the results of a wavefront (docs/results.md); point-spread functions make them much larger."""
     import xarray as xr
 
     displacement, solution = wavefront.displacement, wavefront.solution
@@ -142,7 +142,7 @@ def results_in_pieces(
     frames: Iterable[tuple[Measurement, Mapping[str, Variable]]],
     results_of: Callable[[Wavefront, Quality], xr.Dataset] = result_dataset,
 ) -> Iterator[xr.Dataset]:
-    """Stack the results of frames, with additional variables for each, along `frame`, in pieces that fit in memory.
+    """Stack the results of frames, with more variables of each, in pieces that fit in memory.
 
     Frames without a wavefront are left out; the coordinate `recording_index` has the index in the recording.
     """
@@ -165,7 +165,7 @@ def results_in_pieces(
 def stack_frames(
     datasets: Sequence[xr.Dataset], frame_index: Sequence[int], time_s: Sequence[float], bias_age_s: Sequence[float]
 ) -> xr.Dataset:
-    """Stack results of several frames along a new first dimension `frame`; `InputError` if their settings differ."""
+    """Stack results along a new first dimension `frame`; `InputError` if their settings differ."""
     import xarray as xr
 
     first = datasets[0]
@@ -249,6 +249,6 @@ def rotation_variables(wavefront: Wavefront) -> dict[str, Variable]:
 
 
 def write_shown(path: Path, shown: Wavefront, bench: Bench, *, options: str) -> None:
-    """Write a wavefront with the display `options` applied, which the attribute `display` names, as NetCDF."""
+    """Write a wavefront as it is shown, as NetCDF; the attribute `display` names the options."""
     bench = replace(bench, field=shown.field)  # the display may have chosen other views
     write_results(path, result_dataset(shown), bench=bench, inputs={"display": options or "as measured"})

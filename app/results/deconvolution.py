@@ -1,4 +1,4 @@
-"""Images of the sample without the aberration that was measured through it (docs/corrected_images.md)."""
+"""Images of the sample without the measured aberration (docs/corrected_images.md)."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def _write_tiff(recording: Recording, chosen: range, out: Path, progress: Progre
 
 
 def _write_csv(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
-    """Write one row of numbers for each frame, NaN without a wavefront; the header names each column with its unit.
+    """Write a row of numbers for each frame, NaN without a wavefront; columns have names and units.
 
     `rms_R_C_rad` is the RMS at view row R, view column C; `e_P_Q_rad` the coefficient of pupil mode P and field mode
     Q, and `e_P_Q_sigma_rad` its standard deviation (modal method only).

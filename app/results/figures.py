@@ -94,7 +94,7 @@ def _draw_psf(figure: SubFigure, wavefront: Wavefront) -> None:
 
 
 def draw_curves(figure: SubFigure, wavefront: Wavefront) -> None:
-    """Draw the modulation transfer of the middle view, and the difference of wavefronts over their separation."""
+    """Draw the modulation transfer of the middle view, and wavefront differences over separation."""
     field = wavefront.field
     middle = field.view_rows // 2, field.view_columns // 2
     left, right = figure.subplots(1, 2)
@@ -236,7 +236,7 @@ def _draw_displacement(axes: Axes, found: Survey) -> None:
 
 
 def _others(lattice: Lattice, own: tuple[int, ...], shape: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """Cells outside the `own` rows and columns, in pitches: whole ones, and those cut by the edge of the frame."""
+    """Cells outside the `own` rows and columns, in pitches: whole ones, and those that the frame cuts."""
     first = lenslet_centers(lattice.arrangement, own[0], own[1])[0, 0]
     center_x_px, center_y_px = lattice.to_camera_px(first * lattice.pitch_px)
     on_the_first = replace(lattice, center_x_px=float(center_x_px), center_y_px=float(center_y_px))

@@ -66,7 +66,7 @@ def _count(pixels: NDArray[np.integer[Any]], by_count: NDArray[np.intp]) -> None
 
 
 def _clip_level(by_count: NDArray[np.intp], peak: int, full_scale: int) -> int:
-    """Count from which pixels are clipped, from the number with each count; full scale if no full well shows."""
+    """Count from which pixels are clipped, of a histogram; full scale if no full well shows."""
     if peak >= full_scale:
         return full_scale
     lowest = peak - max(round(_STEP * peak), 1) + 1
@@ -115,7 +115,7 @@ MeasuredPart = tuple[Floats, Floats] | AreaStatistics | None  # a profile, an ar
 def area_statistics(
     pixels: NDArray[np.integer[Any]], x_px: tuple[float, float], y_px: tuple[float, float], clip_level: float = math.inf
 ) -> AreaStatistics | None:
-    """Return the statistics of the pixels (row, column) whose centres lie in a rectangle; None if there are none.
+    """Return the statistics of the pixels (row, column) in a rectangle; None if there are none.
 
     A pixel on an edge lies in it, and is clipped from `clip_level` on.
     """
@@ -132,7 +132,7 @@ def area_statistics(
 def frame_counts(
     pixels: NDArray[np.integer[Any]], full_scale: int, selection: Selection | None
 ) -> tuple[FrameStatistics, MeasuredPart]:
-    """Return the statistics of a frame, and of a selection the profile along its line or the statistics of its area."""
+    """Return the statistics of a frame, and the profile or the statistics of a selection."""
     found = frame_statistics(pixels, full_scale)
     if selection is None:
         return found, None

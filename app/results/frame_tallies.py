@@ -54,7 +54,7 @@ class QualityTally:
 
 
 def rotation_sentence(found: Circulation) -> str:
-    """Describe the rotation, as "rotation of the subimages: -3.53 +- 0.81 mrad, 4.4 times its error; ..."."""
+    """Describe the rotation: "rotation of the subimages: -3.53 +- 0.81 mrad, 4.4 times its error; ..."."""
     if not found.is_shown:
         return "rotation of the subimages: not shown by this source with this warp"
     return (

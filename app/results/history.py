@@ -80,7 +80,7 @@ class LimitWatch:
 
 
 class History:
-    """The last `capacity` samples of at most `most_series` series; a new one replaces the one unused for longest."""
+    """The last `capacity` samples of `most_series` series; a new one replaces the longest unused."""
 
     def __init__(self, capacity: int = 6000, most_series: int = 12) -> None:
         """Hold 20 minutes at five samples a second by default."""
@@ -104,14 +104,14 @@ class History:
         self._count += 1
 
     def series(self, name: str) -> tuple[Floats, Floats]:
-        """Return times before the newest sample, s, negative, and values; NaN in gaps. Empty if there are none."""
+        """Return times before the newest sample, s, negative, and values, NaN in gaps; empty without any."""
         if name not in self._series:
             return np.zeros(0), np.zeros(0)
         at = np.arange(max(self._count - self._capacity, 0), self._count) % self._capacity
         return self._time_s[at] - self._time_s[at[-1]], self._series[name][at]
 
     def write_csv(self, path: Path) -> None:
-        """Write all series as CSV: seconds since the first sample, and a column for each; phases in rad, gaps empty."""
+        """Write all series as CSV: seconds since the first sample, phases in rad, gaps empty."""
         at = np.arange(max(self._count - self._capacity, 0), self._count) % self._capacity
         time_s = self._time_s[at] - self._time_s[at[:1]]
         columns = [time_s, *(series[at] for series in self._series.values())]
@@ -132,7 +132,7 @@ class History:
 def sample(
     measurement: Measurement, shown: Wavefront | None, *, full_scale: float, temperature_c: float | None
 ) -> tuple[float, dict[str, float]]:
-    """Return the time of a frame, s, and what is always recorded: mean RMS of the views, fill, delay, temperature."""
+    """Return the time of a frame, s, and the series of every frame: RMS, fill, delay, temperature."""
     values = {DELAY: measurement.latency_s * 1e3}
     if full_scale:
         values[FILL] = 100 * float(measurement.frame.pixels.max()) / full_scale

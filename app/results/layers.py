@@ -125,7 +125,7 @@ def find_layers(
     *,
     distances_m: tuple[float, ...] = (),
 ) -> xr.Dataset:
-    """Find at which distance in front of the lenslets the aberration originates, or behind them (docs/layers.md).
+    """Find at which distance from the lenslets the aberration originates (docs/layers.md).
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def tried_distances_m(ratios: Floats, origin: Origin, bench: Bench) -> tuple[Flo
 
 
 def possible_origin(origin: Origin, ratios: Iterable[float]) -> Origin:
-    """Return `origin`, but the lenslets if a layer lies behind them: no bench has a distance from the mask there."""
+    """Return `origin`, but the lenslets if a layer lies behind them: the mask has no distance there."""
     return "lenslets" if any(ratio > 0 for ratio in ratios) else origin
 
 
@@ -218,7 +218,7 @@ def distance_range_m(origin: Origin, bench: Bench) -> tuple[float, float]:
 
 
 def shown_range_m(found_m: Floats, tried_m: Floats, origin: Origin) -> tuple[float, float]:
-    """Ends of a distance axis: all of the bench from the mask, else both sides of the lenslets about what was found.
+    """Ends of a distance axis: all of the bench from the mask, else around the layers found.
 
     `found_m` are the distances of the found layers (layer,), `tried_m` those tried (candidate,).
     """
@@ -260,7 +260,7 @@ def layer_maps(
 
 
 def centred(phase: Floats) -> tuple[Floats, float]:
-    """Phase (y, x) about the middle of its range, and half the range: on a layer, a constant means nothing.
+    """Phase (y, x) about the middle of its range, and half the range; its constant means nothing.
 
     One percent of the values lie beyond either end, so that a corner does not make the map pale.
     """
@@ -359,7 +359,7 @@ WITHOUT_WAVEFRONT = "there is no wavefront"
 def find_shown_layers(
     measurement: Measurement, origin: Origin, *, count: int, ratio: float, check: Callable[[], None]
 ) -> xr.Dataset | str:
-    """Search for `count` layers, or fit one at a known `ratio` of field to pupil position if `count` is 0.
+    """Search for `count` layers; if 0, fit one at a known `ratio` of field to pupil position.
 
     Distances are measured from the `origin`, if possible. An exception of `check` ends the search. Phases are about the
     middle of their range, half of which is the `phase_limit` (layer,), rad. Returns the problem if there are no layers.

@@ -118,7 +118,7 @@ class OpenedRecording:
         )
 
     def results(self) -> xr.Dataset:
-        """Results of all frames that can be reconstructed, along `frame`; `recording_index` says which these are.
+        """Results of all reconstructable frames, along `frame`; `recording_index` says which these are.
 
         Taken from `results.nc` if that has the bench of the recording, else reconstructed now. `InputError` if no frame
         can be reconstructed, or the settings changed between the frames.

@@ -20,7 +20,7 @@ Pixels: TypeAlias = NDArray[np.uint32]  # 0xAARRGGBB; 0 is transparent
 
 
 def shaded(counts: NDArray[np.integer[Any]], black: float, white: float, table: Pixels) -> Pixels:
-    """Colour of each pixel (row, column): the table's first at the black level and below, its last at the white one."""
+    """Colour of each pixel (row, column), from the table's first at black to its last at white."""
     found = np.empty(counts.shape, np.uint32)
     last = np.float32(len(table) - 1)
     _fill(np.ascontiguousarray(counts), np.float32(black), last / np.float32(white - black), table, found)
@@ -53,7 +53,7 @@ def _fill(
 
 
 def contours(values: Floats, limit: float) -> list[Floats]:
-    """Return the contours (point, xy) of a map (row, column), in columns and rows; none around unknown values.
+    """Return contours (point, xy) in columns and rows of a map; none around unknown values.
 
     Levels are multiples of 1, 2 or 5 times a power of ten; at most 16 steps lie between -limit and +limit.
     """
@@ -74,7 +74,7 @@ def contour_step(limit: float) -> float:
 
 
 def step_above(value: float, steps: tuple[float, ...]) -> float:
-    """Return the smallest of some steps, which cover a decade, times a power of ten that is at least a value."""
+    """Return the least of `steps`, which cover a decade, times a power of ten, that reaches a value."""
     decade = 10.0 ** math.floor(math.log10(value))
     return next(step * decade for step in (*steps, 10.0) if step * decade >= value * (1 - 1e-9))
 

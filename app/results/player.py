@@ -82,7 +82,7 @@ class Player:
             self._use(self._acquisition, number)
 
     def show_frame(self, position: int) -> Future[None]:
-        """Stop, and show the frame at a position in `frames`; the future has an `InputError` if it is damaged."""
+        """Stop, and show the frame at a position in `frames`; a damaged one is an `InputError` of the future."""
 
         def choose(instrument: Instrument) -> Frame:
             if self._camera is None:

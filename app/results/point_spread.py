@@ -92,7 +92,7 @@ def psf_reach(views: Iterable[Floats], sensor: Sensor) -> float:
 
 
 def psf_grid(views: Iterable[Floats], sensor: Sensor, reach_rad: float) -> PsfGrid:
-    """Return the mean point-spread functions over frames from -reach to +reach; `views` as in `psf_reach`.
+    """Return the mean point-spread functions of frames from -reach to +reach; `views` as in `psf_reach`.
 
     The integral over all angles is wavelength^2 / transmitting area (Parseval), with 1 as the peak of the same pupil
     without aberration; hence the part of the light within the square.

@@ -99,7 +99,7 @@ def _difference(then: NDArray[Any] | None, now: NDArray[Any], what: str, unit: s
 
 
 class Comparison:
-    """RMS of the wavefronts with the recorded bench, with another, and of their difference without piston.
+    """RMS of wavefronts with the recorded bench, with another, and of their difference.
 
     `means_rad` (3, view_row, view_column) are means over the frames that have a wavefront with both.
     """
@@ -188,7 +188,7 @@ def _frames(
 
 
 def change_of(bench: Bench | None, settings: tuple[str, ...]) -> Change | None:
-    """Return the change of a recorded calibration to another bench, or to other settings; None if there is none."""
+    """Return the change of a recorded calibration to another bench or other settings; None without any."""
     if bench is None and not settings:
         return None
 

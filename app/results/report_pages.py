@@ -1,4 +1,4 @@
-"""Report of a recording as PDF or PNG: pages of facts and mean wavefronts, certainty, coefficients, comparison."""
+"""Pages of a report: facts and mean wavefronts, certainty, coefficients, comparison."""
 
 import textwrap
 from collections.abc import Callable, Sequence
@@ -100,7 +100,7 @@ def _lines(said: list[Fact]) -> list[tuple[str, str]]:
 def draw_views(
     figure: SubFigure, views: Floats, field: Field, *, title: str, limit: float = 0.0, with_places: bool = True
 ) -> None:
-    """Draw the wavefronts of the views with RMS and PV, on a scale of +-`limit` rad, or up to the largest value.
+    """Draw the views with RMS and PV, on a scale of +-`limit` rad, or up to the largest value.
 
     `views` are in rad, (view_row, view_column, lenslet_row, lenslet_column).
     """

@@ -1,4 +1,4 @@
-"""A recording summarised: statistics of its lines and of frames reconstructed again, facts, difference from another."""
+"""Summary of a recording: statistics, facts, and the difference from another."""
 
 import math
 import os
@@ -85,7 +85,7 @@ class Summary:
 
 
 def summarise(recording: Recording, frames: str | None, progress: Progress, *, change: Change | None = None) -> Summary:
-    """Summarise a recording from its lines and from at most 200 of the frames FIRST:END, reconstructed again."""
+    """Summarise a recording from its lines and at most 200 of its frames, reconstructed again."""
     chosen = recording.select(frames)
     lines = [recording.line(index) for index in chosen]
     numbers = [line.calibration for line in lines if line.calibration is not None]
@@ -113,7 +113,7 @@ def summarise(recording: Recording, frames: str | None, progress: Progress, *, c
 
 
 def _statistics(frames: Iterable[Measurement], early: int) -> Statistics | None:
-    """Take the statistics of frames; the wavefront is the last of the first `early` frames, or the first of all."""
+    """Take the statistics of frames; `wavefront` is the last of the first `early` ones, or the first."""
     indices, rms_rad, rms_sigma_rad = list[int](), list[float](), list[float]()
     middle: Wavefront | None = None
     total = known = variances = known_variances = np.zeros(())

@@ -1,4 +1,4 @@
-"""Results as NetCDF-4 files with their origin, for xarray, MATLAB or Panoply: written atomically, checked when read."""
+"""Results as NetCDF-4 files with their origin: written atomically, checked when read."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LARGEST_PX = 1e6  # of a displacement
 
 
 def open_results(path: Path | str) -> xr.Dataset:
-    """Open a file of results; arrays are read when they are used. `InputError` if it holds none, or is damaged."""
+    """Open a file of results, its arrays when they are used; `InputError` if it has none or is damaged."""
     import xarray as xr
 
     check_readable(Path(path))
@@ -68,7 +68,7 @@ def reading_results(path: Path) -> Iterator[xr.Dataset]:
 
 
 def _require_sound(path: Path, results: xr.Dataset) -> None:
-    """Raise `InputError` if a frame has no valid lenslet, or a valid one a displacement that none can have."""
+    """Raise `InputError` for a frame without valid lenslets, or with an impossible displacement."""
     if "valid" in results and "displacement" in results:
         valid = results["valid"].astype(bool)
         if not valid.any(LENSLET).all():
@@ -98,7 +98,7 @@ def _check_sums(path: Path | str) -> None:
 
 
 def _has_odd_scales(_: str, stored: object) -> bool | None:
-    """Tell of a dataset whose links to dimensions HDF5 would read beyond its memory; None, to go on, if they are sound.
+    """Return True for a dataset whose links to dimensions would crash HDF5; None, to go on, if not.
 
     HDF5 takes the links for one list of references for each dimension, whatever they are, and aborts the process.
     """

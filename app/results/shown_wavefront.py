@@ -154,7 +154,7 @@ class WavefrontDisplay:
 
 
 def with_views(field: Field, count: int) -> Field:
-    """Return a field with count x count views over the area of its own; of a single one, over the whole field."""
+    """Return a field with count x count views over the area of its own, or over all of it."""
     reach_m = (max(field.view_rows, field.view_columns) - 1) / 2 * field.view_spacing_m
     if not reach_m:
         reach_m = field.half_width_m * (1 - 1 / count)

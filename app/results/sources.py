@@ -41,7 +41,7 @@ _LARGEST_RAD = 1e6  # of a coefficient: displacements of thousands of pixels
 
 
 def recorded_frame(folder: Path, frame: int) -> tuple[Calibration, Wavefront]:
-    """Reconstruct one frame of a recording, counted from 0; `InputError` if there is none, or it has no wavefront."""
+    """Reconstruct one frame of a recording, from 0; `InputError` if it is missing or has no wavefront."""
     from app.recording.reader import Recording
     from app.recording.reprocess import reprocess
 
@@ -54,7 +54,7 @@ def recorded_frame(folder: Path, frame: int) -> tuple[Calibration, Wavefront]:
 
 
 def stored_frame(path: Path, frame: int, *names: str) -> tuple[Bench, xr.Dataset]:
-    """Return the bench, and the variables `names` and the coefficients of one frame, counted from 0, of a results file.
+    """Return bench, coefficients and the variables `names` of one frame, from 0, of a results file.
 
     Raises `InputError` if there is no such frame or variable, or no measurement can have given the coefficients.
     """
@@ -94,7 +94,7 @@ def read_bench_of(source: Path, settings: tuple[str, ...] = ()) -> Bench:
 
 
 def version_notice(source: Path, settings: tuple[str, ...] = ()) -> str:
-    """Say that the version of results or of a recording neglected propagation; empty if not, or if settings do not."""
+    """Say that results or a recording neglect propagation, as their version did; empty if not."""
     notice = neglected_propagation(_origin_of(source)[0])
     return notice if notice and read_bench_of(source, settings).field.neglect_propagation else ""
 
@@ -198,7 +198,7 @@ def _recorded_frames(source: Path, frames: str | None, progress: Progress) -> It
 
 
 def _of_modes(bench: Bench, coefficients: Floats, views: Floats) -> PhaseAt:
-    """Evaluate e_pq, rad, (p, q); lenslets that are unknown in all `views`, see `_between_views`, stay unknown."""
+    """Evaluate e_pq, rad, (p, q); lenslets that are unknown in all `views` stay unknown."""
     pupil, modes = modes_of(bench, coefficients)
     known, half_m = np.isfinite(views).any(axis=(0, 1)), bench.field.half_width_m
 
@@ -291,7 +291,7 @@ def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
 
 
 def _shown(results: xr.Dataset, gradients: Floats) -> Floats:
-    """Displacements without rotation that the registration determined, orthonormal rows (K, x modes and then y modes).
+    """Displacements without rotation that were determined, orthonormal rows (K, x then y modes).
 
     `gradients` has all of them; in what the mask hides, every lenslet's displacement is zero.
     """

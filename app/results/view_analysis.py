@@ -104,7 +104,7 @@ def _prepared(calibration: Calibration) -> tuple[AboveDark, ReferenceSubimages]:
 def _warped(
     subimages: ReferenceSubimages, coefficients: Image, displacement: Displacement, calibration: Calibration, index: int
 ) -> tuple[Floats, Floats]:
-    """Light of the frame where the fitted warp takes each window position, and the stretch of area there, (N,)."""
+    """Light of the frame where the fitted warp takes window positions, and the stretch there, (N,)."""
     modes, offset_px = displacement.modes, subimages.offset_px
     x, y = offset_px.T / subimages.half_width_px
     by_mode = displacement.coefficients.reshape(-1, modes.count, 2)[index]
@@ -132,7 +132,7 @@ class Quantity(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewNumbers:
-    """Two numbers of each view's map, (view_row, view_column), and one of all maps: rad, or ratios of a PSF."""
+    """Two numbers of each view, (view_row, view_column), and one of all: rad, or ratios of a PSF."""
 
     quantity: Quantity
     first: Floats  # RMS, Strehl ratio, or mean of the standard deviations
@@ -142,7 +142,7 @@ class ViewNumbers:
 
 
 def view_numbers(quantity: Quantity, maps: Floats, single: Wavefront | None = None) -> ViewNumbers:
-    """Return the numbers of maps (view_row, view_column, row, column), for a `single` frame also what noise hides."""
+    """Return the numbers of maps (view_row, view_column, row, column), with a `single` frame's noise."""
     if quantity is Quantity.PSF:
         middle = maps[..., maps.shape[2] // 2, maps.shape[3] // 2]
         return ViewNumbers(quantity, middle, maps.max(axis=(2, 3)), math.nan)
@@ -182,7 +182,7 @@ class TransmissionMaps:
 
 
 def transmission_maps(wavefront: Wavefront) -> TransmissionMaps | None:
-    """Return the transmission, with numbers of NaN if none is known; None if the method does not measure it."""
+    """Return the transmission, its numbers NaN if none is known; None if the method has none."""
     if wavefront.transmission is None:
         return None
     values, error = wavefront.transmission
@@ -196,7 +196,7 @@ def transmission_maps(wavefront: Wavefront) -> TransmissionMaps | None:
 def quantity_maps(
     wavefront: Wavefront, quantity: Quantity, settings: ReconstructionSettings, reach_rad: float | None = None
 ) -> QuantityMaps | None:
-    """Compute the maps of a quantity with their numbers, those of a PSF up to `reach_rad`, or as far as there is light.
+    """Compute maps with their numbers, a PSF up to `reach_rad`, or as far as there is light.
 
     `settings` reconstructed the wavefront. None for a PSF without any light.
     """

@@ -1,4 +1,4 @@
-"""The tables of `svwfs paper`: table 1, table 2 and the sources of the supplement; results are cached."""
+"""The tables of `svwfs paper`: table 1, table 2, and the sources of the supplement."""
 
 import hashlib
 import time
@@ -59,7 +59,7 @@ def noise_free_frames(bench: Bench, masks: tuple[str, ...]) -> tuple[dict[str, F
 
 
 def exposed_frames(bench: Bench) -> tuple[dict[str, FramePair], Floats]:
-    """Return frames of the noisy camera above the dark for each mask of `EXPOSURES_S`, and the true wavefronts."""
+    """Return noisy frames above the dark for each mask of `EXPOSURES_S`, and the true wavefronts."""
     frames: dict[str, FramePair] = {}
     simulated = simulated_bench(bench, lambda _: None, ManualClock())
     with closing(simulated), SimulatedCamera(simulated) as camera:
@@ -162,7 +162,7 @@ PAPER_TABLE_2 = {
 
 
 def reconstructed(bench: Bench, frames: Mapping[str, FramePair], method: TableMethod) -> Arrays:
-    """Reconstruct the frame of the method's mask; a changed frame, setting or reconstruction package recomputes.
+    """Reconstruct the frame of the method's mask, cached by frame, settings and source code.
 
     Returns the wavefronts `views`, rad, (view_row, view_column, lenslet_row, lenslet_column), the number of lenslets
     `lost`, and `seconds` for the frame, without preparing the reference.
@@ -270,7 +270,7 @@ class ComparisonTable(Study):
         return Printed(self.title, ("method", "paper: min, max, mean", *of_lights), lines.values(), notes)
 
     def figure(self, data: pd.DataFrame) -> Figure:
-        """Draw truth, reconstruction and residual of every method and light for its last seed, on one colour scale."""
+        """Draw truth, reconstruction and residual of every method and light for its last seed."""
         shown = data[data["views"].notna()].drop_duplicates([*self.dims], keep="last")
         means = self.summary(data)["mean_rad"]
         limit = max(float(np.nanmax(abs(truth))) for truth in shown["truth"])

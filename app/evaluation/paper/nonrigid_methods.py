@@ -50,7 +50,7 @@ _FREE_FORM_TOLERANCE = 1e-5  # of the gradient's convergence, as SimpleITK defin
 
 
 class _NonRigid(ABC):
-    """Registration by a flow d(x), the displacement of the light at every pixel x of the reference's windows."""
+    """Registration by a flow d(x): displacements at every pixel x of the reference's windows."""
 
     def __init__(self, reference: ReferenceSubimages, field: Field) -> None:
         """Prepare for one reference and the views of the field."""
@@ -116,7 +116,7 @@ class BlockFlow(_NonRigid):
         return np.asarray(flow.reshape(len(flow), -1, 2))
 
     def _padded(self, windows: Floats, reach: int) -> tuple[Floats, NDArray[np.intp]]:
-        """Windows (L, width, width) padded for blocks moved by up to `reach`, and where those moved by -reach begin."""
+        """Windows (L, width, width) padded for blocks moved by up to `reach`, and the first pixels of blocks."""
         margin = reach + _BLOCK_PX
         padded = np.pad(windows, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
         middle = self._reference.width // 2 + margin

@@ -1,4 +1,4 @@
-"""A bench that is not perfect: each imperfection alone, and all together, in real light behind a checkerboard.
+"""An imperfect bench: each imperfection alone, and all together, in real light.
 
 The reference and the frame have the imperfections, the bench's settings do not. Those of the optics are fields at the
 lenslets, apart from the wavelengths: each has its own images, which add up.
@@ -107,7 +107,7 @@ _CASES = (
 
 
 def imperfect_images(bench: Bench, imperfections: Imperfections) -> tuple[tuple[Image, Image], Floats]:
-    """Noise-free reference and frame, (row, column), m^2, of a bench with imperfect optics, and the true wavefronts.
+    """Noise-free reference and frame, (row, column), m^2, of imperfect optics, and the true wavefronts.
 
     They are of all wavelengths; the truth is the phase at the bench's own, see `Renderer.truth_wavefront`. The
     imperfections of the detector follow, see `detected`.
@@ -136,7 +136,7 @@ def imperfect_images(bench: Bench, imperfections: Imperfections) -> tuple[tuple[
 
 
 def _pupil(bench: Bench, imperfections: Imperfections, model: ForwardModel) -> tuple[Floats, Floats]:
-    """Amplitude and phase, rad, that beam and lenslets add at the pupil samples, (y, x), at the bench's wavelength."""
+    """Amplitude and phase, rad at the bench's wavelength, that beam and lenslets add, (y, x)."""
     sensor, random = bench.sensor, np.random.default_rng([bench.simulation.seed, _STREAM])
     x_m, y_m, pitch_m = model.sample_x_m, model.sample_y_m, sensor.lenslet_pitch_m
     shape = sensor.lenslet_rows, sensor.lenslet_columns, _DEGREE + 1, _DEGREE + 1
@@ -169,7 +169,7 @@ def _through(light: PointField, amplitude: NDArray[np.complex64]) -> PointField:
 
 
 def detected(images: tuple[Image, Image], imperfections: Imperfections, seed: int) -> tuple[Image, Image]:
-    """Electrons of reference and frame, (row, column), from their irradiance, as the imperfect detector collects them.
+    """Electrons of reference and frame, (row, column), that an imperfect detector collects.
 
     Its read-out follows, and with it the nonlinearity, see `_camera`.
     """

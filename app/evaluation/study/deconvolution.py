@@ -148,7 +148,7 @@ def _constant(phase: Floats) -> PhaseAt:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotographStudy(Study):
-    """Restored photographs of several objects: `image` (row, column) over the object's peak, and `psnr_db`."""
+    """Restored photographs of objects: `image` (row, column) over the object's peak, and `psnr_db`."""
 
     dims: ClassVar = ("object", "way")
     key: ClassVar = "photographs"

@@ -103,7 +103,7 @@ def compared(
     views: Views = None,
     lenslets: Booleans | None = None,
 ) -> CaseResult:
-    """Compare a wavefront with the truth (view_row, view_column, lenslet_row, lenslet_column), rad; see `with_rms`.
+    """Compare with the truth, rad, (view_row, view_column, lenslet_row, lenslet_column); see `with_rms`.
 
     Without `views` (view_row, view_column) all of them count, without `lenslets` the valid ones.
     """

@@ -128,7 +128,7 @@ class _MaskStudy:
         self.light = float(self._reference.sum() / square.sum())  # relative to the square
 
     def residuals(self, seeds: range, at: str) -> Iterator[CaseResult]:
-        """Noise-free residual of one pass, predicted and simulated, for each screen: any wavefront, and layers."""
+        """Noise-free residual of one pass for each screen, predicted and simulated, free and over layers."""
         reconstructor = self._reconstructor
         predict = LinearPass(self._bench, reconstructor, self._reference)
         for screen in seeded(self._bench, seeds):
@@ -144,7 +144,7 @@ class _MaskStudy:
                     )
 
     def noise(self, at: str) -> Iterator[CaseResult]:
-        """Noise of 45 modes with the bench's screen, at equal peak, and at the exposure that gives the square it."""
+        """Noise of 45 modes with the bench's screen, at equal peak, and at equal exposure."""
         frame = NoiseFreeFrames(self._bench).frame().photons
         for label, own_peak in (("", float(self._reference.max())), (" in the square", self._square_peak)):
             for peak_e in PEAKS_E:
@@ -256,7 +256,7 @@ def _measure_masks(
 
 
 def _predicted(bench: Bench, square: Image, views: NDArray[np.bool_], seeds: range) -> dict[str, float]:
-    """Light over the square's, hidden displacements, bound at each exposure, and bias: mean over the seeds.
+    """Light over the square's, hidden displacements, bound at each exposure, mean bias over the seeds.
 
     The views are those inside the square, also where the mask is smaller: else small masks would seem better.
     """
@@ -311,7 +311,7 @@ class MaskComparison(Study):
         return Printed(self.title, (*headings, "bias, bench's screen", "bias, near the source"), lines, notes)
 
     def figure(self, data: pd.DataFrame) -> Figure:
-        """Draw error (bound and bias) against light, a panel for each exposure, with the names of the best three."""
+        """Draw bound and bias against light, a panel for each exposure, with the names of the best three."""
         masks = self.summary(data)
         figure = Figure(figsize=(12.0, 4.2), layout="constrained")
         panels = figure.subplots(1, len(PEAKS_E), sharex=True)

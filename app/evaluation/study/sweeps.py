@@ -1,4 +1,4 @@
-"""Sweeps over the phase screen, the source, light and gain, and a bench that differs from its settings."""
+"""Sweeps over phase screen, source, light, gain, and benches that differ from their settings."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -49,7 +49,7 @@ _Change = Callable[[Bench, float], Bench]
 
 
 def _over_screens(values: tuple[float, ...], change: _Change, first_seed: int | None = None) -> _Measure:
-    """Measure noise-free frames of the bench changed by each value, against the reference of the unchanged bench."""
+    """Measure noise-free frames of the changed bench against the reference of the unchanged one."""
 
     def measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
         estimators = warp_estimators(bench, NoiseFreeFrames(bench).reference())
@@ -227,7 +227,7 @@ _DEAD = (0.0, 0.05, 0.1, 0.2, 0.3)  # shares of the lenslets
 
 
 def _over_errors(values: tuple[float, ...], errors: dict[str, _Change]) -> _Measure:
-    """Reconstruct frames of the right bench with the settings of a wrong one, for each kind and size of error."""
+    """Reconstruct frames with the settings of a wrong bench, for each kind and size of error."""
 
     def measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
         reference = NoiseFreeFrames(bench).reference()

@@ -1,4 +1,4 @@
-"""Trials of the routines before a measurement: lattices found in a reference, and auto-exposure from any start.
+"""Trials of the routines before a measurement: lattices found, and auto-exposure from any start.
 
 Lattices are the bench's, random ones, and those of reference frames from a folder; a faint frame has 200 electrons in
 its brightest pixel, dead lenslets and uneven light. Auto-exposure runs on `simulated_devices.exposure_bench`, which
@@ -61,7 +61,7 @@ class _Reference:
 
 
 def calibration_trials(frames: Path | None = None) -> TrialStudy:
-    """Return the study; `frames` is a folder with a bench.toml and reference frames *_reference.tif of its lattice."""
+    """Return the study; the folder `frames` has a bench.toml and *_reference.tif of its lattice."""
     title = "Lattices found: how far from the truth"
     return TrialStudy(name="calibration", title=title, measure=partial(_calibrate, frames))
 
@@ -114,7 +114,7 @@ def _random(bench: Bench, seed: int) -> Iterator[_Reference]:
 
 
 def _faint(reference: _Reference) -> tuple[Image, Floats]:
-    """The camera's frame, counts, and 1 for each living lenslet, 0 for the dead (lenslet_row, lenslet_column)."""
+    """The camera's frame, counts, and 1 for living, 0 for dead lenslets (lenslet_row, lenslet_column)."""
     sensor, ring = reference.bench.sensor, _BORDER + 1
     shape = sensor.lenslet_rows + 2 * ring, sensor.lenslet_columns + 2 * ring
     alive = (np.random.default_rng(reference.seed).random(shape) >= _DEAD_SHARE).astype(np.float64)
