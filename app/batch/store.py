@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import itertools
 import json
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -318,17 +319,11 @@ class BatchInput:
 
 def unique_names(folders: Iterable[Path], taken: Iterable[str]) -> list[str]:
     """Name each folder by the fewest last parts of its path that are unique; number equal paths."""
-    known = set(taken)
-    names: list[str] = []
+    known, names = set(taken), list[str]()
     for folder in folders:
         parts = folder.parts[1:]
-        candidates = ["/".join(parts[-count:]) for count in range(1, len(parts) + 1)]
-        free = (name for name in candidates if name not in known)
-        name = next(free, None) or next(
-            f"{candidates[0]}-{number}"
-            for number in range(2, len(known) + 3)
-            if f"{candidates[0]}-{number}" not in known
-        )
-        known.add(name)
-        names.append(name)
+        shortest = ("/".join(parts[-count:]) for count in range(1, len(parts) + 1))
+        numbered = (f"{parts[-1]}-{number}" for number in itertools.count(2))
+        names.append(next(name for name in itertools.chain(shortest, numbered) if name not in known))
+        known.add(names[-1])
     return names

@@ -13,7 +13,7 @@ from typer.models import CommandInfo
 from app.commands import options, terminal
 from app.errors import InputError, Interrupted
 from app.files import require_suffix
-from app.results.analysis import load
+from app.results.analysis import load_analysis
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +31,7 @@ class AnalysisCommand(options.OnceCommand):
     def __getattr__(self, name: str) -> Any:
         if name not in {"params", "callback"}:
             raise AttributeError(name)
-        info = CommandInfo(callback=command_of(load(str(self.name))))
+        info = CommandInfo(callback=command_of(load_analysis(str(self.name))))
         made = get_command_from_info(info, pretty_exceptions_short=False, rich_markup_mode=None)
         self.params, self.callback, self.help = made.params, made.callback, made.help
         return getattr(made, name)

@@ -84,7 +84,7 @@ def calibrate(
     reads = (reference, dark, *options.files_of_bench(bench, loaded))
     options.check_files(out, reads=reads, suffixes=(".toml",), plot=plot, overwrite=overwrite)
     with terminal.progress_bar() as progress:
-        calibrated = find_lattice(reference, dark=dark, bench=loaded, progress=progress)
+        calibrated = calibrate_bench(reference, dark=dark, bench=loaded, progress=progress)
     options.draw(plot, lambda: lattice_figure(calibrated.reference, calibrated.survey))
     if out is not None:
         write_found(calibrated.bench, "lattice", bench, out)
@@ -107,7 +107,7 @@ class CalibratedBench:
     mask_scale: MaskScale | None  # None: the reference does not show the bench's mask
 
 
-def find_lattice(
+def calibrate_bench(
     reference: Path, *, dark: Path | None, bench: Bench, progress: Progress = lambda *_: None
 ) -> CalibratedBench:
     """Find the lattice in a reference image file; `InputError` if the files are unusable."""

@@ -40,7 +40,7 @@ def mask(
     Example: svwfs mask four_holes.npy --size 1200um --bench bench.toml --out mask.svg
     """
     from app.bench.settings_form import typed_number
-    from app.masks.drawing import WRITERS, draw, write_drawing
+    from app.masks.drawing import WRITERS, drawing_of, write_drawing
     from app.masks.openings import openings
 
     loaded = options.load(bench, setting)
@@ -51,7 +51,7 @@ def mask(
     options.check_files(out, reads=[*options.files_of_bench(bench, loaded), Path(name)], overwrite=overwrite)
     require_suffix(out, *WRITERS, kind="drawing's name")
     drawn = openings(name, source, size_m)
-    drawing = draw(drawn)
+    drawing = drawing_of(drawn)
     write_drawing(drawing, out)
     terminal.print_sentence(f"{out}: {drawing.notes[0]}")
     for sentence in drawing.notes[1:5]:

@@ -75,7 +75,7 @@ def _um(length_m: float) -> str:
     return f"{length_m * 1e6:.4g}"
 
 
-def draw(mask: Openings) -> Drawing:
+def drawing_of(mask: Openings) -> Drawing:
     """Draw a mask: below it a scale bar, above it at the left the letter F."""
     hole_m = _CLEARANCE * mask.reach_m
     height_m = 0.15 * mask.size_m

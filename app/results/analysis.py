@@ -124,7 +124,7 @@ class RecordingAnalysis(Analysis):
         return (), ()
 
 
-def load(name: str) -> type[Analysis]:
+def load_analysis(name: str) -> type[Analysis]:
     """Read the file of an analysis."""
     module, _, kind = ANALYSES[name][0].rpartition(".")
     found: type[Analysis] = getattr(import_module(module), kind)

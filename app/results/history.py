@@ -129,7 +129,7 @@ class History:
         return self._time_s.nbytes + sum(series.nbytes for series in self._series.values())
 
 
-def sample(
+def values_of_frame(
     measurement: Measurement, shown: Wavefront | None, *, full_scale: float, temperature_c: float | None
 ) -> tuple[float, dict[str, float]]:
     """Return the time of a frame, s, and the series of every frame: RMS, fill, delay, temperature."""

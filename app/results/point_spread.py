@@ -111,7 +111,7 @@ def psf_grid(views: Iterable[Floats], sensor: Sensor, reach_rad: float) -> PsfGr
         return PsfGrid(total / total.sum(axis=(-2, -1), keepdims=True), angle_rad, light)
 
 
-def write_psf_grid(path: Path, grid: PsfGrid, field: Field, about: dict[str, Any]) -> None:
+def write_psf_grid(path: Path, grid: PsfGrid, field: Field, facts: dict[str, Any]) -> None:
     """Write the known views as a float32 stack, with their positions as labels and as JSON."""
     known = [view for view in np.ndindex(grid.light.shape) if np.isfinite(grid.light[view])]
     step_rad = float(grid.angle_rad[1] - grid.angle_rad[0])
@@ -121,7 +121,7 @@ def write_psf_grid(path: Path, grid: PsfGrid, field: Field, about: dict[str, Any
         for row, column in known
         for x_m, y_m in [(float(field.view_x_m[column]), float(field.view_y_m[row]))]
     ]
-    information = {"pixel_rad": step_rad, "pixel_m": pixel_m, "views": places, **about}
+    information = {"pixel_rad": step_rad, "pixel_m": pixel_m, "views": places, **facts}
     write_stack(
         path,
         (grid.psf[view].astype(np.float32) for view in known),

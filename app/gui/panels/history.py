@@ -21,7 +21,18 @@ from app.gui.widgets.layouts import Item, Scrolled, column, fill_dialog, row
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import NOTHING, number
 from app.gui.widgets.texts import ElidedLabel, colour_text, label, mark_refused
-from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, Drift, History, LimitWatch, SeriesLimits, sample
+from app.results.history import (
+    DELAY,
+    FILL,
+    RMS,
+    TEMPERATURE,
+    UNITS,
+    Drift,
+    History,
+    LimitWatch,
+    SeriesLimits,
+    values_of_frame,
+)
 from app.results.shown_wavefront import Unit
 from reconstruction.arrays import Floats
 
@@ -201,7 +212,7 @@ class HistoryPanel(Panel):
         if measurement is None or status is None:
             return None
         full_scale, temperature_c = status.capabilities.full_scale, status.temperature_c
-        take = partial(sample, measurement, wavefront, full_scale=full_scale, temperature_c=temperature_c)
+        take = partial(values_of_frame, measurement, wavefront, full_scale=full_scale, temperature_c=temperature_c)
         return Request(measurement, None, lambda _: take(), _INTERVAL_S)
 
     def show_result(self, found: tuple[float, dict[str, float]]) -> None:

@@ -16,7 +16,7 @@ from support.pictures import assert_drawn
 
 from app.bench.config import load_bench, parse_bench
 from app.bench.presets import PRESETS
-from app.commands.calibrate import bench_text, differences, find_lattice, summary, write_found
+from app.commands.calibrate import bench_text, calibrate_bench, differences, summary, write_found
 from app.measurement.averages import EXPOSURE_FRAMES
 from app.results.figures import lattice_figure
 from reconstruction.geometry import Lattice
@@ -191,7 +191,7 @@ def test_unusual_lattice_notation_is_rewritten() -> None:
 
 
 def test_preset_is_written_with_lattice(tmp_path: Path) -> None:
-    found = find_lattice(FRAMES / "square_reference.tif", dark=None, bench=load_bench("live_demo"))
+    found = calibrate_bench(FRAMES / "square_reference.tif", dark=None, bench=load_bench("live_demo"))
     write_found(found.bench, "lattice", "live_demo", tmp_path / "b.toml")
     assert load_bench(tmp_path / "b.toml") == found.bench
     (said,) = differences(found)
@@ -208,7 +208,7 @@ def test_full_frame_lattice_has_no_cut_cells() -> None:
 
 
 def test_lattice_plot_marks_lit_dark_outside_and_cut_lenslets(reference: Path) -> None:
-    found = find_lattice(reference, dark=None, bench=load_bench(str(BENCH), ("sensor.lenslet_rows=12",)))
+    found = calibrate_bench(reference, dark=None, bench=load_bench(str(BENCH), ("sensor.lenslet_rows=12",)))
     figure = lattice_figure(found.reference, found.survey)
     labels = [str(text.get_text()) for text in figure.legends[0].get_texts()]
     count = {label.partition(" ")[2]: int(label.partition(" ")[0]) for label in labels if label[0].isdigit()}

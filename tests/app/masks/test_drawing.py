@@ -21,7 +21,7 @@ from PIL import Image
 from support.command_line import run
 
 from app.bench.config import load_bench
-from app.masks.drawing import draw, raster
+from app.masks.drawing import drawing_of, raster
 from app.masks.openings import openings
 from simulated_devices.optics.source import source_points
 from simulated_devices.settings import MASKS, Source
@@ -243,7 +243,7 @@ def test_polygon_has_the_area_of_its_ellipse(name: str, ratio: float) -> None:
 
 
 def test_notes_lie_below_the_page() -> None:
-    drawing = draw(openings("square", Source(), 1.2e-3))
+    drawing = drawing_of(openings("square", Source(), 1.2e-3))
     x_um, y_um = np.transpose(drawing.note_places_um)
     assert x_um == pytest.approx(np.full(len(drawing.notes), -1e6 * drawing.half_x_m))
     assert np.all(np.diff([-1e6 * drawing.half_y_m, *y_um]) < -48)  # um: one letter of 0.04 times 1.2 mm, y upwards
@@ -260,7 +260,7 @@ def test_picture_of_the_bench_is_drawn(drawn: Callable[..., Plate]) -> None:
 
 @pytest.mark.parametrize("size_mm", [2e-3, 3.21, 200])
 def test_pixels_have_the_stated_size(size_mm: float) -> None:
-    pixels, pixel_m = raster(draw(openings("square", Source(), size_mm * 1e-3)))
+    pixels, pixel_m = raster(drawing_of(openings("square", Source(), size_mm * 1e-3)))
     assert max(pixels.shape) <= 8002
     row, column = np.array(pixels.shape) // 2
     open_mm = np.array([np.count_nonzero(pixels[row]), np.count_nonzero(pixels[: round(1.6 * row), column])]) * pixel_m

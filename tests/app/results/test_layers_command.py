@@ -19,7 +19,7 @@ from app.bench.config import load_bench
 from app.errors import InputError
 from app.evaluation.frames import simulate
 from app.measurement.bench_reconstructor import BenchReconstructor
-from app.results.analysis import ANALYSES, Origin, load
+from app.results.analysis import ANALYSES, Origin, load_analysis
 from app.results.corrector import BestCorrector, compare_correctors, wrapped, write_phase
 from app.results.layers import (
     Layers,
@@ -376,4 +376,4 @@ def test_uncorrected_is_the_rms_over_field_and_pupil() -> None:
 
 def test_first_sentence_of_the_help_is_that_of_the_file() -> None:
     for name, (_, sentence) in ANALYSES.items():
-        assert inspect.getdoc(load(name)).startswith(f"{sentence}\n\n")  # type: ignore[union-attr] # it has one
+        assert inspect.getdoc(load_analysis(name)).startswith(f"{sentence}\n\n")  # type: ignore[union-attr] # it has one
