@@ -21,7 +21,8 @@ from app.gui.widgets.layouts import FRAME_PX, fill_dialog, row, within_screen
 from app.gui.widgets.texts import label
 
 _LAYOUT = 1  # a state of another version is ignored
-_THEME, _SIZE = "preferences/theme", "preferences/text"  # key of the saved state
+_THEME, _SIZE = "preferences/theme", "preferences/text"  # keys of the saved state
+_USUAL = {_THEME: "system", _SIZE: "100"}
 _PROPERTIES = (  # of Qt, that hold the state of a part
     (QComboBox, "currentText"),
     (QLineEdit, "text"),
@@ -92,10 +93,14 @@ def _property(part: QObject) -> str:
     return next(name for kind, name in _PROPERTIES if isinstance(part, kind))
 
 
+def _preference(saved: QSettings, key: str) -> str:
+    return str(saved.value(key, _USUAL[key]))
+
+
 def apply_preferences(application: QApplication, saved: QSettings) -> None:
     """Use the saved theme and size; before a window is made, because its panels measure their texts."""
-    theme.use_theme(application, str(saved.value(_THEME, "system")))
-    font, size = application.font(), str(saved.value(_SIZE, "100"))
+    theme.use_theme(application, _preference(saved, _THEME))
+    font, size = application.font(), _preference(saved, _SIZE)
     if size.isdecimal() and int(size) in _SIZES:
         font.setPointSizeF(font.pointSizeF() * int(size) / 100)
         application.setFont(font)
@@ -110,8 +115,8 @@ class PreferencesDialog(QDialog):
         self.setWindowTitle("Preferences")
         self.theme = Choice(items=(("as the desktop", "system"), ("dark", "dark"), ("light", "light")))
         self.size_choice = Choice(items=[(f"{percent} %", str(percent)) for percent in _SIZES])
-        for choice, key, usual in ((self.theme, _THEME, "system"), (self.size_choice, _SIZE, "100")):
-            choice.setCurrentIndex(choice.findData(str(saved.value(key, usual))))
+        for choice, key in ((self.theme, _THEME), (self.size_choice, _SIZE)):
+            choice.setCurrentIndex(choice.findData(_preference(saved, key)))
             choice.activated.connect(self._save)
         form = QFormLayout()
         form.addRow("Theme", self.theme)

@@ -110,7 +110,7 @@ class Segments(pg.PlotCurveItem):  # type: ignore[misc] # ships no types
 
 @lru_cache(maxsize=4)
 def lattice_lines(lattice: Lattice, lenslet_rows: int, lenslet_columns: int) -> Floats:
-    """Return the borders of all cells as pairs of ends; a square lattice has each line once."""
+    """Return the borders of all cells (2 * border, xy), px; a square lattice has each line once."""
     if lattice.arrangement == "hexagonal":
         middle = lenslet_centers(lattice.arrangement, lenslet_rows, lenslet_columns)[..., None, :]
         return lattice.to_camera_px((middle + lattice.cell_corners[_AROUND]).reshape(-1, 2) * lattice.pitch_px)

@@ -32,7 +32,7 @@ def add_copy_menu(
 
 
 def as_table(heads: Iterable[str], rows: Iterable[Floats]) -> str:
-    """Return lines of tab-separated numbers below their heads, as a spreadsheet reads them."""
+    """Return rows (column,) as lines of tab-separated numbers below their heads, for a spreadsheet."""
     lines = ["\t".join(f"{value:.7g}" for value in row) for row in rows]
     return "\n".join(filter(None, ["\t".join(heads), *lines]))
 

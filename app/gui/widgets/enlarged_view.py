@@ -156,7 +156,7 @@ class SurfaceView(QWidget):
             self._write(painter, on_base[list(near)].mean(axis=0) + away * room, text)
 
     def _write(self, painter: QPainter, at: Floats, text: str) -> None:
-        """Write a text around a point, within the widget."""
+        """Write a text around a point (xy,), px, within the widget."""
         place = QRectF(painter.fontMetrics().boundingRect(text))
         place.moveCenter(QPointF(*at))
         place.moveLeft(min(max(place.left(), 0.0), self.width() - place.width()))

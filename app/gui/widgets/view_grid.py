@@ -333,7 +333,7 @@ def _colour_bar(colours: str, width: int, height: int) -> QImage:
 
 
 def _faded(pixels: Pixels, background: QColor) -> Pixels:
-    """Return colours halfway to the background; transparent ones, which are hatched, stay so."""
+    """Return colours (...) halfway to the background; transparent ones, which are hatched, stay so."""
     halves = [colours >> 1 & np.uint32(0x7F7F7F) for colours in (pixels, np.uint32(background.rgb()))]
     return np.where(pixels, np.uint32(0xFF000000) | (halves[0] + halves[1]), np.uint32(0))
 
