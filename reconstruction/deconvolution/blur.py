@@ -23,6 +23,7 @@ from reconstruction.runtime.threads import THREADS, worker_pool
 PsfAt = Callable[[float, float], Floats]
 """Point-spread function (2 reach + 1, 2 reach + 1) of the image position x, y, px; sum 1."""
 Values = NDArray[np.floating]
+"""Light of an image or of an object, (row, column), in any unit."""
 
 _SIDES_PX = range(64, 1025, 32)  # of a tile
 _NODES = range(3, 9)  # along a side of a tile
@@ -149,7 +150,7 @@ class SpaceVariantBlur:
 
 
 def _expansion(kernels: Floats) -> tuple[Floats, Floats]:
-    """Mean of `kernels` and their principal changes, (term, row, column), with weights (node, term - 1)."""
+    """Mean of kernels (node, row, column) and their changes, (term, row, column), with weights (node, term - 1)."""
     mean = kernels.mean(axis=0)
     changes = (kernels - mean).reshape(len(kernels), -1)
     energy, vectors = np.linalg.eigh(changes @ changes.T)  # in increasing order

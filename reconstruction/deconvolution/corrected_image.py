@@ -47,7 +47,7 @@ class _Step(NamedTuple):
 
     iterations: int  # that led to it
     scene: Values  # light, counts, (row, column)
-    misfit: Values  # square of the image's difference to it, blurred, over its variance; NaN if the noise is unknown
+    misfit: Values  # (light - blurred)^2 over its variance, (row, column); NaN if the noise is unknown
 
 
 def restored(
@@ -121,7 +121,10 @@ def _wiener(
 
 
 def regularised(light: Values, blur: SpaceVariantBlur, strength: float, start: Values, iterations: int) -> Values:
-    """Minimise |light - blurred|^2 + strength |gradient|^2 over objects (row, column)."""
+    """Minimise |light - blurred|^2 + strength |gradient|^2 over objects (row, column), by conjugate gradients.
+
+    `light` is an image (row, column), `start` an object; both in any unit.
+    """
 
     def normal(flat: Values) -> Values:
         scene = flat.reshape(start.shape)
@@ -228,7 +231,7 @@ def corrected_image(
 
 
 def _span(inside: Booleans) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First row and column with a pixel inside, and the first after the last one; zeros if there is none."""
+    """Rows and columns (first, after the last) with a pixel `inside` (row, column); zeros if there is none."""
     at = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)]
     rows, columns = ((int(each[0]), int(each[-1]) + 1) if len(each) else (0, 0) for each in at)
     return rows, columns
@@ -254,7 +257,7 @@ def _nearest(x_m: float, y_m: float, field: Field) -> tuple[float, float]:
 
 
 def _binned(image: Image, bins: int) -> Image:
-    """Mean over squares of pixels; the last ones repeat the edge."""
+    """Mean of an image (row, column) over squares of pixels; the last ones repeat the edge."""
     padded = np.pad(image, [(0, -length % bins) for length in image.shape], mode="edge")
     rows, columns = (length // bins for length in padded.shape)
     return np.asarray(padded.reshape(rows, bins, columns, bins).mean(axis=(1, 3)), np.float32)

@@ -165,6 +165,7 @@ def search_layers(
 
 
 def _ratio(t: float) -> float:
+    """Ratio of field to pupil position at the search parameter t."""
     t = min(max(t, -_FARTHEST), _FARTHEST)
     return float(t / (1 - abs(t)))
 
@@ -172,7 +173,7 @@ def _ratio(t: float) -> float:
 def _refined(
     equations: FrameEquations, sketch_at: Callable[..., FitQuality], fit_at: Callable[..., LayerFit], start: Floats
 ) -> LayerFit:
-    """Maximise the evidence over the distances, from a start in t, and find their error bars."""
+    """Maximise the evidence over the distances, from a start (layer,) in t, and find their error bars."""
 
     def cost(t: Floats) -> float:
         return -fit_at(*t).quality.log_evidence
@@ -193,7 +194,7 @@ def _refined(
 
 
 def _minimum(cost: Callable[[Floats], float], start: Floats, step: float, tolerance: float) -> Floats:
-    """Minimise a cost by the method of Nelder and Mead from a simplex of that size."""
+    """Minimise a cost by the method of Nelder and Mead from a simplex with a corner at `start` (n,)."""
     simplex = start + step * np.concatenate([np.zeros((1, len(start))), np.eye(len(start))])
     options = {"initial_simplex": simplex, "xatol": tolerance, "fatol": 0.02, "maxiter": 200}
     found = scipy.optimize.minimize(cost, start.ravel(), method="Nelder-Mead", options=options)  # type: ignore[call-overload] # its own stubs want 1-D
@@ -201,7 +202,7 @@ def _minimum(cost: Callable[[Floats], float], start: Floats, step: float, tolera
 
 
 def _curvature(cost: Callable[[Floats], float], at: Floats) -> Floats:
-    """Second derivatives of a function (n, n) by central differences."""
+    """Second derivatives (n, n) of a function at a position (n,) by central differences."""
     steps = _STEP * np.eye(len(at))
     curvature = np.empty((len(at), len(at)))
     for i, j in np.ndindex(curvature.shape):
@@ -217,4 +218,5 @@ def _inverse(curvature: Floats) -> Floats:
 
 
 def _beyond(fit: FitQuality, other: FitQuality) -> float:
+    """Misfit of a fit beyond that of another one; 0 if it is smaller."""
     return float(np.sqrt(max(fit.misfit**2 - other.misfit**2, 0.0)))

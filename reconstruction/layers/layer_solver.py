@@ -201,7 +201,7 @@ def prior_scale(degree: int) -> Floats:
 
 
 def principal(gram: Floats) -> tuple[Floats, Floats]:
-    """Singular values, (n,), and vectors, (n, n), of a normal matrix in units of the prior.
+    """Singular values, (n,), and vectors, (n, n), of a normal matrix (n, n) in units of the prior.
 
     What the displacements do not show has the value 0: it keeps the prior's variance.
     """
@@ -210,7 +210,7 @@ def principal(gram: Floats) -> tuple[Floats, Floats]:
 
 
 def along_principal(frame: Whitened, columns: Floats, singular: Floats, vectors: Floats) -> Components:
-    """Components of a frame; `columns` (n,) are the design matrix's products with its displacements."""
+    """Components of a frame; `columns` (n,) are the design matrix's products with its whitened displacements."""
     along = np.divide(columns @ vectors, singular, where=singular > 0, out=np.zeros_like(singular))
     return Components(singular, along, frame.total, frame.number)
 
@@ -334,5 +334,6 @@ class FrameEquations:
         return self._products[one, other, degree]
 
     def _rows(self, ratio: float, degree: int) -> NDArray[np.float32]:
+        """`LayerSolver.rows` as a matrix, (L * K, k)."""
         rows = self.solver.rows(ratio, degree)
         return rows.reshape(-1, rows.shape[2])

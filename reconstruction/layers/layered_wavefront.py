@@ -163,6 +163,7 @@ class LayeredWavefronts:
         return _Fit(equations, estimate, polynomials, design.wavefronts @ polynomials)
 
     def _prepared(self, ratios: tuple[float, ...]) -> _Design:
+        """Design of layers at some ratios, for all lenslets."""
         degree = self.solver.degree
         scale = prior_scale(degree)
         # In double precision: the prior makes small eigenvalues count, and layers close to each other differ little.

@@ -136,6 +136,7 @@ def _to_samples(lenslets: int) -> Floats:
 
 
 def _positions_m(lenslets: int, spacing_m: float) -> Floats:
+    """Positions of the samples along one axis of the pupil, (sample,)."""
     return centered_steps(lenslets * SAMPLES) / SAMPLES * spacing_m
 
 
@@ -145,7 +146,7 @@ def _frequencies(lenslets: int, spacing_m: float, sensor: Sensor) -> Floats:
 
 
 def _overlap(field: NDArray[np.complex64] | NDArray[np.float32]) -> Floats:
-    """Magnitude of the normalised autocorrelation along the last axis: (..., shift)."""
+    """Magnitude of the normalised autocorrelation of a field (..., row, column) along its rows: (..., shift)."""
     samples = field.shape[-1]
     spectrum = (np.abs(np.fft.fft(field, 2 * samples, axis=-1)) ** 2).sum(axis=-2, dtype=np.float64)
     correlation = np.abs(np.fft.ifft(spectrum, axis=-1))[..., : samples + 1]

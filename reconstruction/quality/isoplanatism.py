@@ -111,4 +111,5 @@ def global_error_rad(phase: Floats) -> float:
 
 
 def _root_mean_square(values: Floats) -> float:
+    """Root mean square of values of any shape, in their unit."""
     return float(np.sqrt(np.mean(values**2)))

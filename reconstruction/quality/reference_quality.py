@@ -128,7 +128,7 @@ def lit_elsewhere(light: Floats, lattice: Lattice, shown: Lattice, sensor: Senso
 
 
 def _contrast(light: Floats, lattice: Lattice, sensor: Sensor) -> Floats:
-    """Standard deviation of the light over each cell of a lattice, counts, (L,); 0 beyond the frame."""
+    """Standard deviation of the light (row, column) over each cell of a lattice, counts, (L,); 0 beyond the frame."""
     steps = centered_steps(_SAMPLES) / _SAMPLES
     centers = lenslet_centers(sensor.arrangement, sensor.lenslet_rows, sensor.lenslet_columns).reshape(-1, 1, 2)
     at = centers + np.stack(np.meshgrid(steps, steps * lattice.row_spacing), axis=-1).reshape(-1, 2)
@@ -140,7 +140,7 @@ def _contrast(light: Floats, lattice: Lattice, sensor: Sensor) -> Floats:
 def leaked_light(dark: Floats, light: Floats) -> float:
     """Share of the reference's light in the dark, by regression; 1 if the dark is brighter.
 
-    `light` (row, column) is the reference minus the dark, counts.
+    Both are (row, column), counts; `light` is the reference minus the dark.
     """
     away = light - light.mean()
     square = float(np.vdot(away, away))
@@ -180,7 +180,10 @@ def shared_deformation_px(reference: ReferenceSubimages) -> float:
 
 
 def _shared_square(deformations: Floats) -> float:
-    """Median product of neighbours, less chance; a median ignores lenslets at the edge of the light."""
+    """Median product of neighbours' deformations (lenslet_row, lenslet_column, n), px^2, less chance.
+
+    A median ignores lenslets at the edge of the light.
+    """
     neighbours = ((deformations[:-1], deformations[1:]), (deformations[:, :-1], deformations[:, 1:]))
     products = np.concatenate([np.sum(one * other, axis=-1).ravel() for one, other in neighbours])
     known = products[np.isfinite(products)]

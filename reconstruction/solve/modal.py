@@ -262,7 +262,7 @@ class ModalSolver:
         """Fit quality of wavefronts with the smoothness prior; `weights` as for the fit."""
         return self._components(self.errors.whitened(displacement, weights))[1].quality()
 
-    def _components(self, frame: Whitened) -> tuple["_Equations", Components]:
+    def _components(self, frame: Whitened) -> tuple[_Equations, Components]:
         """Equations of the lenslets used, and the data along their components."""
         equations = self._equations(frame.share.tobytes())
         along = (self._across @ frame.weighted.ravel().astype(np.float32)).astype(np.float64)
@@ -277,7 +277,7 @@ class ModalSolver:
             noise = max((total - float(along @ along)) / (count - len(singular)), noise)
         return Estimate(along / singular, math.inf, noise, count - len(singular))
 
-    def _down_dated(self, share_bytes: bytes) -> "_Equations":
+    def _down_dated(self, share_bytes: bytes) -> _Equations:
         """The equations of lenslets with that share of their certainty, (lenslet,)."""
         share = np.frombuffer(share_bytes)
         lost = np.flatnonzero(self.errors.is_usable & (share < 1))

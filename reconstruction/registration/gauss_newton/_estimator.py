@@ -305,9 +305,7 @@ class GaussNewton:
             half_cell_px=np.float32(reference.cell_height_px / 2),
         )
 
-        counters = new_counters()
-
-        grids = self._start.grid, grid
+        counters, grids = new_counters(), (self._start.grid, grid)
 
         def share() -> bool:
             try:

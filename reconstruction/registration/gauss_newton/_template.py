@@ -207,10 +207,8 @@ def respond(template: Template, image: Floats, changes: Floats, own: Sequence[Ow
         still = descent(still_light, still_gradient, amplitude)
         projected = images.without_brightness(still, weight) * weight[:, None]  # (lenslet, P, pixel)
         squares = projected @ np.swapaxes(descent(moved_light, moved_gradient, amplitude), 1, 2)
-        # (lenslet, P, change); of squares
-        parameters = -np.linalg.pinv(squares, rcond=_UNSEEN**2) @ (
-            projected @ np.tensordot(amplitude, pixel_changes, 1)
-        )
+        of_changes = projected @ np.tensordot(amplitude, pixel_changes, 1)  # (lenslet, P, change)
+        parameters = -np.linalg.pinv(squares, rcond=_UNSEEN**2) @ of_changes
         return np.swapaxes(parameters[:, : len(images.basis)], 1, 2)
 
     each = np.concatenate([found(slice(first, first + _AT_ONCE)) for first in range(0, lenslets, _AT_ONCE)])
