@@ -8,11 +8,11 @@ values are cut off, and the window moves to the centre of gravity until it stays
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement, Outcome, RegistrationMethod, diagonal_covariance
 from reconstruction.errors import ReconstructionError
+from reconstruction.frame.spline import interpolate
 from reconstruction.geometry import Field, centered_steps, require
 from reconstruction.modes.field_modes import SampledModes
 from reconstruction.registration.correlation import correlation_spectrum, cross_correlation, normalised
@@ -136,8 +136,7 @@ class Centroids:
         """Light at offsets (N, xy) about positions (L, S, xy), both in the lattice frame: (L, S, N)."""
         turn = self._reference.turn
         camera_px = (self._reference.center_px[:, None] + position_px @ turn)[:, :, None] + offset_px @ turn
-        x, y = np.moveaxis(camera_px, -1, 0)
-        return ndimage.map_coordinates(coefficients, [y, x], np.float64, order=3, mode="mirror", prefilter=False)
+        return interpolate(coefficients, camera_px)[0]
 
     def _are_stars(self, stars: _Stars, start_px: Floats) -> Booleans:
         """True for stars that are bright, near start_px (L, S, xy), inside the cell and converged: (L, S)."""
