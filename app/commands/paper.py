@@ -44,10 +44,11 @@ def paper(
 
     if table == "sources" and peers:
         raise InputError("--peers: the study of source shapes has no methods of SimpleITK")
-    loaded = options.load(bench or (_EXPERIMENT if table == "table2" else PAPER), setting)
+    bench = bench or (_EXPERIMENT if table == "table2" else PAPER)
+    loaded = options.load(bench, setting)
     if table == "sources":
         study = tables.sources()
     else:
         study = (tables.table1 if table == "table1" else tables.table2)(with_peers=peers)
-    options.check_files(*files_of([study], out), reads=loaded.files, overwrite=overwrite)
+    options.check_files(*files_of([study], out), reads=options.files_of_bench(bench, loaded), overwrite=overwrite)
     run_and_print([study], loaded, seeds=seeds, out=out)

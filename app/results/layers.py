@@ -166,6 +166,7 @@ def find_layers(
 MAP_POINTS = 129  # of a phase map along its longer axis
 _FARTHEST, _LEAST_SHOWN_M = 2.0, 0.3  # end of a distance axis, over the farthest distance found, and at least
 _OTHER_SIDE = 0.5  # of it, shown on the other side of the lenslets
+_FROM: dict[Origin, str] = {"lenslets": "in front of the lenslets", "mask": "from the mask"}
 _FINE_M = 1e-4  # errors below it have two decimals in mm
 _AMBIGUOUS = {
     1: "none: one layer has its tilt and all other terms",
@@ -233,9 +234,7 @@ def shown_range_m(found_m: Floats, tried_m: Floats, origin: Origin) -> tuple[flo
 
 def distance_in_words(at_m: float, sigma_m: float, origin: Origin) -> str:
     """Distance in mm with its error, if that is known: "195.0 ± 1.2 mm in front of the lenslets"."""
-    where = "from the mask" if origin == "mask" else "in front of the lenslets"
-    if origin == "lenslets" and at_m < 0:
-        where = "behind the lenslets"
+    where = "behind the lenslets" if origin == "lenslets" and at_m < 0 else _FROM[origin]
     if not math.isfinite(sigma_m):
         return f"{abs(at_m) * 1e3:.1f} mm {where}"
     decimals = 1 if sigma_m > _FINE_M else 2
@@ -320,12 +319,12 @@ def layers_dataset(found: LayerSearch | LayerFit, bench: Bench, origin: Origin, 
 
 def axis_label(origin: Origin) -> str:
     """Label of a distance axis in mm."""
-    return "distance from the mask (mm)" if origin == "mask" else "distance in front of the lenslets (mm)"
+    return f"distance {_FROM[origin]} (mm)"
 
 
 def from_where(origin: Origin) -> str:
     """Description of distances for a dataset."""
-    return "distance from the mask" if origin == "mask" else "distance in front of the lenslets; negative behind them"
+    return f"distance {_FROM[origin]}{'; negative behind them' * (origin == 'lenslets')}"
 
 
 def set_distance_axes(axes: Axes, found: xr.Dataset, found_m: Floats) -> None:

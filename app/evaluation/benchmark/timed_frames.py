@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
-from app.evaluation.frames import NoiseFreeFrames
+from app.evaluation.frames import NoiseFreeFrames, simulating, with_screen
 from app.measurement.averages import FRAMES
 from app.measurement.calibration import Calibration
 from app.progress import Progress
@@ -50,9 +50,8 @@ class TimedFrames:
 
 def noise_free(bench: Bench) -> TimedFrames:
     """Return mean photons of a bench whose screen drifts a little between the two frames."""
-    screen = replace(bench.simulation.screen, drift_x_m_per_s=_DRIFT_M)
-    simulation = replace(bench.simulation, screen=screen, drifting_states=2, state_duration_s=1.0)
-    rendered = NoiseFreeFrames(replace(bench, simulation=simulation))
+    drifting = with_screen(bench, drift_x_m_per_s=_DRIFT_M)
+    rendered = NoiseFreeFrames(simulating(drifting, drifting_states=2, state_duration_s=1.0))
     reference, newest = rendered.reference("square"), rendered.frame("square")
     return TimedFrames(
         bench=bench,
