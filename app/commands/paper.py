@@ -39,16 +39,13 @@ def paper(
 
     Example: svwfs paper table2 --seeds 3 --out paper
     """
-    from app.evaluation import paper as tables
+    from app.evaluation.paper import comparison
     from app.evaluation.studies import files_of
 
     if table == "sources" and peers:
         raise InputError("--peers: the study of source shapes has no methods of SimpleITK")
     bench = bench or (_EXPERIMENT if table == "table2" else PAPER)
     loaded = options.load(bench, setting)
-    if table == "sources":
-        study = tables.sources()
-    else:
-        study = (tables.table1 if table == "table1" else tables.table2)(with_peers=peers)
+    study = comparison(table, with_peers=peers)
     options.check_files(*files_of([study], out), reads=options.files_of_bench(bench, loaded), overwrite=overwrite)
     run_and_print([study], loaded, seeds=seeds, out=out)

@@ -295,47 +295,35 @@ EXPOSURES_S: dict[TableMask, float] = {"stars": 3.8, "square": 0.15}  # the pape
 SOURCES = ("square", "circle", "ellipse", "octagon", "peaks")
 
 
-def table1(*, with_peers: bool) -> ComparisonTable:
-    """Declare table 1, the paper's simulation: every method on noise-free frames, compared to the truth."""
-    methods = {name: each for name, each in METHODS.items() if with_peers or not each.is_peer}
-    return ComparisonTable(
-        name="table1",
-        title="Simulation: residual RMS (rad) against the truth",
-        measure=partial(_in_both_lights, partial(_table1, methods)),
-        paper=PAPER_TABLE_1,
-    )
+_Measure = Callable[[Bench, Progress], Iterator[CaseResult]]
 
 
-def table2(*, with_peers: bool) -> ComparisonTable:
-    """Declare table 2, the paper's experiment: noisy frames with both exposures, compared to the stars.
+def comparison(table: Literal["table1", "table2", "sources"], *, with_peers: bool) -> ComparisonTable:
+    """Declare a table of the paper.
 
-    Every method runs on windows at the true sub-pixel centres and (`_resized`) on frames that are cropped and resized
-    as in the paper. `against_truth` compares the stars with the true wavefronts.
+    Table 1 is its simulation: every method on noise-free frames, compared to the truth. Table 2 is its experiment:
+    noisy frames with both exposures, compared to the stars; every method runs on windows at the true sub-pixel centres
+    and (`_resized`) on frames that are cropped and resized as in the paper, and `against_truth` compares the stars with
+    the true wavefronts. The sources are those of its supplement: the same screens, other shapes.
     """
-    methods = {
-        name: each for name, each in METHODS.items() if each.mask == "square" and (with_peers or not each.is_peer)
+    methods = {name: each for name, each in METHODS.items() if with_peers or not each.is_peer}
+    with_square = {name: each for name, each in methods.items() if each.mask == "square"}
+    declared: dict[str, tuple[str, str, _Measure]] = {
+        "table1": ("Simulation", "truth", partial(_table1, methods)),
+        "table2": ("Experiment", "stars", partial(_table2, with_square)),
+        "sources": ("Other sources", "truth", _sources),
     }
+    name, compared_to, measure = declared[table]
     return ComparisonTable(
-        name="table2",
-        title="Experiment: residual RMS (rad) against the stars",
-        measure=partial(_in_both_lights, partial(_table2, methods)),
-        paper=PAPER_TABLE_2,
-        compared_to="stars",
+        name=table,
+        title=f"{name}: residual RMS (rad) against the {compared_to}",
+        measure=partial(_in_both_lights, measure),
+        paper={"table1": PAPER_TABLE_1, "table2": PAPER_TABLE_2}.get(table, {}),
+        compared_to=compared_to,
     )
 
 
-def sources() -> ComparisonTable:
-    """Declare the robustness study of the paper's supplement: the same screens with sources of other shapes."""
-    return ComparisonTable(
-        name="sources",
-        title="Other sources: residual RMS (rad) against the truth",
-        measure=partial(_in_both_lights, _sources),
-    )
-
-
-def _in_both_lights(
-    measure: Callable[[Bench, Progress], Iterator[CaseResult]], bench: Bench, seeds: range, progress: Progress
-) -> Iterator[CaseResult]:
+def _in_both_lights(measure: _Measure, bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     """Measure all screens with propagation neglected, as the paper simulates it, and in real light."""
     for index, (light, neglect) in enumerate(LIGHTS.items()):
         lit = replace(bench, field=replace(bench.field, neglect_propagation=neglect))
