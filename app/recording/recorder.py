@@ -127,8 +127,16 @@ class BackgroundRecording:
         if self._is_finished:
             stage = "ended early" if self._problem else "finished"
         seconds = (self._ended_s or time.perf_counter()) - self._began_s
-        written = self._folder, stage, self._frames, len(self._waiting), seconds
-        return RecordingState(*written, self._free_minutes, self._problem, self._gaps)
+        return RecordingState(
+            folder=self._folder,
+            stage=stage,
+            frames=self._frames,
+            waiting=len(self._waiting),
+            seconds=seconds,
+            free_minutes=self._free_minutes,
+            problem=self._problem,
+            gaps=self._gaps,
+        )
 
     def _is_beyond_limit(self, record: Record) -> bool:
         """Return whether a frame comes too late; the limit may have been lowered below what was taken."""

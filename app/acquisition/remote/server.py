@@ -58,18 +58,13 @@ _GATHERING_S = 0.1  # in which all that was sent to a stopped process arrives
 _LINGER_MS = 300
 _SPARE = 1.5  # a slot's size over that of the first record which needs it
 
-_OF_INSTRUMENT: dict[str, Callable[..., Any]] = {
+_REQUESTS: dict[str, Callable[..., Any]] = {  # that clients may send
     each.__name__: each
     for each in (
         *(Instrument.take_dark, Instrument.take_reference, Instrument.use, Instrument.set),
         *(Instrument.auto_expose, Instrument.expose_without_sample, Instrument.check_background),
         *(Instrument.find_lattice, Instrument.survey_lattice, Instrument.change_settings),
         Instrument.measure_linearity,
-    )
-}
-_OF_ACQUISITION: dict[str, Callable[..., Any]] = {
-    each.__name__: each
-    for each in (
         *(Acquisition.set_area, Acquisition.show_file, Acquisition.start_recording, Acquisition.limit_recording),
         *(Acquisition.stop_recording, Acquisition.keep_recent, Acquisition.cancel),
         *(Acquisition.free_minutes, Acquisition.switch_light_off),
@@ -306,9 +301,7 @@ class Server:
         if name == "shut_down":
             self._is_over = True  # after this turn, in which it is answered
             return done()
-        is_instruments = name in _OF_INSTRUMENT
-        request = _OF_INSTRUMENT.get(name) or _OF_ACQUISITION.get(name)
-        if request is None:
+        if (request := _REQUESTS.get(name)) is None:
             raise BadValue(f"the instrument knows no command {name}")
         try:
             inspect.signature(request).bind(None, *command.arguments, **command.named)
@@ -317,7 +310,7 @@ class Server:
         limit = command.named.get("limit", command.arguments[0] if name == "limit_recording" else NO_LIMIT)
         if not isinstance(limit, RecordingLimit):
             raise BadValue(f"{name}: {limit!r:.60} is no limit of a recording")
-        if is_instruments:
+        if name not in vars(Acquisition):
             return self.acquisition.submit(self._executed, request, command)
         future: Future[Any] = request(self.acquisition, *command.arguments, **command.named)
         return future
