@@ -36,7 +36,7 @@ class RegistrationSettings(Checked):
             Warp,
             Doc(
                 "Of Gauss-Newton: allowed distortion of a subimage; more freedom resolves finer changes over the field."
-                " Omitted: that of the least expected error; quartic if noise is unknown"
+                " Omitted: quartic if layers may be assumed, otherwise that of the least expected error"
             ),
         ]
         | None
