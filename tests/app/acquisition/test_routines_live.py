@@ -310,3 +310,18 @@ def test_only_the_newest_references_are_kept() -> None:
     assert kept.doubt(taken[3])  # forgotten: the newest stays in use
     kept.choose(taken[4])
     assert not kept.doubt(taken[4])
+
+
+def test_recorded_dark_and_reference_are_used(live: Live) -> None:
+    started(live)
+    kept = live.acquisition.submit(lambda instrument: instrument.calibration).result(HANG_S)
+    assert kept is not None
+    assert kept.dark is not None
+    recorded = replace(kept, dark=replace(kept.dark, frames=7), reference=replace(kept.reference, frames=9))
+    live.acquisition.submit(Instrument.use, recorded).result(HANG_S)
+    used = live.acquisition.submit(lambda instrument: instrument.calibration).result(HANG_S)
+    assert used is not None
+    assert (used.dark, used.reference) == (recorded.dark, recorded.reference)
+    assert [live.status.dark.note, live.status.reference.note] == ["as recorded"] * 2
+    live.acquisition.submit(Instrument.use, replace(recorded, dark=None)).result(HANG_S)
+    assert live.status.dark.validity == "missing"
