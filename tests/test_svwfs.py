@@ -2,38 +2,31 @@
 
 from __future__ import annotations
 
-import base64
 import inspect
 import os
-import re
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 import tifffile
 from support.command_line import run
 from support.paths import FOREIGN_FRAMES
-from support.patience import HANG_S, wait_until
+from support.patience import HANG_S
+from support.pictures import html_picture
 from support.python_examples import run_examples
 
 import svwfs
-from app.acquisition.start_up import knows_sample
 from app.bench.config import Bench
 from app.evaluation.frames import SimulatedFrames
 from app.images import read_image
 from app.results.coefficients import FieldMaps
 from app.results.corrector import BestCorrector
 from app.results.deconvolution import Deconvolution
-from drivers.dcam import DcamSettings
-from drivers.interface import LightSource
-from drivers.serial_lights import DC4100Settings
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import rms
 
@@ -145,13 +138,6 @@ def test_wavefront_is_evaluated_at_many_positions(bench: Bench, wavefront: svwfs
         wavefront.at([0.0, 0.7e-3], -0.5e-3)
 
 
-def picture(html: str) -> Floats:
-    (encoded,) = re.findall(r'<img src="data:image/png;base64,([^"]+)">', html)
-    found = cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), cv2.IMREAD_COLOR)
-    assert found is not None
-    return np.asarray(found[..., ::-1], np.float64)
-
-
 def test_notebook_shows_wavefront(wavefront: svwfs.Wavefront) -> None:
     views = wavefront.views.copy()
     views[0, 0] = np.nan
@@ -160,7 +146,7 @@ def test_notebook_shows_wavefront(wavefront: svwfs.Wavefront) -> None:
     assert repr(shown).startswith("<Wavefront: 3 x 3 views of 7 x 7 lenslets, 49 valid; mean RMS ")
     html = shown._repr_html_()
     assert "&lt;Wavefront: 3 x 3 views" in html
-    pixels = picture(html)
+    pixels = html_picture(html)
     px = pixels.shape[0] // 23  # of a lenslet: three views of 7, and a line after two
     assert pixels.shape == (23 * px, 23 * px, 3)
     centers = pixels[px // 2 :: px, px // 2 :: px]
@@ -170,137 +156,6 @@ def test_notebook_shows_wavefront(wavefront: svwfs.Wavefront) -> None:
     nothing = replace(wavefront, views=np.full_like(views, np.nan))
     assert "unknown" in repr(nothing)
     assert nothing._repr_html_()
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Path) -> None:
-    with svwfs.live(bench, average=3) as live:
-        measurement = next(iter(live))
-        assert measurement.wavefront is not None
-        assert live.bench.lattice is not None
-        assert live.warning == ""
-        live.take_dark(2)
-        live.take_reference(2)
-        folder = live.record(tmp_path / "run", frames=4)
-        with pytest.raises(svwfs.InputError, match="holds a recording already"):
-            live.record(folder, frames=1)
-    with pytest.raises(svwfs.WrongState, match="its with block has ended"):
-        iter(live)
-    recording = svwfs.open_recording(folder)
-    assert len(recording) == 4
-    first = (folder / "frames.zarr/0/c/0/0/0").read_bytes()
-    assert repr(recording).startswith(f"<Recording {folder}: 4 frames of 240 x 256 pixels; began 20")
-    assert picture(recording._repr_html_()).shape == (240, 256, 3)
-    assert recording.dark is not None
-    assert recording.reference is not None
-    assert recording.dark.shape == recording.reference.shape == (240, 256)
-    assert recording.reference.mean() > recording.dark.mean() > 0
-    assert recording.run["command"] == "python"
-    (folder / "frames.zarr/0/c/0/0/0").write_bytes(b"")
-    assert "is damaged: 0 bytes" in svwfs.open_recording(folder)._repr_html_()
-    (folder / "frames.zarr/0/c/0/0/0").write_bytes(first)
-    frames = recording.frames
-    assert frames.sizes == {"frame": 4, "row": 240, "column": 256}
-    assert frames["frame_index"].values.tolist() == sorted(frames["frame_index"].values.tolist())
-    assert np.array_equal(frames[1:3, 5, ::-7].values, frames.values[1:3, 5, ::-7])
-    assert frames[2:2].values.shape == (0, 240, 256)
-    assert recording.results()["wavefront"].sizes["frame"] == 4
-
-
-@pytest.mark.slow
-def test_exposure_gain_and_light_are_set(bench: Bench) -> None:
-    with svwfs.live(bench, average=2) as live:
-        assert live.set_exposure(0.03) == live.bench.camera_model.exposure_s == pytest.approx(0.03, rel=1e-3)
-        measurement = next(iter(live))
-        assert measurement.frame.exposure_s == pytest.approx(0.03, rel=1e-3)
-        assert live.warning == "the dark was taken at 20.0 ms: take it again"
-        assert live.set_em_gain(3) == next(iter(live)).frame.em_gain == 3
-        assert live.set_light_current(0.5) == pytest.approx(0.5)
-        bright = next(iter(live)).frame.pixels.mean()
-        live.set_light(False)
-        dark = next(iter(live))
-        assert dark.light is not None
-        assert not dark.light.is_on
-        assert dark.frame.pixels.mean() < 0.9 * bright
-        live.set_light(True)
-        assert next(iter(live)).frame.pixels.mean() == pytest.approx(bright, rel=0.1)
-        for exposure_s in (0.02, 0.03) * 5:
-            live.set_exposure(exposure_s)
-            assert next(iter(live)).frame.exposure_s == pytest.approx(exposure_s, rel=1e-3)
-        for impossible in (-1.0, float("nan")):
-            with pytest.raises(svwfs.BadValue):
-                live.set_exposure(impossible)
-        with pytest.raises((TypeError, ValueError)):
-            live.set_light_current("much")  # type: ignore[arg-type] # no number
-        assert next(iter(live)).frame is not None  # the worker goes on
-
-
-def test_iteration_ends_with_the_block(bench: Bench) -> None:
-    with svwfs.live(bench, average=2) as live:
-        measurements = iter(live)
-        next(measurements)
-    assert list(measurements) == []
-
-
-def test_frame_passed_over_is_not_yielded(bench: Bench) -> None:
-    with svwfs.live(bench, average=2) as live:
-
-        def has_passed_over() -> bool:
-            live._acquisition.submit(lambda _: time.sleep(0.3))  # frames wait in the camera meanwhile
-            assert all(next(iter(live)).wavefront is not None for _ in range(5))
-            counts = live._acquisition.counts
-            return counts.acquired > counts.reconstructed + 1  # one may be on its way
-
-        wait_until(has_passed_over)
-
-
-def test_recording_needs_a_frame(bench: Bench, tmp_path: Path) -> None:
-    with svwfs.live(bench, average=2) as live, pytest.raises(svwfs.InputError, match="at least 1"):
-        live.record(tmp_path / "run", frames=0)
-
-
-@pytest.mark.slow
-def test_first_measurement_after_a_reference_uses_it(bench: Bench) -> None:
-    with svwfs.live(bench, average=2) as live:
-        before = next(iter(live)).calibration
-        live.take_reference(3)
-        after = next(iter(live)).calibration
-    assert before is not None
-    assert after is not None
-    assert (before.reference.frames, after.reference.frames) == (2, 3)
-
-
-def test_live_bench_outside_its_block_refuses_requests(bench: Bench) -> None:
-    live = svwfs.live(bench, average=2)
-    for request in (live.take_dark, live.auto_expose, lambda: next(iter(live)), lambda: live.record("run", frames=1)):
-        with pytest.raises(svwfs.WrongState, match="with block"):
-            request()
-    with live, pytest.raises(svwfs.WrongState, match="entered before"):
-        live.__enter__()
-    with pytest.raises(svwfs.WrongState):
-        live.take_dark()
-
-
-@pytest.mark.parametrize("cause", [None, ZeroDivisionError("division")], ids=["end of block", "error in block"])
-def test_light_that_cannot_be_switched_off_is_reported_on_leaving(cause: Exception | None, bench: Bench) -> None:
-    def fail(_: object) -> None:
-        raise svwfs.DeviceError("the light may still be on")
-
-    def run() -> None:
-        with svwfs.live(bench, average=2) as live:
-            live._result(live._acquisition.submit(lambda instrument: _spoil(instrument.devices.light, fail)))
-            if cause is not None:
-                raise cause
-
-    with pytest.raises((svwfs.DeviceError, ZeroDivisionError)) as caught:
-        run()
-    text = "".join([str(caught.value), *getattr(caught.value, "__notes__", [])])
-    assert "the light may still be on" in text
-
-
-def _spoil(light: LightSource, close: Callable[[object], None]) -> None:
-    light._close = close.__get__(light)  # type: ignore[method-assign] # a light that does not answer
 
 
 @pytest.mark.parametrize(
@@ -430,23 +285,6 @@ def test_numbers_of_frames_and_rounds_are_whole(number: Any, bench: Bench, image
         svwfs.refine(reconstruct, images.frames[0], number)
 
 
-def test_ctrl_c_ends_the_recording(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with svwfs.live(bench, average=2) as live:
-        wait_until(lambda: knows_sample(live._acquisition))  # else the recording does not begin at once
-
-        def interrupt(*_: object) -> None:
-            raise KeyboardInterrupt
-
-        with monkeypatch.context() as during:
-            during.setattr(live._arrived, "wait", interrupt)
-            with pytest.raises(KeyboardInterrupt):
-                live.record(tmp_path / "first", frames=1000)
-        wait_until(lambda: live._acquisition.recording.stage == "finished")  # type: ignore[union-attr] # begun
-        live.record(tmp_path / "second", frames=2)
-    assert len(svwfs.open_recording(tmp_path / "first")) < 1000
-    assert len(svwfs.open_recording(tmp_path / "second")) == 2
-
-
 @pytest.mark.slow
 @pytest.mark.long
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
@@ -464,19 +302,6 @@ raise SystemExit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
     command = [sys.executable, "-W", "ignore", "-c", program]
     assert subprocess.run(command, timeout=HANG_S, check=False, cwd=tmp_path).returncode == 0  # noqa: S603 - our own
-
-
-def test_live_bench_closes_the_devices_after_an_error(bench: Bench) -> None:
-    live = svwfs.live(bench, average=2)
-    with pytest.raises(ZeroDivisionError), live:
-        1 / 0  # noqa: B018 - any error
-    assert not live._acquisition.is_alive
-
-
-def test_missing_device_is_reported_on_entering(bench: Bench) -> None:
-    absent = replace(bench, camera=DcamSettings(), light=DC4100Settings(port="none"))
-    with pytest.raises(svwfs.DeviceError), svwfs.live(absent):
-        pass
 
 
 @pytest.mark.parametrize("path", ["missing.nc", "empty.nc"])
