@@ -91,6 +91,7 @@ class Photographer:
         self._wait(lambda: window.controller.status is not None)
         self._save("starting", window, settle_ms=0)
         self._wait(lambda: self._is_live(window))
+        self._wait(lambda: self._is_corrected(window))
         self._save("live", window)
         self._show_recording(window)
         self._show_replay()
@@ -216,6 +217,13 @@ class Photographer:
         if window.controller.failure:
             raise RuntimeError(window.controller.failure)
         return is_ready
+
+    def _is_corrected(self, window: MainWindow) -> bool:
+        """True if the layers are found and a correction is applied."""
+        measurement = window.shown.measurement
+        if measurement is None or measurement.assumed.sample is None:
+            return False
+        return measurement.assumed.refinement.stage == "applied"
 
     def _save(self, name: str, widget: QWidget, *, settle_ms: int = _SETTLE_MS) -> None:
         _pause(settle_ms)
