@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -280,7 +281,8 @@ def test_measure_attaches(
         with connected(takes_control=False) as watching:
             wait_for_wavefront(watching)
             assert run(monkeypatch, *attached, tmp_path / "run") == 0
-            assert "4 frames, 0 lost by the camera" in capsys.readouterr().out
+            said = capsys.readouterr().out
+            assert re.search(r"4 frames, \d+ lost by the camera", said)  # of a process that was stopped for 0.2 s
             assert (tmp_path / "run" / "results.nc").exists()
         fails(1, "an instrument runs as instrument already", "serve", "--bench", small_toml)
         with connected() as other:
