@@ -1,4 +1,4 @@
-"""Live solves: layers found in the background serve later frames, a bias only near its wavefront; threads end."""
+"""Live solves: a bias serves only near its wavefront, and rests; threads end."""
 
 from __future__ import annotations
 
@@ -15,17 +15,14 @@ from support.optics import FIELD, SmallBench
 from support.patience import HANG_S, wait_until
 
 from app.bench.config import Bench
-from app.measurement.estimator import Estimator
-from app.measurement.live_solver import Finder, FinderProcess, Found, LiveSolver, Solved
-from app.measurement.live_solver import _are_alike as are_alike
+from app.measurement.live_solver import LiveSolver, Solved
 from app.measurement.measurement import Assumptions, RefinementState
 from reconstruction.arrays import PointField
 from reconstruction.displacement import Displacement
-from reconstruction.layers.layered_wavefront import FREE, AssumedSample
+from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.pipeline import Reconstructor
-from reconstruction.refinement import Bias, Refinement
 from reconstruction.settings import ReconstructionSettings
-from reconstruction.wavefront import Wavefront, rms
+from reconstruction.wavefront import rms
 
 
 @pytest.fixture(scope="module")
@@ -213,119 +210,6 @@ def test_helpful_bias_in_noise_is_kept(paper_bench: SmallBench, reconstructor: R
         solver.close()
 
 
-def behind_layer(bench: SmallBench, ratio: float) -> NDArray[np.float32]:
-    """A frame behind one thin layer, met at s = u + ratio x."""
-    half_width_m = bench.sensor.pupil_half_width_m[0]
-    u, v = bench.samples()
-
-    def phase(x_m: float, y_m: float) -> NDArray[np.float32]:
-        s, t = (u + ratio * x_m) / half_width_m, (v + ratio * y_m) / half_width_m
-        return (0.1 * (4 * s**2 - 3 * s * t + 2 * t**3 + 1.5 * s**4 - s**2 * t**3)).astype("f4")
-
-    return bench.frame(phase)
-
-
-def until_ratio(solver: LiveSolver, displacement: Displacement, ratio: float) -> tuple[Wavefront, Assumptions]:
-    """Solve a frame every 20 ms until one layer at about that ratio is assumed."""
-    begin_s = time.monotonic()
-    while True:
-        wavefront, assumed = solver.solve(displacement, time.monotonic())
-        sample, refinement = assumed
-        is_found = sample is not None and sample.ratios == pytest.approx((ratio,), abs=0.03)
-        if is_found and refinement.stage in {"off", "applied"}:
-            return wavefront, assumed
-        assert time.monotonic() - begin_s < HANG_S
-        time.sleep(0.02)
-
-
-@pytest.fixture(scope="module")
-def layered(paper_bench: SmallBench) -> Reconstructor:
-    return paper_bench.reconstructor("cubic", pupil_modes=None, sample="automatic")
-
-
-@pytest.mark.slow
-@pytest.mark.long
-@pytest.mark.parametrize("refine", [False, True])
-def test_layers_found_in_the_background_serve_later_frames(
-    paper_bench: SmallBench, layered: Reconstructor, *, refine: bool
-) -> None:
-    solver = solver_of(paper_bench, layered, refine=refine)
-    try:
-        displacement = layered.register(behind_layer(paper_bench, -0.8))
-        first, assumed = solver.solve(displacement, 0.0)
-        assert (assumed.sample, first.sample) == (None, FREE)
-        assert solver.as_before(1.0).sample is None
-        np.testing.assert_array_equal(first.views, layered.solve(displacement).views)
-        wavefront, (sample, refinement) = until_ratio(solver, displacement, -0.8)
-        assert sample is wavefront.sample is solver.as_before(1.0).sample
-        again = layered.solve(displacement, bias=refinement.bias, sample=wavefront.sample)
-        np.testing.assert_array_equal(wavefront.views, again.views)
-        assert (refinement.bias is not None) == refine
-
-        until_ratio(solver, layered.register(behind_layer(paper_bench, 0.5)), 0.5)  # searches go on
-    finally:
-        solver.close()
-
-
-@pytest.mark.slow
-def test_bias_is_found_with_the_sample_of_the_frames(
-    paper_bench: SmallBench, layered: Reconstructor, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen: list[tuple[AssumedSample, Bias]] = []
-    original = Refinement.bias
-
-    def noted(self: Refinement, wavefront: Wavefront) -> Bias:
-        bias = original(self, wavefront)
-        seen.append((wavefront.sample, bias))
-        return bias
-
-    monkeypatch.setattr("app.measurement.estimator.Refinement.bias", noted)
-    solver = solver_of(paper_bench, layered)
-    try:
-        displacement = layered.register(behind_layer(paper_bench, -0.8))
-        applied: list[Assumptions] = []
-        deadline_s = time.monotonic() + HANG_S
-        while len({id(each.sample) for each in applied}) < 2:  # two searches
-            assert time.monotonic() < deadline_s
-            _, assumed = solver.solve(displacement, time.monotonic())
-            applied += [assumed] if assumed.refinement.bias is not None else []
-            time.sleep(0.02)
-        for sample, refinement in applied:
-            assert any(sample is of and refinement.bias is bias.displacement for of, bias in seen)
-    finally:
-        solver.close()
-
-
-def test_search_that_finds_the_same_again_rests_for_longer(
-    paper_bench: SmallBench, layered: Reconstructor, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It takes a processor from the frames."""
-    took_s, began_s = 0.05, list[float]()
-
-    def search(_: Reconstructor, __: Displacement) -> AssumedSample:
-        began_s.append(time.monotonic())
-        time.sleep(took_s)
-        return AssumedSample((-0.8 + 0.004 * (len(began_s) % 2),), np.array([[0.002**2]]))
-
-    asked = list[Solved]()
-    find = Finder.find
-
-    def noted(finder: Finder, newest: Solved) -> Found:
-        asked.append(newest)
-        return find(finder, newest)
-
-    monkeypatch.setattr(Reconstructor, "find_sample", search)
-    monkeypatch.setattr(Finder, "find", noted)
-    solver = solver_of(paper_bench, layered, refine=False)
-    displacement = layered.register(behind_layer(paper_bench, -0.8))
-    try:
-        solve_until(solver, displacement, lambda: len(began_s) == 3)
-    finally:
-        solver.close()
-    assert len(asked) == 3  # not for every frame: each goes to another process
-    assert began_s[2] - began_s[1] >= 10 * took_s
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("strength", "rests"), [(1.0, True), (-1.0, False)], ids=["applied", "moved"])
 def test_refinement_rests_unless_frames_lack_a_correction(
@@ -356,100 +240,6 @@ def solve_until(solver: LiveSolver, displacement: Displacement, is_done: Callabl
         solver.solve(displacement, 0.0)
         assert time.monotonic() < deadline_s
         time.sleep(0.01)
-
-
-@pytest.mark.parametrize(
-    ("found", "before", "alike"),
-    [
-        ((-0.8,), (-0.81,), True),
-        ((-0.8,), (-0.82,), True),  # the errors of both together are 0.0071
-        ((-0.8,), (-0.825,), False),
-        ((-0.8,), (), False),
-        ((), (), True),
-        ((-0.8, 0.5), (-0.81, 0.51), True),
-        ((-0.8, 0.5), (-0.81, 0.6), False),
-    ],
-)
-def test_samples_within_their_errors_are_alike(
-    found: tuple[float, ...], before: tuple[float, ...], *, alike: bool
-) -> None:
-    def sample(ratios: tuple[float, ...]) -> AssumedSample:
-        return AssumedSample(ratios, np.diag(np.full(len(ratios), 0.005**2)))
-
-    assert are_alike(sample(found), sample(before)) == alike
-
-
-@pytest.fixture
-def apart(monkeypatch: pytest.MonkeyPatch) -> list[FinderProcess]:
-    """Processes of finders; each solver starts one."""
-    started = list[FinderProcess]()
-
-    def start(estimator: Estimator) -> FinderProcess:
-        started.append(FinderProcess(estimator))
-        return started[-1]
-
-    monkeypatch.setattr("app.measurement.live_solver.FinderProcess", start)
-    return started
-
-
-@pytest.mark.slow
-def test_process_finds_what_a_finder_in_this_process_finds(
-    paper_bench: SmallBench, layered: Reconstructor, apart: list[FinderProcess]
-) -> None:
-    estimator = estimator_with(layered, bench_of(paper_bench), paper_bench.reference)
-    solver, displacement = LiveSolver(estimator), layered.register(behind_layer(paper_bench, -0.8))
-    try:
-        _, (sample, refinement) = until_ratio(solver, displacement, -0.8)
-        later = solver.solve(displacement, time.monotonic())[1].sample
-    finally:
-        solver.close()
-    here = Finder(estimator)
-    here.prepare()
-    found = here.find(Solved(displacement, 0.0, Assumptions(None, RefinementState("preparing"))))
-    assert found.sample is not None
-    assert found.bias is not None
-    assert later is sample is not None  # not a copy
-    assert sample.ratios == pytest.approx(found.sample.ratios, rel=1e-6)
-    assert refinement.bias == pytest.approx(found.bias.displacement, abs=1e-4)
-    assert len(apart) == 1
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("apart")
-def test_close_ends_the_process_amid_its_work(
-    paper_bench: SmallBench, layered: Reconstructor, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    raised: list[object] = []
-    monkeypatch.setattr(threading, "excepthook", raised.append)
-    solver, displacement = solver_of(paper_bench, layered), layered.register(behind_layer(paper_bench, -0.8))
-    until_ratio(solver, displacement, -0.8)
-    solver.solve(layered.register(behind_layer(paper_bench, 0.5)), 1.0)  # the bias of another wavefront is due
-    solver.close()
-    wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
-    assert not raised
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("has_found", [True, False])
-def test_process_that_dies_is_reported_and_frames_go_on(
-    paper_bench: SmallBench,
-    layered: Reconstructor,
-    apart: list[FinderProcess],
-    capsys: pytest.CaptureFixture[str],
-    *,
-    has_found: bool,
-) -> None:
-    solver = solver_of(paper_bench, layered)
-    if has_found:
-        until(solver, layered, paper_bench.reference, "applied")
-    apart[0].process.kill()
-    until(solver, layered, paper_bench.reference, "failed")
-    _, (sample, state) = solver.solve(layered.register(paper_bench.reference), 0.0)
-    assert sample is not None  # nobody waits for one
-    assert state.problem == "the process that finds layers and corrections has ended: take the reference again"
-    solver.close()
-    wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
-    assert capsys.readouterr().err == f"svwfs: {state.problem}\n"
 
 
 def test_skipped_frame_has_the_bias_of_the_one_before_and_its_age(
