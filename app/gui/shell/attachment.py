@@ -53,9 +53,11 @@ class Attachment:
     def processes(self) -> str:
         """Lines: the state of each process of the instrument, its clients, and overtaken frames."""
         acquisition = self._controller.acquisition
-        lines = [f"{each.name}: process {each.pid}, {each.condition}" for each in self._processes]
+        processes = self._processes
+        lines = [f"{each.name}: process {each.pid}, {each.condition}" for each in processes]
         if isinstance(acquisition, Connection):
-            lines += [f"connected: {', '.join(acquisition.clients)}"] * acquisition.is_alive
+            has_clients = acquisition.is_alive and processes[0].condition != "gone"
+            lines += [f"connected: {', '.join(acquisition.clients)}"] * has_clients
             lines += [f"{acquisition.overtaken} {_OVERTAKEN}"]
         return "\n".join(lines)
 
