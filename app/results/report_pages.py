@@ -31,7 +31,7 @@ from reconstruction.wavefront import peak_to_valley, rms
 Page = Callable[[FigureBase], None]  # draws a page into a figure or a part of one
 
 PAGE_INCHES = (8.27, 11.69)  # A4
-TITLE_INCHES = 0.85
+TITLE_INCHES = 1.0
 MARGIN_INCHES = 0.45
 QUIET = "0.4"
 _FOOT_INCHES = 0.3
@@ -58,7 +58,8 @@ def _page_parts(
     left = MARGIN_INCHES / PAGE_INCHES[0]
     shown = textwrap.shorten(title, _LONGEST_TITLE, placeholder=" ...") or title[:_LONGEST_TITLE]
     top.text(left, 1 - 0.3 / head, shown, fontsize=17, weight="bold", color=_ACCENT, va="top", parse_math=False)
-    top.text(left, 1 - 0.63 / head, sentence, fontsize=9.5, color=QUIET, va="top", parse_math=False)
+    wrapped = textwrap.fill(sentence, _COLUMNS)
+    top.text(left, 1 - 0.63 / head, wrapped, fontsize=9.5, color=QUIET, va="top", parse_math=False)
     return [top, *others]
 
 
@@ -67,7 +68,7 @@ def _spaced() -> ConstrainedLayoutEngine:
 
 
 _LABEL_INCHES, _LINE_INCHES = 0.85, 0.18
-_COLUMNS = 98  # characters of a line beside the labels
+_COLUMNS = 98  # characters of a line: of the sentence below the title, of the text beside the labels
 _MOST_LINES = 32  # of all facts; more would leave no place for the wavefronts
 _MOST_VIEWS = 5  # along each axis; more would be too small
 
