@@ -133,6 +133,7 @@ def draw_map(axes: Axes, values: xr.DataArray, title: str, colours: str, ticks: 
     x_mm, y_mm = (edge + (edge / max(size - 1, 1) or 0.5) for edge, size in zip(edges_mm, values.T.shape, strict=True))
     image = axes.imshow(values, cmap=colours, vmin=ticks[0], vmax=ticks[-1], extent=(-x_mm, x_mm, y_mm, -y_mm))
     axes.set_title(title, fontsize=8.5)
+    axes.locator_params(nbins=4)
     axes.tick_params(labelsize=7)
     axes.set_facecolor("0.9")
     bar = axes.figure.colorbar(image, ax=axes, location="bottom", shrink=0.9, ticks=ticks, format="%.2g rad")
