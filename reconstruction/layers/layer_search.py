@@ -140,11 +140,12 @@ def search_layers(
             max(some, key=lambda t: sketches[t].log_evidence)
             for some in ([t for t in sketches if max(t) <= 0], sketches)
         }
-        for start in sorted(starts):  # those before the lenslets first
-            found = _refined(equations, sketch_at, fit_at, np.array(start))
-            if explains(found.quality, any_wavefront):
-                break
-        return found
+        fits = []
+        for start in sorted(starts, key=max):  # those before the lenslets first
+            fits.append(_refined(equations, sketch_at, fit_at, np.array(start)))
+            if explains(fits[-1].quality, any_wavefront):
+                return fits[-1]
+        return max(fits, key=lambda fit: fit.quality.log_evidence)
 
     any_wavefront = equations.any_wavefront()
     tried: dict[tuple[float, ...], FitQuality] = {(t,): sketch_at(t) for t in _GRID}

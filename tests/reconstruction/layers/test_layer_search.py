@@ -186,6 +186,32 @@ def test_layers_of_opposite_sides_are_found() -> None:
     assert behind.ratio == pytest.approx(0.5, abs=4 * behind.ratio_sigma + 0.02)
 
 
+def test_layers_before_the_lenslets_are_preferred_if_they_explain() -> None:
+    """A pair with a layer behind the lenslets has more evidence, and explains the frame, too."""
+    before, behind = (-0.3, -0.1), (-0.9, 0.5)
+
+    def quality(*ratios: float, **_: int) -> FitQuality:
+        if len(ratios) == 1:
+            return FitQuality(-1e4, chi_square=50.0, misfit=0.5)
+        tried = np.array(sorted(ratio / (1 + abs(ratio)) for ratio in ratios))
+        evidence = max(-1e4 * np.sum((tried - before) ** 2), 500 - 1e4 * np.sum((tried - behind) ** 2))
+        return FitQuality(float(evidence), chi_square=1.0, misfit=0.0 if evidence > -500 else 0.5)
+
+    def fit(*ratios: float) -> LayerFit:
+        layers = [Layer(ratio, math.nan, np.ones(2), np.zeros(2), np.zeros((2, 1)), 3) for ratio in ratios]
+        return LayerFit(tuple(layers), quality(*ratios), np.zeros((2, 2)))
+
+    frame = SimpleNamespace(
+        quality=quality,
+        fit=fit,
+        any_wavefront=lambda: FitQuality(1e3, chi_square=1.0, misfit=0.0),
+        distance_covariance=lambda _, before, *__: np.zeros((len(before),) * 2),
+    )
+    found = search_layers(cast("FrameEquations", frame), 2)
+    ratios = [layer.ratio for layer in found.fit.layers]
+    assert [ratio / (1 + abs(ratio)) for ratio in ratios] == pytest.approx(before, abs=0.01)
+
+
 def test_given_distances_are_kept() -> None:
     found = search_layers(equations(displacements_px(PHASE, -0.975)), at=(0.5,))
     assert found.fit.layers[0].ratio == 0.5
