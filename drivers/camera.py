@@ -72,8 +72,11 @@ class SettingsInForce:
         self._changes.append((first, exposure_s, em_gain))
 
     def of_frame(self, frame: float) -> tuple[float, float]:
-        """Return exposure and gain of a frame; later calls are for later frames."""
-        newest = max(place for place, (first, _, _) in enumerate(self._changes) if first <= frame)
+        """Return exposure and gain of a frame; later calls are for later frames.
+
+        What is already forgotten counts as the oldest kept: a clock may have been set back.
+        """
+        newest = max((place for place, (first, _, _) in enumerate(self._changes) if first <= frame), default=0)
         del self._changes[:newest]
         return self._changes[0][1:]
 

@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera import INTERNAL, NO_FRAME, Camera, CameraCapabilities, Frame, Region, SettingsInForce
+from drivers.camera import CLOSING, INTERNAL, NO_FRAME, Camera, CameraCapabilities, Frame, Region, SettingsInForce
 from drivers.device import DiscoveredDevice, Property, Range
-from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, attempt, undone_if_refused
+from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, WrongState, attempt, undone_if_refused
 from drivers.genicam import GenicamSettings
 from drivers.genicam import _features as features
 from drivers.genicam import _frames as frames
@@ -57,6 +57,7 @@ class GenicamCamera(Camera):
         self._in_force = SettingsInForce(0.0, 1.0)  # of frames that end at some time
         self._incomplete = 0
         self._heard_s = 0.0  # time of the last buffer, or of the start
+        self._is_aborted = False
         self._asked_region: Region | None = None  # may be no multiple of the binning
         try:
             details = ("vendor_name", "model_name", "device_serial_number")
@@ -95,11 +96,13 @@ class GenicamCamera(Camera):
         return details | {"incomplete_frames": self._incomplete}
 
     def _close(self) -> None:
-        try:
-            if self._connection.is_streaming and not self._loss:
-                self._stop()
-        finally:
-            self._connection.close()
+        self._is_aborted = True  # ends `read` in another thread
+        with self._lock:
+            try:
+                if self._connection.is_streaming and not self._loss:
+                    self._stop()
+            finally:
+                self._connection.close()
 
     def _prepare_pixels(self) -> None:
         """Set the format of the settings, or the one that suits the digitiser best."""
@@ -187,6 +190,8 @@ class GenicamCamera(Camera):
                     return self._frame(buffer)
                 finally:
                     self._connection.give_back(buffer)
+            if self._is_aborted:
+                raise WrongState(CLOSING)
             if time.perf_counter() > self._heard_s + _SLICE_S:
                 self._connection.watch()
             if left_s <= _SLICE_S:

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -344,6 +345,26 @@ def test_untriggered_camera_only_times_out(camera: GenicamCamera) -> None:
     assert camera.trigger == "internal"
     camera.start()
     assert whole_frames(camera, 2)[-1].index == 1
+
+
+def test_close_ends_read_of_another_thread(camera: GenicamCamera) -> None:
+    ended: list[BaseException] = []
+
+    def wait() -> None:
+        try:
+            camera.read(60.0)
+        except DeviceError as error:
+            ended.append(error)
+
+    camera.set_trigger("Line0")
+    camera.start()
+    reader = threading.Thread(target=wait)
+    reader.start()
+    time.sleep(0.05)
+    camera.close()
+    reader.join(HANG_S)
+    (error,) = ended
+    assert str(error) == "the camera is being closed"
 
 
 def test_exposure_in_force_is_whole_microseconds(camera: GenicamCamera) -> None:

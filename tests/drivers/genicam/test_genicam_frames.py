@@ -91,6 +91,13 @@ def test_short_exposure_replaces_long_one() -> None:
     assert in_force.of_frame(10.4)[0] == 0.2
 
 
+def test_frame_of_a_clock_that_was_set_back_has_the_oldest_exposure_known() -> None:
+    in_force = SettingsInForce(1.0, 1.0)
+    in_force.change(10.0, 2.0, 1.0)
+    assert in_force.of_frame(11.0)[0] == 2.0
+    assert in_force.of_frame(9.0)[0] == 2.0
+
+
 def test_hanging_call_is_given_up() -> None:
     calls, ending = CallThread("test"), threading.Event()
     with pytest.raises(Disconnected, match=r"did not answer for 0\.1 s"):
