@@ -315,7 +315,7 @@ class Reconstructor:
     @cached_property
     def _layered(self) -> LayeredWavefronts:
         modes = self._prepared.at_rest.modes
-        solver = LayerSolver(self.sensor, self.field, modes, self.smooth, self.hidden)
+        solver = LayerSolver(self.sensor, self.field, modes, self.smooth, hidden=self.hidden)
         layer_modes = LayerModes(solver.degree, self.sensor, self.field, modes)
         return LayeredWavefronts(solver, layer_modes, self._prepared.parameters)
 

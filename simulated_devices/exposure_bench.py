@@ -18,7 +18,7 @@ SIDE_PX = 160
 _CAMERA, _LIGHT = SimulatedCameraSettings(), SimulatedLightSettings()
 
 
-def squares(width_px: float = 8.0, background: float = 0.0) -> Floats:
+def squares(*, width_px: float = 8.0, background: float = 0.0) -> Floats:
     """Smoothed subimages of a square source, (row, column), maximum 1."""
     position = np.abs((np.arange(SIDE_PX) + 0.5) % PITCH_PX - PITCH_PX / 2)
     profile = 1 / (1 + np.exp((position - width_px / 2) / 0.7))
@@ -26,7 +26,7 @@ def squares(width_px: float = 8.0, background: float = 0.0) -> Floats:
     return np.asarray(background + (1 - background) * image / image.max())
 
 
-def spots(first_zero_px: float = 2.7, pitch_px: float = 16.25) -> Floats:
+def spots(*, first_zero_px: float = 2.7, pitch_px: float = 16.25) -> Floats:
     """Diffraction images of points at all positions between the pixels, (row, column), maximum at most 1."""
     position = (np.arange(SIDE_PX) + pitch_px / 2) % pitch_px - pitch_px / 2
     profile = np.sinc(position / first_zero_px) ** 2

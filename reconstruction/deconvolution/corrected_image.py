@@ -117,10 +117,11 @@ def _wiener(
     while True:
         yield _Step(done, estimate, (light - blur(estimate)) ** 2 / variance)
         steps = min(_GRADIENTS, iterations - done)
-        estimate, done, strength = regularised(light, blur, strength, estimate, steps), done + steps, strength * _WEAKER
+        estimate = regularised(light, blur, strength=strength, start=estimate, iterations=steps)
+        done, strength = done + steps, strength * _WEAKER
 
 
-def regularised(light: Values, blur: SpaceVariantBlur, strength: float, start: Values, iterations: int) -> Values:
+def regularised(light: Values, blur: SpaceVariantBlur, *, strength: float, start: Values, iterations: int) -> Values:
     """Minimise |light - blurred|^2 + strength |gradient|^2 over objects (row, column), by conjugate gradients.
 
     `light` is an image (row, column), `start` an object; both in any unit.

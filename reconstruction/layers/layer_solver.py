@@ -229,7 +229,7 @@ class LayerSolver:
     """
 
     def __init__(
-        self, sensor: Sensor, field: Field, field_modes: FieldModes, free: ModalSolver, hidden: int = 0
+        self, sensor: Sensor, field: Field, field_modes: FieldModes, free: ModalSolver, *, hidden: int
     ) -> None:
         if field_modes.count < 2:
             raise ReconstructionError("the distance of a layer needs displacements that change over the field")

@@ -85,7 +85,7 @@ def solver(modes: LegendreModes = MODES, hidden: int = 0) -> LayerSolver:
         layered=layered_wavefronts(SENSOR, smooth, modes, parameters),
         field_degree=modes.degree,
     )
-    return LayerSolver(SENSOR, FIELD, modes, free, hidden)
+    return LayerSolver(SENSOR, FIELD, modes, free, hidden=hidden)
 
 
 def displacement(coefficients: Floats, *, lost: int = 0) -> Displacement:

@@ -157,7 +157,12 @@ def _errors(found: Survey, truth: Lattice, sensor: Sensor, alive: Floats | None)
 _STARTS, _RIGHT = 9, 7  # log-spaced first and right exposures
 _CURRENTS_A = (0.0, 0.35, 1.0)  # at the start; the highest is 1 A
 _USUAL_A = 0.35
-_IMAGES: dict[str, Floats] = {"squares": squares(), "broad": squares(13.0), "haze": squares(8.0, 0.2), "spots": spots()}
+_IMAGES: dict[str, Floats] = {
+    "squares": squares(),
+    "broad": squares(width_px=13.0),
+    "haze": squares(background=0.2),
+    "spots": spots(),
+}
 _EXPOSURE_LIMITS = {"frames": MOST_FRAMES, "fill beside 70 % (%)": 100 * TOLERANCE, "light left on": 0.0}
 
 

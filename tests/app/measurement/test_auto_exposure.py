@@ -37,7 +37,7 @@ C9100 = {  # the property sheet's exposures: EM amplifier at speed 3 and 2, norm
     "normal": Range(0.42147, 7200.0),
 }
 WIDEST = Range(1e-5, 7200.0)
-IMAGES = {"squares": squares(), "broad": squares(13.0), "haze": squares(8.0, 0.2), "spots": spots()}
+IMAGES = {"squares": squares(), "broad": squares(width_px=13.0), "haze": squares(background=0.2), "spots": spots()}
 
 
 def expose(devices: Devices, fill: float = 0.7) -> AutoExposure:

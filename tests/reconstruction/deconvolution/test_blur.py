@@ -71,7 +71,7 @@ def test_constant_pattern_makes_the_ordinary_wiener_filter() -> None:
     gradients = [np.diff(columns_of, axis=axis).reshape(rows * columns, -1) for axis in (1, 2)]
     normal = matrix @ matrix.T + 0.05 * sum(each @ each.T for each in gradients)
     expected = np.linalg.solve(normal, matrix @ image.ravel()).reshape(rows, columns)
-    found = regularised(image, constant, 0.05, np.zeros((rows, columns)), 500)
+    found = regularised(image, constant, strength=0.05, start=np.zeros((rows, columns)), iterations=500)
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 

@@ -70,7 +70,7 @@ def test_quality_is_the_gaussian_evidence(noise: float) -> None:
     assert layered is not None
     check(solver.quality(displacement), (of_modes * PRIOR.ravel()) @ layered(PRIOR), data.ravel())
 
-    layers = LayerSolver(SENSOR, FIELD, FIELD_MODES, solver)
+    layers = LayerSolver(SENSOR, FIELD, FIELD_MODES, solver, hidden=0)
     rows = np.concatenate([layers.rows(ratio, layers.degree) for ratio in (-0.4, -1.2)], axis=2)
     design = rows.reshape(data.size, -1) * np.tile(prior_scale(layers.degree), 2)
     check(layers(displacement).fit(-0.4, -1.2).quality, design, data.ravel())
