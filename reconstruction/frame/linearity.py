@@ -130,7 +130,7 @@ class Exposures:
         self._moments.append(np.array(powers))
         self._variance.append(np.array(errors) / self._top**2)
 
-    def fit(self, *, amplifier: str = "", em_gain: float = 1.0) -> MeasuredLinearity:
+    def fit(self, *, amplifier: str, em_gain: float) -> MeasuredLinearity:
         """Fit the curve; `ReconstructionError` says why the exposures do not tell it."""
         exposure_s = np.array(self._exposure_s)
         level_s, level = np.unique(np.round(exposure_s, 9), return_inverse=True)

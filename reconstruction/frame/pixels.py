@@ -129,7 +129,7 @@ _EDGE, _MOST_EDGE = 6.0, 3.0  # read noises between the lowest and highest clipp
 _FINEST = 1e-3  # of the highest count, where the scatter is unknown
 
 
-def clip_level(counts: Counts, *, scatter: float = 0.0, read_noise: float = 0.0) -> float | None:
+def clip_level(counts: Counts, *, scatter: float, read_noise: float) -> float | None:
     """Count above which pixels are clipped: they pile up at the highest count; None without a pile.
 
     The image has any shape. A full well may lie below the camera's full scale, and read noise blurs its edge. Light
@@ -150,7 +150,7 @@ def is_piled_up(piled: int, below: int) -> bool:
     return bool(piled > _PILED_UP * (below + _BY_CHANCE))
 
 
-def clipped_fraction(counts: Counts, *, scatter: float = 0.0, read_noise: float = 0.0) -> float:
+def clipped_fraction(counts: Counts, *, scatter: float, read_noise: float) -> float:
     """Share of the pixels above the `clip_level`."""
     level = clip_level(counts, scatter=scatter, read_noise=read_noise)
     return 0.0 if level is None else np.count_nonzero(counts > level) / counts.size
@@ -203,7 +203,7 @@ def _stands_out(image: Floats, some: Booleans) -> Booleans:
 
 
 def repaired(light: NDArray[Any], bad: Booleans) -> Image:
-    """Copy of an image (row, column) with bad pixels replaced by neighbours: a spline would spread them."""
+    """Image (row, column) with bad pixels replaced by neighbours, which a spline would spread; itself without any."""
     row, column = np.nonzero(bad)
     if not row.size:
         return light

@@ -88,7 +88,13 @@ class SmallBench:
             rotation_rad=rotation_rad,
         )
         self.model = ForwardModel(
-            self.sensor, self.lattice, field, shape=self.frame_shape, pupil_samples=12, pixel_fill_factor=1.0
+            self.sensor,
+            self.lattice,
+            field,
+            shape=self.frame_shape,
+            pupil_samples=12,
+            pixel_fill_factor=1.0,
+            border_lenslets=0,
         )
         self.source = source or source_points("square", Source(), object_samples=19)
         self.reference = self.model.irradiance(self.source) * 1e14

@@ -240,7 +240,13 @@ def _our_image(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
     bench, (rows, columns) = frames.bench, frames.reference.shape
     samples = bench.simulation.pupil_samples
     model = ForwardModel(
-        bench.sensor, frames.lattice, bench.field, shape=(rows, columns), pupil_samples=samples, pixel_fill_factor=1.0
+        bench.sensor,
+        frames.lattice,
+        bench.field,
+        shape=(rows, columns),
+        pupil_samples=samples,
+        pixel_fill_factor=1.0,
+        border_lenslets=0,
     )
     x_m, y_m = model.sample_x_m[None, :], model.sample_y_m[:, None]
     bend = (_BEND_RAD_PER_M2 * (x_m**2 + y_m**2)).astype(np.float32)

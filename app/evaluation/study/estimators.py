@@ -168,7 +168,7 @@ class EmCamera:
         exposures = Exposures(averaged(1.0)[0], full_scale)
         for share in (*_SHARES, *_SHARES[::-1]) * 2:
             exposures.add(*averaged(share), share)
-        return exposures.fit().linearity
+        return exposures.fit(amplifier="", em_gain=1.0).linearity
 
     def exposed(self, electrons: Image, seed: int, index: int) -> Image:
         """Counts above the offset of one noisy frame of an image (row, column), electrons."""

@@ -106,7 +106,7 @@ def test_frames_are_corrected_above_the_dark(kind: Any, has_dark: bool) -> None:
     ],
 )
 def test_common_scale_does_not_change_curve(conditions: Any, loss: float) -> None:
-    found = exposures(loss, **conditions).fit()
+    found = exposures(loss, **conditions).fit(amplifier="", em_gain=1.0)
     truncated = 2e-4  # a cubic instead of a root
     assert abs(off(found, loss or 1e-12)) < 4 * found.sigma + truncated
     assert found.sigma < 1e-3
@@ -120,7 +120,9 @@ def test_common_scale_does_not_change_curve(conditions: Any, loss: float) -> Non
 @pytest.mark.slow
 @pytest.mark.long
 def test_standard_error_is_the_scatter() -> None:
-    found = [exposures(0.03, flicker=1e-3, per_electron=20.0, seed=seed).fit() for seed in range(24)]
+    found = [
+        exposures(0.03, flicker=1e-3, per_electron=20.0, seed=seed).fit(amplifier="", em_gain=1.0) for seed in range(24)
+    ]
     pulls = [off(each, 0.03) / each.sigma for each in found]
     assert 0.65 < np.std(pulls) < 1.4
     assert abs(np.mean(pulls)) < 1.0
@@ -141,7 +143,7 @@ def refused() -> Iterator[tuple[Any, str]]:
 @pytest.mark.parametrize(("conditions", "why"), list(refused()))
 def test_exposures_that_do_not_tell_it_are_refused(conditions: Any, why: str) -> None:
     with pytest.raises(ReconstructionError, match=why):
-        exposures(0.05, **conditions).fit()
+        exposures(0.05, **conditions).fit(amplifier="", em_gain=1.0)
 
 
 def test_saturated_pixels_are_refused() -> None:
@@ -149,7 +151,7 @@ def test_saturated_pixels_are_refused() -> None:
     for moments in clipped._moments:
         moments[:] = np.minimum(moments, np.array([[0.6], [0.36], [0.216]]))
     with pytest.raises(ReconstructionError, match="saturated"):
-        clipped.fit()
+        clipped.fit(amplifier="", em_gain=1.0)
 
 
 def test_few_lit_pixels_are_refused() -> None:

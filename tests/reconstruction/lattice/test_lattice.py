@@ -18,7 +18,9 @@ from simulated_devices.settings import Source
 @pytest.mark.parametrize("source", ["square", "stars"])
 def test_pitch_rotation_and_centre_are_found(rotation_rad: float, source: str) -> None:
     lattice = Lattice(center_x_px=161.7, center_y_px=129.2, pitch_px=31.4, rotation_rad=rotation_rad)
-    model = ForwardModel(sensor_of(7, 9), lattice, FIELD, shape=(264, 330), pupil_samples=12, pixel_fill_factor=1.0)
+    model = ForwardModel(
+        sensor_of(7, 9), lattice, FIELD, shape=(264, 330), pupil_samples=12, pixel_fill_factor=1.0, border_lenslets=0
+    )
     points = source_points("square", Source(), object_samples=19) if source == "square" else stars(Source())
     reference = model.irradiance(points) * 1e12
     reference += np.random.default_rng(0).normal(200, 0.02 * reference.max(), reference.shape).astype(np.float32)

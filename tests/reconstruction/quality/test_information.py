@@ -53,6 +53,7 @@ def test_information_matches_finite_differences_of_forward_model(neglect_propaga
         shape=(rows, columns),
         pupil_samples=SAMPLES,
         pixel_fill_factor=1.0,
+        border_lenslets=0,
     )
     half_x_m, half_y_m = SENSOR.pupil_half_width_m
 

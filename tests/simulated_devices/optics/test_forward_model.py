@@ -38,7 +38,12 @@ POINTS = SourcePoints(
 
 
 def model(lattice: Lattice = LATTICE, **changes: float) -> ForwardModel:
-    options: dict[str, object] = {"shape": (ROWS, COLUMNS), "pupil_samples": SAMPLES, "pixel_fill_factor": 0.0}
+    options: dict[str, object] = {
+        "shape": (ROWS, COLUMNS),
+        "pupil_samples": SAMPLES,
+        "pixel_fill_factor": 0.0,
+        "border_lenslets": 0,
+    }
     return ForwardModel(SENSOR, lattice, FIELD, **(options | changes))  # type: ignore[arg-type] # options by name
 
 

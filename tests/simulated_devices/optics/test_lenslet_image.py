@@ -45,6 +45,7 @@ def forward_model(fill_factor: float, sensor: Sensor) -> ForwardModel:
         shape=(WIDTH, WIDTH),
         pupil_samples=SAMPLES,
         pixel_fill_factor=fill_factor,
+        border_lenslets=0,
     )
 
 

@@ -30,7 +30,9 @@ POINT_STARS = Source(pinhole_diameter_m=0.0)
 
 @pytest.fixture(scope="module")
 def model() -> ForwardModel:
-    return ForwardModel(SENSOR, LATTICE, FIELD, shape=(140, 170), pupil_samples=12, pixel_fill_factor=1.0)
+    return ForwardModel(
+        SENSOR, LATTICE, FIELD, shape=(140, 170), pupil_samples=12, pixel_fill_factor=1.0, border_lenslets=0
+    )
 
 
 @pytest.fixture(scope="module")
@@ -160,7 +162,9 @@ def test_object_of_wrong_size_is_refused(stored: MeasurementMatrix) -> None:
 
 def test_dark_block_is_stored(tmp_path: Path) -> None:
     beside = Lattice(center_x_px=900.0, center_y_px=68.9, pitch_px=31.25)
-    dark = ForwardModel(SENSOR, beside, FIELD, shape=(140, 170), pupil_samples=12, pixel_fill_factor=1.0)
+    dark = ForwardModel(
+        SENSOR, beside, FIELD, shape=(140, 170), pupil_samples=12, pixel_fill_factor=1.0, border_lenslets=0
+    )
     assert not write(tmp_path / "dark.zarr", dark, None).multiply(GRID.area_m2).any()
 
 

@@ -150,7 +150,9 @@ def test_bright_corner_of_image_keeps_its_corner(tmp_path: Path, suffix: str) ->
     sensor = sensor_of(2, 3)
     lattice = Lattice(center_x_px=46.5, center_y_px=31.0, pitch_px=31.0)
     field = Field(collimator_focal_length_m=0.2, half_width_m=HALF_M)
-    model = ForwardModel(sensor, lattice, field, shape=(62, 93), pupil_samples=12, pixel_fill_factor=1.0)
+    model = ForwardModel(
+        sensor, lattice, field, shape=(62, 93), pupil_samples=12, pixel_fill_factor=1.0, border_lenslets=0
+    )
     subimage = model.irradiance(source.source_points("image", settings, object_samples=13))[:31, 31:62]
     row, column = np.unravel_index(subimage.argmax(), subimage.shape)
     assert row < 12
