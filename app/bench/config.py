@@ -22,7 +22,7 @@ from app.bench.device_kinds import DRIVERS, DeviceSettings, RecordingSettings
 from app.bench.earlier_versions import replace_conserve_flux, set_recorded_defaults, take_non_rigid
 from app.errors import InputError
 from app.files import in_words, write_whole
-from drivers.light_source import ManualLightSettings
+from drivers.manual_light import ManualLightSettings
 from reconstruction.annotated_settings import Checked, Limit, SettingError, settings_of
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.frame.linearity import Linearity

@@ -14,7 +14,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.presets import PRESETS
 from app.gui.shell.access import Access
 from app.gui.shell.main_window import MainWindow
-from drivers.light_source import ManualLight, ManualLightSettings
+from drivers.manual_light import ManualLight, ManualLightSettings
 from support.gui_bench import FakeCamera, opener
 from support.manual_bench import MANUAL
 

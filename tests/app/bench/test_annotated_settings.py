@@ -17,7 +17,7 @@ from app.bench.config import StreamSettings, load_bench
 from app.bench.device_kinds import RecordingSettings
 from drivers.dcam import DcamSettings
 from drivers.genicam import GenicamSettings
-from drivers.light_source import ManualLightSettings
+from drivers.manual_light import ManualLightSettings
 from drivers.micro_manager import MicroManagerSettings
 from drivers.serial_lights import CoolLEDSettings, DC4100Settings
 from drivers.usb_lights import DC2200Settings

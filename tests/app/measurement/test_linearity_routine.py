@@ -22,7 +22,7 @@ from app.measurement.linearity import measure_linearity
 from app.measurement.routines import UNWATCHED, Cancelled, RoutineError, Watch
 from app.recording.calibration_files import read_calibration, write_calibration
 from drivers.interface import Devices, Range
-from drivers.light_source import ManualLight
+from drivers.manual_light import ManualLight
 from reconstruction.arrays import Floats
 from reconstruction.frame.linearity import Linearity, MeasuredLinearity
 from reconstruction.frame.noise import CameraNoise
