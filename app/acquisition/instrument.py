@@ -38,7 +38,7 @@ from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError, UnusableSettings
-from reconstruction.frame.linearity import MeasuredLinearity
+from reconstruction.frame.linearity_fit import MeasuredLinearity
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 from reconstruction.quality.verdict import Fault, Quality

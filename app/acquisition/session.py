@@ -26,7 +26,7 @@ from app.measurement.measurement import Measurement
 from app.progress import Progress, counted
 from app.recording.recorder import RecordingLimit, RecordingState
 from drivers.interface import WrongState
-from reconstruction.frame.linearity import MeasuredLinearity
+from reconstruction.frame.linearity_fit import MeasuredLinearity
 
 T = TypeVar("T")
 

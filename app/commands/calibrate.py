@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from app.bench.config import Bench
     from app.measurement.mask_scale import MaskScale
-    from reconstruction.frame.linearity import MeasuredLinearity
+    from reconstruction.frame.linearity_fit import MeasuredLinearity
     from reconstruction.geometry import Lattice
     from reconstruction.lattice.search import Survey
 

@@ -13,7 +13,7 @@ from drivers.interface import Devices
 from drivers.manual_light import ManualLight
 from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.linearity import LEAST_SPAN, Exposures, MeasuredLinearity
+from reconstruction.frame.linearity_fit import LEAST_SPAN, Exposures, MeasuredLinearity
 
 _FILL = 0.8  # of full scale, of the longest exposure
 _LEVELS = 8  # exposure times

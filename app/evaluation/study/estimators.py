@@ -18,7 +18,8 @@ from app.measurement.estimator import ROUNDS, Estimator
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.linearity import Exposures, Linearity
+from reconstruction.frame.linearity import Linearity
+from reconstruction.frame.linearity_fit import Exposures
 from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.pipeline import Reconstructor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp

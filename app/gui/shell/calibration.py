@@ -18,7 +18,7 @@ from app.gui.widgets.texts import label
 from app.measurement.auto_exposure import AutoExposure
 from app.measurement.averages import BackgroundCheck
 from app.measurement.routines import Cancelled
-from reconstruction.frame.linearity import MeasuredLinearity
+from reconstruction.frame.linearity_fit import MeasuredLinearity
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 

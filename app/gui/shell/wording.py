@@ -14,7 +14,7 @@ from app.progress import counted
 from app.recording.recorder import RecordingState
 from app.results.dataset import rotation_of
 from app.results.frame_tallies import ROTATES
-from reconstruction.frame.linearity import MeasuredLinearity
+from reconstruction.frame.linearity_fit import MeasuredLinearity
 from reconstruction.lattice.search import Survey
 from reconstruction.quality.verdict import NO_FAULT, Quality
 from reconstruction.wavefront import Wavefront

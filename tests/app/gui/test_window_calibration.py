@@ -17,7 +17,8 @@ from support.window_tools import press, said_in
 from app.acquisition.instrument import Instrument
 from app.bench.config import Bench, load_bench
 from app.gui.shell.main_window import MainWindow
-from reconstruction.frame.linearity import Linearity, MeasuredLinearity
+from reconstruction.frame.linearity import Linearity
+from reconstruction.frame.linearity_fit import MeasuredLinearity
 
 
 def bench_of(window: MainWindow) -> Bench:

@@ -24,7 +24,8 @@ from app.recording.calibration_files import read_calibration, write_calibration
 from drivers.interface import Devices, Range
 from drivers.manual_light import ManualLight
 from reconstruction.arrays import Floats
-from reconstruction.frame.linearity import Linearity, MeasuredLinearity
+from reconstruction.frame.linearity import Linearity
+from reconstruction.frame.linearity_fit import MeasuredLinearity
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Lattice
 from reconstruction.quality import frame_quality

@@ -11,7 +11,8 @@ import pytest
 from reconstruction.annotated_settings import SettingError
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.linearity import Exposures, Linearity, MeasuredLinearity
+from reconstruction.frame.linearity import Linearity
+from reconstruction.frame.linearity_fit import Exposures, MeasuredLinearity
 from reconstruction.frame.pixels import AboveDark, KnownCamera
 
 FULL = 60_000.0  # counts above the dark
