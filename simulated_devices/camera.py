@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interface import NO_FRAME, Camera, CameraCapabilities, DeviceTimeout, Frame, Range, Region
-from simulated_devices.detector import Detector, ExposureSettings
+from simulated_devices.detector import Detector, FrameConditions
 from simulated_devices.settings import exposure_range_s
 
 if TYPE_CHECKING:
@@ -45,20 +45,20 @@ class _Run:
 class _Shot:
     """Everything on which the pixels of a frame depend."""
 
-    exposed: ReceivedLight
-    exposure: ExposureSettings
+    received: ReceivedLight
+    exposure: FrameConditions
     part: Region
 
     def photons(self) -> NDArray[np.float32]:
         """Mean photons on each pixel of the part, (row, column)."""
         part = self.part
         rows, columns = slice(part.top, part.top + part.rows), slice(part.left, part.left + part.columns)
-        return np.ascontiguousarray(self.exposed.photons[rows, columns])
+        return np.ascontiguousarray(self.received.photons[rows, columns])
 
     def is_same(self, other: _Shot) -> bool:
         """True if both give the same pixels."""
         is_same_setting = (self.exposure, self.part) == (other.exposure, other.part)
-        return is_same_setting and self.exposed.is_same_light(other.exposed)
+        return is_same_setting and self.received.is_same_light(other.received)
 
 
 class SimulatedCamera(Camera):
@@ -205,18 +205,18 @@ class SimulatedCamera(Camera):
     def _frame(self, index: int) -> Frame:
         run, end_s = self._run_of(index), self._end_s(index)
         self._runs = [past for past in self._runs if past.first_index >= run.first_index]
-        exposed = self._bench.expose(end_s - run.exposure_s, end_s)
-        self._states[index] = exposed.state
+        received = self._bench.expose(end_s - run.exposure_s, end_s)
+        self._states[index] = received.state
         while len(self._states) > _STATES_REMEMBERED:
             self._states.popitem(last=False)
-        exposure = ExposureSettings(
+        exposure = FrameConditions(
             index=(self._starts << 40) + index,  # each start has its own noise
             exposure_s=run.exposure_s,
             amplifier=self._chosen_amplifier,
             readout_speed=self._read_readout_speed(),
             em_gain=run.em_gain,
         )
-        shot = _Shot(exposed, exposure, self._part)
+        shot = _Shot(received, exposure, self._part)
         expected, self._expected = self._expected, None
         if expected is not None and expected[0].is_same(shot):
             pixels = expected[1].result()

@@ -213,8 +213,8 @@ def expose_rows(photons: Image, key: np.uint64, chip: Chip, rows: tuple[int, int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ExposureSettings:
-    """Settings of one frame."""
+class FrameConditions:
+    """Conditions of one frame: its number, exposure and read-out."""
 
     index: int
     exposure_s: float
@@ -235,7 +235,7 @@ class Detector:
         """End the threads."""
         self._pool.shutdown()
 
-    def counts(self, photons: NDArray[np.float32], exposure: ExposureSettings) -> NDArray[np.uint16]:
+    def counts(self, photons: NDArray[np.float32], exposure: FrameConditions) -> NDArray[np.uint16]:
         """Counts of one frame, (row, column), from the mean photons on each pixel during the exposure."""
         edges = [len(photons) * part // THREADS for part in range(THREADS + 1)]
         counts = np.empty(photons.shape, np.uint16)
@@ -245,7 +245,7 @@ class Detector:
         return counts
 
     def begin(
-        self, photons: Callable[[], NDArray[np.float32]], exposure: ExposureSettings
+        self, photons: Callable[[], NDArray[np.float32]], exposure: FrameConditions
     ) -> Future[NDArray[np.uint16]]:
         """Begin to compute the counts of a frame in one thread; `photons` is called there."""
 
@@ -258,11 +258,7 @@ class Detector:
         return self._pool.submit(work)
 
     def _expose(
-        self,
-        photons: NDArray[np.float32],
-        exposure: ExposureSettings,
-        rows: tuple[int, int],
-        counts: NDArray[np.uint16],
+        self, photons: NDArray[np.float32], exposure: FrameConditions, rows: tuple[int, int], counts: NDArray[np.uint16]
     ) -> None:
         """Fill rows of the counts; see `expose_rows`."""
         settings, is_em = self._settings, exposure.amplifier == "em"
@@ -291,7 +287,7 @@ def compile_ahead() -> None:
 
     def expose() -> None:
         detector = Detector(SimulatedCameraSettings(), seed=0)
-        exposure = ExposureSettings(index=0, exposure_s=1.0, amplifier="normal", em_gain=1.0, readout_speed=1)
+        exposure = FrameConditions(index=0, exposure_s=1.0, amplifier="normal", em_gain=1.0, readout_speed=1)
         detector.begin(lambda: np.zeros((1, 1), np.float32), exposure).result()
         detector.close()
 

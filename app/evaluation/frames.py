@@ -16,7 +16,7 @@ from app.measurement.averages import FRAMES
 from app.measurement.bench_reconstructor import whole_number
 from reconstruction.arrays import Counts, Floats, Image
 from simulated_devices.bench import PHOTONS_PER_S_M2_A
-from simulated_devices.detector import Detector, ExposureSettings
+from simulated_devices.detector import Detector, FrameConditions
 from simulated_devices.rendering import Renderer, Scene
 from simulated_devices.sample import Sample
 from simulated_devices.settings import Screen, SimulatedCameraSettings
@@ -97,9 +97,9 @@ def seeded(bench: Bench, seeds: range, first: int | None = None) -> list[Bench]:
     return [simulating(bench, seed=start + index) for index in seeds]
 
 
-def exposure_of(camera: SimulatedCameraSettings, index: int) -> ExposureSettings:
+def exposure_of(camera: SimulatedCameraSettings, index: int) -> FrameConditions:
     """Return the settings of a camera for one frame; the normal amplifier has one read-out speed."""
-    return ExposureSettings(
+    return FrameConditions(
         index=index,
         exposure_s=camera.exposure_s,
         amplifier=camera.amplifier,

@@ -41,7 +41,7 @@ class CallThread:
         self._waiting.put((future, call))
         return future
 
-    def make(self, call: Callable[[], T], timeout_s: float) -> T:
+    def call_within(self, call: Callable[[], T], timeout_s: float) -> T:
         """Make a call and return its result; raise `Disconnected` if that takes too long."""
         future = self.submit(call)
         if wait((future,), timeout_s).not_done and not _comes_now(future):
@@ -80,7 +80,7 @@ class GenicamConnection:
         self._sign_of_life: Future[int] | None = None
         self._asked_s = 0.0
         try:
-            self._calls.make(lambda: self._open(device), _OPENING_S)
+            self._calls.call_within(lambda: self._open(device), _OPENING_S)
             self._handle = aravis.call("arv_camera_get_device", self._camera)
             self.is_gige = bool(aravis.call("arv_camera_is_gv_device", self._camera))
             if self.is_gige:
@@ -92,7 +92,7 @@ class GenicamConnection:
     def call(self, name: str, *arguments: Any, timeout_s: float = TIMEOUT_S) -> Any:
         """Call an Aravis function with the camera as first argument."""
         self._check_control()
-        return self._calls.make(lambda: self._aravis.call(name, self._camera, *arguments), timeout_s)
+        return self._calls.call_within(lambda: self._aravis.call(name, self._camera, *arguments), timeout_s)
 
     def has(self, feature: str) -> bool:
         """True if the feature is implemented and available now."""
@@ -113,7 +113,7 @@ class GenicamConnection:
         if not self.has(feature):
             return ()
         self._check_control()
-        return self._calls.make(lambda: self._aravis.choices(self._camera, feature), TIMEOUT_S)
+        return self._calls.call_within(lambda: self._aravis.choices(self._camera, feature), TIMEOUT_S)
 
     def text(self, feature: str) -> str:
         """Return the value of a feature of any type as text."""
@@ -157,7 +157,7 @@ class GenicamConnection:
 
     def start_stream(self, payload_bytes: int) -> None:
         """Allocate buffers of this size and start the acquisition."""
-        self._calls.make(self._create_stream, TIMEOUT_S)
+        self._calls.call_within(self._create_stream, TIMEOUT_S)
         if self.is_gige:
             self._aravis.set_property(self._stream, "socket-buffer", SOCKET_BUFFER_FIXED)
             self._aravis.set_property(self._stream, "socket-buffer-size", self._settings.socket_buffer_bytes)
@@ -175,7 +175,7 @@ class GenicamConnection:
         self.call("arv_camera_get_integer", b"Width")  # notices a missing camera sooner
         self.call("arv_camera_stop_acquisition", timeout_s=TIMEOUT_S + exposure_s)
         self.is_streaming = False
-        self._calls.make(self._release_stream, TIMEOUT_S)
+        self._calls.call_within(self._release_stream, TIMEOUT_S)
 
     def next_buffer(self, timeout_s: float) -> int:
         """Return the oldest filled buffer, or 0 after the timeout; it must be given back."""
@@ -213,7 +213,7 @@ class GenicamConnection:
         if not (node := self._aravis.call("arv_device_get_feature", self._handle, feature.encode())):
             raise Unsupported(f"the camera has no feature {feature}")
         self._check_control()
-        return self._calls.make(lambda: self._aravis.call(name, node, *arguments), TIMEOUT_S)
+        return self._calls.call_within(lambda: self._aravis.call(name, node, *arguments), TIMEOUT_S)
 
     def _open(self, device: str) -> None:
         self._camera = self._aravis.call("arv_camera_new", device.encode())
@@ -266,7 +266,7 @@ def update_list(aravis: Aravis) -> None:
     """Search for cameras."""
     calls = CallThread("genicam discovery")
     try:
-        calls.make(lambda: aravis.call("arv_update_device_list"), _DISCOVERY_S)
+        calls.call_within(lambda: aravis.call("arv_update_device_list"), _DISCOVERY_S)
     finally:
         calls.end()
 

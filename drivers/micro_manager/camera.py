@@ -55,11 +55,11 @@ class MicroManagerCamera(Camera):
         self._details: dict[str, Property] = {}  # the adapter's properties when last at rest
         self._mode = 1, Region(0, 0, 0, 0)  # binning and region of the running camera
         try:
-            self._loaded = LoadedCamera(
+            self._adapter = LoadedCamera(
                 core, adapter=settings.adapter, device=settings.device, folder=settings.adapter_folder
             )
-            self._loaded.initialize(settings.properties)
-            self._name = f"{self._loaded.call('getDeviceDescription', LABEL)} ({settings.adapter}, {settings.device})"
+            self._adapter.initialize(settings.properties)
+            self._name = f"{self._adapter.call('getDeviceDescription', LABEL)} ({settings.adapter}, {settings.device})"
             self._set_up()
         except BaseException:
             with suppress(RuntimeError):
@@ -68,15 +68,15 @@ class MicroManagerCamera(Camera):
 
     def _set_up(self) -> None:
         """Determine the sensor, and apply the settings."""
-        if self._loaded.call("getNumberOfComponents") != 1 or self._loaded.call("getBytesPerPixel") not in (1, 2):
+        if self._adapter.call("getNumberOfComponents") != 1 or self._adapter.call("getBytesPerPixel") not in (1, 2):
             raise Unsupported("only cameras that give one 8- or 16-bit number per pixel can be used: set PixelType")
         self._binnings = self._find_binnings()
         if 1 in self._binnings:
             self._set_binning_text(1)
-        self._loaded.call("clearROI")
+        self._adapter.call("clearROI")
         self._em_gain = self._ask_em_gain()  # nothing changes it later
         binning = self._read_binning()
-        rows, columns = (binning * self._loaded.call(f"getImage{side}") for side in ("Height", "Width"))
+        rows, columns = (binning * self._adapter.call(f"getImage{side}") for side in ("Height", "Width"))
         self._sensor = Region(0, 0, rows, columns)
         settings = self._settings
         self._apply(binning=settings.binning, region=settings.region, exposure=settings.exposure_s)
@@ -88,7 +88,7 @@ class MicroManagerCamera(Camera):
         with self._access():
             details |= {"frame numbers": _NUMBERS_NOTE}
             details |= {
-                "Micro-Manager": f"{self._loaded.call('getVersionInfo')}, {self._loaded.call('getAPIVersionInfo')}"
+                "Micro-Manager": f"{self._adapter.call('getVersionInfo')}, {self._adapter.call('getAPIVersionInfo')}"
             }
             if not self._is_started:
                 self._read_details()
@@ -96,9 +96,9 @@ class MicroManagerCamera(Camera):
 
     def _read_details(self) -> None:
         """Read the adapter's properties, except those among the settings."""
-        for name in self._loaded.property_names():
+        for name in self._adapter.property_names():
             try:
-                self._details[name] = self._loaded.call("getProperty", LABEL, name)
+                self._details[name] = self._adapter.call("getProperty", LABEL, name)
             except Disconnected:
                 raise
             except DeviceError as error:
@@ -111,16 +111,16 @@ class MicroManagerCamera(Camera):
         with self._lock:
             with suppress(DeviceError):
                 self._stop()
-            self._loaded.unload()
+            self._adapter.unload()
 
     def _read_capabilities(self) -> CameraCapabilities:
-        limits_ms = self._loaded.limits("Exposure") or (0.0, 1e3 * _LONGEST_S)
+        limits_ms = self._adapter.limits("Exposure") or (0.0, 1e3 * _LONGEST_S)
         binning, pitch_m = self._read_binning(), self._settings.pixel_pitch_m
         return CameraCapabilities(
-            rows=self._loaded.call("getImageHeight"),
-            columns=self._loaded.call("getImageWidth"),
+            rows=self._adapter.call("getImageHeight"),
+            columns=self._adapter.call("getImageWidth"),
             pixel_pitch_m=None if pitch_m is None else binning * pitch_m,
-            full_scale=self._settings.full_scale or 2 ** self._loaded.call("getImageBitDepth") - 1,
+            full_scale=self._settings.full_scale or 2 ** self._adapter.call("getImageBitDepth") - 1,
             exposure_range_s=Range(max(1e-3 * limits_ms[0], _SHORTEST_S), 1e-3 * limits_ms[1]),
             em_gain_range=Range(self._em_gain, self._em_gain),
             binnings=tuple(sorted(self._binnings)),
@@ -132,37 +132,38 @@ class MicroManagerCamera(Camera):
         return self._in_force.newest[0] if self._is_started else self._ask_exposure()
 
     def _ask_exposure(self) -> float:
-        return 1e-3 * float(self._loaded.call("getExposure", LABEL))
+        return 1e-3 * float(self._adapter.call("getExposure", LABEL))
 
     def _read_em_gain(self) -> float:
         return self._em_gain
 
     def _ask_em_gain(self) -> float:
         """Return the EM gain of an Andor iXon, whose adapter is the one with an `EMSwitch`; else 1."""
-        names = self._loaded.property_names()
-        if "EMSwitch" not in names or self._loaded.call("getProperty", LABEL, "EMSwitch") != "On":
+        names = self._adapter.property_names()
+        if "EMSwitch" not in names or self._adapter.call("getProperty", LABEL, "EMSwitch") != "On":
             return 1.0
-        if "Output_Amplifier" in names and "Conv" in self._loaded.call("getProperty", LABEL, "Output_Amplifier"):
+        if "Output_Amplifier" in names and "Conv" in self._adapter.call("getProperty", LABEL, "Output_Amplifier"):
             return 1.0
-        return max(1.0, float(self._loaded.call("getProperty", LABEL, "Gain")))
+        return max(1.0, float(self._adapter.call("getProperty", LABEL, "Gain")))
 
     def _set_exposure(self, exposure_s: float) -> float:
         before_s = self._read_exposure()
-        self._loaded.call("setExposure", LABEL, 1e3 * exposure_s)
+        self._adapter.call("setExposure", LABEL, 1e3 * exposure_s)
         taken_s = self._ask_exposure()
         if self._is_started:
             self._heard_s = time.monotonic() + before_s
-            newest = self._loaded.newest()  # the one after it is being exposed
+            newest = self._adapter.newest()  # the one after it is being exposed
             self._in_force.change((self._last if newest is None else newest) + 2, taken_s, self._em_gain)
         return taken_s
 
     def _find_binnings(self) -> dict[int, str]:
         """Square binnings and the adapter's texts for them, such as "2" or "2x2"."""
-        if "Binning" not in self._loaded.property_names():
+        if "Binning" not in self._adapter.property_names():
             return {1: ""}
-        texts = self._loaded.call("getAllowedPropertyValues", LABEL, "Binning")
+        texts = self._adapter.call("getAllowedPropertyValues", LABEL, "Binning")
         factors = {
-            text: set(text.lower().split("x")) for text in texts or [self._loaded.call("getProperty", LABEL, "Binning")]
+            text: set(text.lower().split("x"))
+            for text in texts or [self._adapter.call("getProperty", LABEL, "Binning")]
         }
         return {int(min(sides)): text for text, sides in factors.items() if len(sides) == 1 and min(sides).isdigit()}
 
@@ -171,7 +172,7 @@ class MicroManagerCamera(Camera):
             return self._mode[0]
         if not any(self._binnings.values()):
             return 1
-        text = self._loaded.call("getProperty", LABEL, "Binning")
+        text = self._adapter.call("getProperty", LABEL, "Binning")
         return next((factor for factor, known in self._binnings.items() if known == text), 1)
 
     def _set_binning(self, binning: int) -> None:
@@ -191,13 +192,13 @@ class MicroManagerCamera(Camera):
 
     def _set_binning_text(self, binning: int) -> None:
         if self._binnings[binning]:
-            self._loaded.set_property("Binning", self._binnings[binning])
+            self._adapter.set_property("Binning", self._binnings[binning])
 
     def _read_region(self) -> Region:
         if self._is_started:
             return self._mode[1]
         binning = self._read_binning()
-        left, top, columns, rows = self._loaded.call("getROI", LABEL)
+        left, top, columns, rows = self._adapter.call("getROI", LABEL)
         if (rows, columns) == (self._sensor.rows // binning, self._sensor.columns // binning):
             return self._sensor
         return Region(binning * top, binning * left, binning * rows, binning * columns)
@@ -209,32 +210,32 @@ class MicroManagerCamera(Camera):
     def _write_region(self, region: Region) -> None:
         binning = self._read_binning()
         if region == self._sensor:
-            self._loaded.call("clearROI")
+            self._adapter.call("clearROI")
             return
         sides = (region.left, region.top, region.columns, region.rows)
-        self._loaded.call("setROI", LABEL, *(side // binning for side in sides))
+        self._adapter.call("setROI", LABEL, *(side // binning for side in sides))
 
     def _is_running(self) -> bool:
         return self._is_started
 
     def _start(self) -> None:
         allowed = self.capabilities
-        frame_bytes = self._loaded.call("getBytesPerPixel") * allowed.rows * allowed.columns
-        self._loaded.call("setCircularBufferMemoryFootprint", 1 + self._settings.ring_frames * frame_bytes // 2**20)
+        frame_bytes = self._adapter.call("getBytesPerPixel") * allowed.rows * allowed.columns
+        self._adapter.call("setCircularBufferMemoryFootprint", 1 + self._settings.ring_frames * frame_bytes // 2**20)
         self._in_force = SettingsInForce(self._ask_exposure(), self._em_gain)
         self._mode = self._read_binning(), self._read_region()
-        self._loaded.call("startContinuousSequenceAcquisition", 0)
+        self._adapter.call("startContinuousSequenceAcquisition", 0)
         self._is_started, self._last = True, -1
         self._heard_s = time.monotonic()
 
     def _stop(self) -> None:
         if self._is_started:
-            self._loaded.call("stopSequenceAcquisition", LABEL)
+            self._adapter.call("stopSequenceAcquisition", LABEL)
             self._is_started = False
 
     def _read(self, timeout_s: float) -> Frame:
         start_s = time.monotonic()
-        while (taken := self._loaded.pop()) is None:
+        while (taken := self._adapter.pop()) is None:
             now_s = time.monotonic()
             if self._is_aborted:
                 raise WrongState(CLOSING)
@@ -249,7 +250,7 @@ class MicroManagerCamera(Camera):
     def _check_alive(self, now_s: float) -> None:
         """Raise if a silent camera is gone or has stopped."""
         exposure_s = self._read_exposure()
-        if not self._loaded.call("isSequenceRunning", LABEL):
+        if not self._adapter.call("isSequenceRunning", LABEL):
             self._is_started = False
             raise WrongState(STOPPED)
         if now_s - self._heard_s > exposure_s + _SILENCE_S:

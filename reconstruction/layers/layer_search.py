@@ -44,7 +44,7 @@ _SYSTEMATIC, _SYSTEMATIC_IF_BLIND, _UNEXPLAINED = 0.015, 0.03, 0.06
 # Over the misfit of any wavefront beyond noise: the more this leaves, the more it takes in. Up to 2.4 for single
 # screens on imperfect benches, 40 and more for two taken for one.
 _SYSTEMATIC_SHARE = 3.0
-_NOTHING = 0.7  # misfit above which there is more noise than wavefront
+_MOSTLY_NOISE = 0.7  # misfit above which there is more noise than wavefront
 _CHI_SQUARE = 1.5  # reduced, above which misfit is not noise
 _DOUBTFUL = 2.0  # reduced, of any wavefront
 
@@ -69,7 +69,7 @@ class LayerSearch:
     @property
     def verdict(self) -> LayerVerdict:
         """Number of layers that explain the displacements, unless the given ones do not."""
-        if self.fit.quality.misfit >= _NOTHING and self.fit.quality.chi_square < _CHI_SQUARE:
+        if self.fit.quality.misfit >= _MOSTLY_NOISE and self.fit.quality.chi_square < _CHI_SQUARE:
             return "nothing above the noise"
         if self.given is not None and not self._explains(self.given):
             return "not the given layers"
@@ -94,7 +94,7 @@ class LayerSearch:
 
     def _explains(self, fit: LayerFit) -> bool:
         is_noise = fit.quality.chi_square < _CHI_SQUARE * max(self.any_wavefront.chi_square, 1.0)
-        is_small = fit.quality.misfit < _NOTHING and _beyond(fit.quality, self.any_wavefront) < _UNEXPLAINED
+        is_small = fit.quality.misfit < _MOSTLY_NOISE and _beyond(fit.quality, self.any_wavefront) < _UNEXPLAINED
         return explains(fit.quality, self.any_wavefront) or (is_small and is_noise)
 
 
@@ -107,7 +107,7 @@ def explains(fit: FitQuality, any_wavefront: FitQuality, *, is_blind: bool = Fal
     """True if a fit explains displacements as well as registration errors allow."""
     not_noise = math.sqrt(max(1 - 1 / max(any_wavefront.chi_square, 1.0), 0.0)) * any_wavefront.misfit
     systematic = max(_SYSTEMATIC_IF_BLIND if is_blind else _SYSTEMATIC, _SYSTEMATIC_SHARE * not_noise)
-    return fit.misfit < _NOTHING and _beyond(fit, any_wavefront) < systematic
+    return fit.misfit < _MOSTLY_NOISE and _beyond(fit, any_wavefront) < systematic
 
 
 def search_layers(

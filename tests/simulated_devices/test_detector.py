@@ -12,7 +12,7 @@ import scipy  # which loads its parts when they are used
 from numpy.typing import NDArray
 from scipy import special
 
-from simulated_devices.detector import Detector, ExposureSettings, normal
+from simulated_devices.detector import Detector, FrameConditions, normal
 from simulated_devices.settings import SimulatedCameraSettings
 
 # One electron per count, no read noise, no offset: counts are electrons.
@@ -25,7 +25,7 @@ BARE = SimulatedCameraSettings(
     electrons_per_count=1.0,
     offset_counts=0.0,
 )
-NORMAL = ExposureSettings(index=0, exposure_s=1.0, amplifier="normal", readout_speed=3, em_gain=1.0)
+NORMAL = FrameConditions(index=0, exposure_s=1.0, amplifier="normal", readout_speed=3, em_gain=1.0)
 SHAPE = (400, 500)
 PIXELS = SHAPE[0] * SHAPE[1]
 
@@ -41,7 +41,7 @@ def flat(photons: float) -> NDArray[np.float32]:
     return np.full(SHAPE, photons, np.float32)
 
 
-def counts_with(photons: float, exposure: ExposureSettings = NORMAL, **settings: float) -> NDArray[np.float64]:
+def counts_with(photons: float, exposure: FrameConditions = NORMAL, **settings: float) -> NDArray[np.float64]:
     detector = Detector(replace(BARE, **settings), seed=3)  # type: ignore[arg-type] # settings by name
     counts = detector.counts(flat(photons), exposure)
     detector.close()

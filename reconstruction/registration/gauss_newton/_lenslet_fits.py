@@ -238,12 +238,12 @@ def _interpolated_noise(weight: Image, light: Image, power: Floats, scratch: Scr
         p, q = x * (1 - x), y * (1 - y)
         left = power[0] + p * (power[1] + p * (power[2] + p * power[3]))
         left *= power[0] + q * (power[1] + q * (power[2] + q * power[3]))
-        one = weight[n]
-        much = weight[n] * max(light[n], np.float32(0.0))
-        pixels += one
-        shot += much
-        left_pixels += one * left
-        left_shot += much * left
+        weight_n = weight[n]
+        shot_n = weight_n * max(light[n], np.float32(0.0))
+        pixels += weight_n
+        shot += shot_n
+        left_pixels += weight_n * left
+        left_shot += shot_n * left
     found[0], found[1] = left_pixels / max(pixels, 1e-30), left_shot / max(shot, 1e-30)
 
 

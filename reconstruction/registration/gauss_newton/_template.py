@@ -43,7 +43,7 @@ _AT_ONCE = 32  # lenslets at a time, whose arrays fit into the processor's cache
 _BLIND = 6.0
 _ROUGHER = 3.0  # weight of a degree over the one below it, in choosing the smoothest of displacements that look alike
 # By which the standard errors may grow for fewer pixels: with 1.01, systematic errors grow by a third.
-_SCATTER = 1.002
+_ERROR_GROWTH = 1.002
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -379,7 +379,7 @@ def visible_warp(
 
 
 def _informative(descent: Floats, weight: Floats) -> Booleans:
-    """Fewest pixels (N,), by leverage, that let the standard errors grow by `_SCATTER` at most."""
+    """Fewest pixels (N,), by leverage, that let the standard errors grow by `_ERROR_GROWTH` at most."""
     scale = np.sqrt(np.sum(descent**2 * weight, axis=1, keepdims=True))
     scaled = descent / scale
     leverage = weight * np.einsum("pn,pq,qn->n", scaled, np.linalg.pinv((scaled * weight) @ scaled.T), scaled)
@@ -391,7 +391,7 @@ def _informative(descent: Floats, weight: Floats) -> Booleans:
         return float(np.sqrt(np.trace((covariance / scale / scale.T)[:-2, :-2])))
 
     whole, counts = scatter(len(order)), np.linspace(0.4, 1.0, 25) * len(order)
-    enough = next(int(count) for count in counts if scatter(int(count)) <= _SCATTER * whole)
+    enough = next(int(count) for count in counts if scatter(int(count)) <= _ERROR_GROWTH * whole)
     chosen = np.zeros(len(order), np.bool_)
     chosen[order[:enough]] = True
     return chosen

@@ -101,11 +101,11 @@ def test_frame_of_a_clock_that_was_set_back_has_the_oldest_exposure_known() -> N
 def test_hanging_call_is_given_up() -> None:
     calls, ending = CallThread("test"), threading.Event()
     with pytest.raises(Disconnected, match=r"did not answer for 0\.1 s"):
-        calls.make(lambda: ending.wait(HANG_S), 0.1)
+        calls.call_within(lambda: ending.wait(HANG_S), 0.1)
     with pytest.raises(Disconnected):
-        calls.make(lambda: 1, 0.1)  # queued behind it
+        calls.call_within(lambda: 1, 0.1)  # queued behind it
     ending.set()
-    assert calls.make(lambda: 2, 10) == 2  # the abandoned call does no harm
+    assert calls.call_within(lambda: 2, 10) == 2  # the abandoned call does no harm
     calls.end()
 
 
@@ -114,7 +114,7 @@ def test_overdue_answer_is_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.genicam._connection._GRACE_S", HANG_S)
     calls, coming = CallThread("test"), threading.Timer(0.05, lambda: None)
     coming.start()
-    assert calls.make(coming.join, 0.0) is None
+    assert calls.call_within(coming.join, 0.0) is None
     calls.end()
 
 
@@ -124,8 +124,8 @@ def test_call_passes_on_exception() -> None:
 
     calls = CallThread("test")
     with pytest.raises(Unsupported, match="no"):
-        calls.make(fails, 10)
-    assert calls.make(lambda: "goes on", 10) == "goes on"
+        calls.call_within(fails, 10)
+    assert calls.call_within(lambda: "goes on", 10) == "goes on"
     calls.end()
 
 

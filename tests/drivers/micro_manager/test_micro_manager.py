@@ -161,7 +161,7 @@ def test_unread_frames_are_overwritten_and_show_as_gap(faults: DemoCamera) -> No
         camera.start()
         camera.read(5.0)
         capacity = faults.faulty.core.getBufferTotalCapacity()
-        wait_until(lambda: (camera._loaded.newest() or 0) > 5 * capacity)
+        wait_until(lambda: (camera._adapter.newest() or 0) > 5 * capacity)
         assert camera.read(5.0).index > capacity
 
 
@@ -172,8 +172,8 @@ def test_buffer_emptied_between_two_calls_is_no_error(faults: DemoCamera, camera
     faults.faulty.getRemainingImageCount = lambda: 1  # type: ignore[method-assign] # as it was just before
     with pytest.raises(IndexError):
         faults.faulty.core.popNextImage()
-    assert camera._loaded.pop() is None
-    assert camera._loaded.newest() is None
+    assert camera._adapter.pop() is None
+    assert camera._adapter.newest() is None
 
 
 def test_silent_camera_is_lost_after_exposure_and_two_seconds(faults: DemoCamera) -> None:
@@ -371,9 +371,9 @@ def test_binning_texts(camera: MicroManagerCamera, texts: tuple[str, ...], binni
     def answer(name: str, *_: str) -> tuple[str, ...]:
         return {"getDevicePropertyNames": ("Binning",), "getAllowedPropertyValues": texts}[name]
 
-    camera._loaded.call = answer  # type: ignore[method-assign] # stands in for the camera
+    camera._adapter.call = answer  # type: ignore[method-assign] # stands in for the camera
     found = camera._find_binnings()
-    del camera._loaded.call
+    del camera._adapter.call
     assert found == binnings
 
 

@@ -18,7 +18,7 @@ from app.bench.config import load_bench
 from reconstruction.arrays import Floats, Image
 from reconstruction.frame.noise import CameraNoise, TransferCurve, image_transfer, photon_transfer
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel
-from simulated_devices.detector import Detector, ExposureSettings
+from simulated_devices.detector import Detector, FrameConditions
 from simulated_devices.settings import SimulatedCameraSettings
 
 ROWS = COLUMNS = 256
@@ -34,7 +34,7 @@ def test_photon_transfer_recovers_noise_of_simulated_camera(em_gain: float, fram
 
     def stack(photons: np.ndarray, first: int) -> np.ndarray:
         exposures = (
-            ExposureSettings(index=i, exposure_s=0.02, amplifier="em", readout_speed=3, em_gain=em_gain)
+            FrameConditions(index=i, exposure_s=0.02, amplifier="em", readout_speed=3, em_gain=em_gain)
             for i in range(first, first + frames)
         )
         return np.array([detector.counts(photons, exposure) for exposure in exposures], np.float64)
