@@ -59,7 +59,7 @@ NO_OWN = OwnMethods()
 
 _DARK_CONTRAST = 0.2  # of the reference's; a frame with less in which nothing matches has no light
 _READ_NOISE_ALONE = 0.7, 1.5  # times the read noise: a frame that scatters so shows nothing else; an average may
-_SPARSE = 4  # rows and columns in which that is looked for
+_SPARSE = 4  # every fourth row and column is sampled
 _NO_MATCH = "no lenslet of the frame could be matched with the reference"
 NOISE_MODES = 45  # pupil modes for which noise is predicted; a smooth wavefront needs about as many
 # Systematic error, rad: mean over the ensembles of docs/estimator.md with the square, in the paper's world (4.2 rad).

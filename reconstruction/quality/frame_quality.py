@@ -93,14 +93,12 @@ class FrameJudge:
             points = _POINTS * max(_sharpness(reference) - _OPENING, 0.0)
             self._limits = self._limits._replace(pixels=self._limits.pixels + points)
         self._knows_misfit = has_limit and reference.noise is not None
-        why = "the noise of the images is unknown" if has_limit else "it has no limit for this registration"
         self._tiles = list(_tiles(reference.lenslets))
-        unjudged = {f"misfit is not judged: {why}": self._knows_misfit, _FEW_LENSLETS: self._tiles}
-        sentences = [sentence for sentence, is_judged in unjudged.items() if not is_judged]
-        if (enough := _enough_frames(reference, self._limits.reference_noise)) > reference.reference_frames:
+        enough = _enough_frames(reference, self._limits.reference_noise)
+        is_noisy = enough > reference.reference_frames
+        self._unjudged = "; ".join(self._not_judged(has_limit=has_limit, needed_frames=enough if is_noisy else None))
+        if is_noisy:
             self._tiles = []
-            sentences.append(f"slopes are not judged: the reference is noisy: average at least {enough} frames")
-        self._unjudged = "; ".join(sentences)
         self._lit = reference.lit.reshape(reference.lenslets)
         self._half_width_px, self._neglects = reference.half_width_px, field.neglect_propagation
         # The light of lenslets holds no period shorter than the blur: a finer grid sees all of it.
@@ -121,6 +119,17 @@ class FrameJudge:
         self._stray = StrayLight(
             self._sensor, lit=self._lit, light=light, sampled=self._sampled, is_good=is_good, dark=level
         )
+
+    def _not_judged(self, *, has_limit: bool, needed_frames: int | None) -> Iterator[str]:
+        """Say what is not judged, and why; `needed_frames` to average if the reference is too noisy."""
+        if not has_limit:
+            yield "misfit is not judged: it has no limit for this registration"
+        elif not self._knows_misfit:
+            yield "misfit is not judged: the noise of the images is unknown"
+        if not self._tiles:
+            yield _FEW_LENSLETS
+        if needed_frames is not None:
+            yield f"slopes are not judged: the reference is noisy: average at least {needed_frames} frames"
 
     def __call__(self, frame: Counts, displacement: Displacement) -> Quality:
         """Judge a frame (row, column), counts, by its displacements."""
