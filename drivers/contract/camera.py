@@ -270,9 +270,12 @@ CAMERA_CHECKS: tuple[Callable[[Camera], None], ...] = (
 
 @contextmanager
 def _running(camera: Camera) -> Iterator[None]:
+    """Run a camera, which rests afterwards, also if a check fails."""
     camera.start()
-    yield
-    camera.stop()
+    try:
+        yield
+    finally:
+        camera.stop()
 
 
 def _skip_waiting(camera: Camera, exposure_s: float) -> None:

@@ -15,25 +15,7 @@ from simulated_devices.exposure_bench import LampScene, exposure_bench
 SCENE = LampScene(counts_per_a_s=1e6, exposure_range_s=Range(1e-3, 1.0))
 
 
-@pytest.mark.parametrize(
-    "check",
-    [
-        of_cameras.check_identity,
-        of_cameras.check_rests_before_start,
-        of_cameras.check_frames,
-        of_cameras.check_timeout,
-        of_cameras.check_restarts,
-        of_cameras.check_pauses,
-        of_cameras.check_exposures,
-        of_cameras.check_exposure_while_running,
-        of_cameras.check_gain,
-        of_cameras.check_modes,
-        of_cameras.check_region,
-        of_cameras.check_refuses_unknown_modes,
-        of_cameras.check_stops_at_once,
-        of_cameras.check_closes,
-    ],
-)
+@pytest.mark.parametrize("check", [*of_cameras.CAMERA_CHECKS, of_cameras.check_closes])
 def test_camera_keeps_the_contract(check: Callable[[Camera], None]) -> None:
     check(exposure_bench(SCENE, exposure_s=0.1)[1])
 
