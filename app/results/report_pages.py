@@ -232,8 +232,7 @@ def over_field(stats: Statistics) -> FieldCoefficients | None:
 
 def draw_over_field(figure: FigureBase, summary: Summary, stats: Statistics, found: FieldCoefficients) -> None:
     """Draw the page."""
-    frame = int(stats.frames[(len(stats.frames) - 1) // 2])
-    sentence = f"strongest Zernike coefficients of frame {frame} over the field (mm), and their errors (rad)"
+    sentence = f"strongest Zernike coefficients of frame {stats.middle} over the field (mm), and their errors (rad)"
     _, maps = _page_parts(figure, summary.name, sentence, [1])
     dataset = coefficient_maps(found, stats.wavefront.field, *[evenly_spread(MAP_ACROSS)] * 2)
     draw_field(maps, dataset, strongest(dataset, _MODES))

@@ -43,6 +43,7 @@ class Statistics:
     rms_rad: Floats  # mean over the views, (frame,)
     rms_sigma_rad: Floats  # RMS of the wavefront's standard deviation, an upper bound for that of `rms_rad`, (frame,)
     wavefront: Wavefront  # of the middle frame
+    middle: int  # index of that frame in the recording
     refined: int  # number of refined frames
     quality: QualityTally
 
@@ -115,7 +116,7 @@ def summarise(recording: Recording, frames: str | None, progress: Progress, *, c
 def _statistics(frames: Iterable[Measurement], early: int) -> Statistics | None:
     """Take the statistics of frames; `wavefront` is the last of the first `early` ones, or the first."""
     indices, rms_rad, rms_sigma_rad = list[int](), list[float](), list[float]()
-    middle: Wavefront | None = None
+    middle: tuple[int, Wavefront] | None = None
     total = known = variances = known_variances = np.zeros(())
     outcomes = np.zeros((len(Outcome), 1, 1), np.int64)  # number of frames, (outcome, ...)
     refined, quality = 0, QualityTally()
@@ -123,10 +124,10 @@ def _statistics(frames: Iterable[Measurement], early: int) -> Statistics | None:
         if (wavefront := frame.wavefront) is None:
             continue
         views, variance = wavefront.views, wavefront.sigma() ** 2
-        if middle is not None and not are_alike(wavefront, middle):
+        if middle is not None and not are_alike(wavefront, middle[1]):
             raise InputError(SETTINGS_CHANGED)
         if middle is None or done <= early:
-            middle = wavefront
+            middle = frame.index, wavefront
         total, known = total + np.nan_to_num(views), known + np.isfinite(views)
         variances = variances + np.nansum(variance, axis=(0, 1))
         known_variances = known_variances + np.isfinite(variance).sum(axis=(0, 1))
@@ -148,7 +149,8 @@ def _statistics(frames: Iterable[Measurement], early: int) -> Statistics | None:
             reason=np.argmax(outcomes, axis=0).astype(np.int8),
             rms_rad=np.array(rms_rad),
             rms_sigma_rad=np.array(rms_sigma_rad),
-            wavefront=middle,
+            wavefront=middle[1],
+            middle=middle[0],
             refined=refined,
             quality=quality,
         )

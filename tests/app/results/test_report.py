@@ -32,7 +32,15 @@ from app.recording.reader import Recording
 from app.results.export import Export
 from app.results.replay import change_of
 from app.results.report import Report
-from app.results.report_pages import Page, draw_certainty, draw_comparison, draw_overview, one_page
+from app.results.report_pages import (
+    Page,
+    draw_certainty,
+    draw_comparison,
+    draw_over_field,
+    draw_overview,
+    one_page,
+    over_field,
+)
 from app.results.report_summary import Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
@@ -242,6 +250,21 @@ def test_text_on_every_page_is_legible(recording: Recording, settings: tuple[str
     assert_legible(drawn(lambda onto: draw_overview(onto, summary)))
     assert_legible(certainty(summary))
     assert_legible(drawn(lambda onto: draw_comparison(onto, residual)))
+
+
+def test_third_page_names_the_frame_that_it_draws(mine: Recording) -> None:
+    for index in (0, 1):
+        replace_pixels(mine, index, np.full_like(mine.pixels(0), 500))
+    summary = summarise(mine, None, lambda *_: None)
+    alone = summarise(mine, "2:3", lambda *_: None).statistics
+    found = summary.statistics
+    assert found is not None
+    assert alone is not None
+    np.testing.assert_array_equal(found.wavefront.views, alone.wavefront.views)
+    coefficients = over_field(found)
+    assert coefficients is not None
+    page = drawn(lambda onto: draw_over_field(onto, summary, found, coefficients))
+    assert "of frame 2 over the field" in said(page)
 
 
 def test_many_frames_are_sampled(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
