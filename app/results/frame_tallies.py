@@ -138,8 +138,10 @@ class Measured(FrameTally):
 
     @property
     def scatter_rms_rad(self) -> Floats:
-        """Standard deviation of each view's RMS over the frames, rad, (view_row, view_column)."""
-        return np.asarray(np.sqrt(np.maximum(self.means[1] - self.means[0] ** 2, 0)))
+        """Standard deviation of each view's RMS over the frames, rad, (view_row, view_column); NaN for one frame."""
+        variance = np.maximum(self.means[1] - self.means[0] ** 2, 0)
+        unbiased = self.reconstructed / (self.reconstructed - 1) if self.reconstructed > 1 else np.nan
+        return np.asarray(np.sqrt(unbiased * variance))
 
     @property
     def noise_rad(self) -> Floats:

@@ -23,14 +23,17 @@ class Drift:
     """Statistics of a series, in its unit; NaN without values."""
 
     mean: float
-    sigma: float  # standard deviation
+    sigma: float  # standard deviation; NaN for one value
     peak_to_peak: float
 
     @classmethod
     def of(cls, values: Floats) -> Self:
         """Take the statistics of values (time,), without the gaps."""
         known = values[np.isfinite(values)]
-        return cls(*(float(f(known)) for f in (np.mean, np.std, np.ptp))) if known.size else cls(*[math.nan] * 3)
+        if not known.size:
+            return cls(*[math.nan] * 3)
+        sigma = float(np.std(known, ddof=1)) if known.size > 1 else math.nan
+        return cls(float(np.mean(known)), sigma, float(np.ptp(known)))
 
 
 @dataclass(frozen=True, slots=True)

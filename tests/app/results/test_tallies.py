@@ -34,9 +34,10 @@ def test_noise_of_a_frame_is_the_rms_of_its_sigma() -> None:
 def test_scatter_is_the_standard_deviation_of_the_rms_of_the_frames() -> None:
     measured, share = Measured(bench=BENCH, means=np.zeros((3, 3, 3))), np.sqrt(12 / 13)  # of the columns
     for rms_rad in (1.0, 3.0):
+        assert np.isnan(measured.scatter_rms_rad).all()
         measured.take(rough(rms_rad), "")
     np.testing.assert_allclose(measured.means[0], 2 * share)
-    np.testing.assert_allclose(measured.scatter_rms_rad, share)
+    np.testing.assert_allclose(measured.scatter_rms_rad, np.sqrt(2) * share)
 
 
 def test_comparison_has_the_means_over_its_frames() -> None:
