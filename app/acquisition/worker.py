@@ -149,10 +149,12 @@ class Acquisition:
     def show_single(self, choose: Callable[[Instrument], Frame], file: str = "") -> Future[None]:
         """Stop the camera; reconstruct and publish the frame that `choose` returns.
 
-        `file` names the file that it is read from, if that is no recording.
+        `file` names the file that it is read from, if that is no recording. Refused during a recording.
         """
 
         def command(instrument: Instrument) -> None:
+            if self.recording is not None and self.recording.stage == "recording":
+                raise WrongState(f"{file}: is not shown during a recording, of which it would be part")
             frame = choose(instrument)  # may refuse: the camera goes on
             instrument.devices.camera.stop()
             self._path.process_single(frame, instrument, self._light(), file)

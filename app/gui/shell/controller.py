@@ -145,11 +145,6 @@ class Controller(QObject):
 
     def show_file(self, path: Path) -> None:
         """Show a frame of a file in place of the camera's."""
-        if self.acquisition is None:
-            return
-        if self.acquisition.recording is not None and self.acquisition.recording.stage == "recording":
-            self.messages.warn(f"{path.name}: is not shown during a recording, of which it would be part")
-            return
         text = f"{path.name} is shown, reconstructed with the present reference; Space returns to the camera"
         self.send(lambda to: to.show_file(path), lambda _: self.messages.inform(text))
 

@@ -26,7 +26,7 @@ from app.recording.reader import Recording
 from app.recording.recorder import RecordingLimit, RecordingState
 from app.recording.recover import recover
 from app.recording.reprocess import reprocess
-from drivers.interface import Devices, Frame
+from drivers.interface import Devices, Frame, WrongState
 from simulated_devices.camera import SimulatedCamera
 
 
@@ -120,6 +120,15 @@ def test_stop_and_limit_hold_for_a_recording_that_waits_for_its_start(acquisitio
     start.result(HANG_S)
     wait_until(is_finished)
     assert len(Recording(tmp_path / "limited")) == 2
+
+
+def test_file_that_is_shown_is_never_part_of_a_recording(acquisition: Acquisition, tmp_path: Path) -> None:
+    with busy(acquisition):
+        start = acquisition.start_recording(tmp_path / "camera", limit=RecordingLimit(frames=2))
+        shown = acquisition.show_file(tmp_path / "file.npy")
+    start.result(HANG_S)
+    with pytest.raises(WrongState, match="is not shown during a recording"):
+        shown.result(HANG_S)
 
 
 def test_stop_does_not_hold_for_a_later_recording(acquisition: Acquisition, tmp_path: Path) -> None:

@@ -150,7 +150,7 @@ def test_frame_is_refused_during_a_recording(live: tuple[MainWindow, FakeCamera]
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     np.save(tmp_path / "frame.npy", np.zeros((300, 430), np.uint16))
     drop(window, tmp_path / "frame.npy")
-    assert "is not shown during a recording" in window.messages.log
+    qtbot.waitUntil(lambda: "is not shown during a recording" in window.messages.log)
 
 
 @pytest.mark.slow
