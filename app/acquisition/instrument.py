@@ -281,14 +281,16 @@ class Instrument:
         """
         before = self.bench
         try:
-            self.bench = _changed(before, changes)
+            after = _changed(before, changes)
         except ValueError as error:  # inconsistent settings
             raise BadValue(str(error)) from error
-        words = changes_in_words(before, self.bench)
+        words = changes_in_words(before, after)
+        if mask is not None:
+            self.devices.stage.set_mask(mask)  # may refuse: nothing changes
+        self.bench = after
         if mask is None:
             self._prepare(f"with {words}")
         else:
-            self.devices.stage.set_mask(mask)
             self._choose_averages(f"for the mask {mask}, with {words}")
 
     @property

@@ -23,7 +23,7 @@ from app.measurement.auto_exposure import AutoExposure, auto_expose
 from app.measurement.averages import Average
 from app.measurement.routines import Cancelled, Circumstances, RoutineError
 from app.measurement.sensor_region import SensorArea
-from drivers.interface import Devices, DeviceTimeout, Region
+from drivers.interface import BadValue, Devices, DeviceTimeout, Region
 from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.frame.pixels import KnownCamera
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
@@ -277,6 +277,15 @@ def test_reference_of_a_mask_is_stale_at_another_exposure(live: Live) -> None:
     live.do(lambda instrument: instrument.change_settings((), "square"))
     assert live.status.reference.validity == "doubtful"
     assert "at 20.0 ms" in live.status.warning
+
+
+def test_refused_mask_leaves_the_settings(live: Live) -> None:
+    started(live)
+    before = live.status.bench
+    change = live.acquisition.submit(Instrument.change_settings, [("reconstruction.pupil_modes", 10)], "no mask")
+    with pytest.raises(BadValue, match="there is no mask 'no mask'"):
+        change.result(HANG_S)
+    assert live.status.bench == before
 
 
 AVERAGE = Average(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.float32), 1, 0.02, 1.0, "em")
