@@ -304,10 +304,10 @@ class Server:
         if (request := _REQUESTS.get(name)) is None:
             raise BadValue(f"the instrument knows no command {name}")
         try:
-            inspect.signature(request).bind(None, *command.arguments, **command.named)
+            bound = inspect.signature(request).bind(None, *command.arguments, **command.named)
         except TypeError as error:
             raise BadValue(f"{name}: {error}") from error
-        limit = command.named.get("limit", command.arguments[0] if name == "limit_recording" else NO_LIMIT)
+        limit = bound.arguments.get("limit", NO_LIMIT)
         if not isinstance(limit, RecordingLimit):
             raise BadValue(f"{name}: {limit!r:.60} is no limit of a recording")
         if name not in vars(Acquisition):

@@ -89,6 +89,8 @@ def test_impossible_commands_are_refused() -> None:
     with connected() as connection:
         for name, arguments, error in commands:
             assert isinstance(connection._send(name, *arguments).exception(HANG_S), error)
+        assert isinstance(connection._send("limit_recording", limit=5).exception(HANG_S), BadValue)
+        connection.limit_recording(limit=RecordingLimit(frames=2)).result(HANG_S)
         newest(connection)  # it goes on
 
 
