@@ -89,8 +89,8 @@ class FileWork(QObject):
 
 
 def answer(question: Callable[[], T], otherwise: T) -> T:
-    """Return the answer to a short question about files, or `otherwise` if the disk is late."""
+    """Return the answer to a short question about files, or `otherwise` if the disk is late or fails."""
     try:
         return run_in_thread(question, "files")[0].result(_ANSWER_S)
-    except TimeoutError:
+    except (TimeoutError, OSError):
         return otherwise
