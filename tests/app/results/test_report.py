@@ -44,6 +44,7 @@ from app.results.report_pages import (
 from app.results.report_summary import Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
+from reconstruction.wavefront import rms
 
 FRAMES = 5
 
@@ -212,8 +213,10 @@ def test_second_page_shows_error_bars_and_lost_lenslets(summary: Summary, mine: 
     figure = certainty(summary)
     trend = axis_titled(figure, "RMS of the wavefront")
     (bars,) = (each for each in trend.containers if isinstance(each, ErrorbarContainer))
-    ends = np.array(bars.lines[2][0].get_segments())[:, :, 1]
-    np.testing.assert_allclose(np.diff(ends)[:, 0], 2 * summary.statistics.rms_sigma_rad)
+    ends = np.array(bars.lines[2][0].get_segments())  # (frame, end, xy)
+    np.testing.assert_allclose(np.diff(ends[:, :, 1])[:, 0], 2 * summary.statistics.rms_sigma_rad)
+    times_s = [line.host_time_s - summary.lines[0].host_time_s for line in summary.lines]
+    np.testing.assert_allclose(ends[:, 0, 0], times_s)
     lost = int((summary.statistics.lost > 0).sum())
     assert axis_titled(figure, f"{lost} of 35 lenslets lost, 0 of them always").get_legend() is not None
     assert f"no light: {lost}" in said(figure)
@@ -226,6 +229,16 @@ def test_second_page_shows_error_bars_and_lost_lenslets(summary: Summary, mine: 
     words = said(certainty(other))
     assert "frames lost" in words
     assert "no live wavefront" in words
+
+
+def test_sentence_of_large_wavefronts_is_legible(summary: Summary) -> None:
+    found = summary.statistics
+    assert found is not None
+    mean = 1000.1 / np.nanmin(rms(found.mean)) * found.mean
+    large = replace(summary, statistics=replace(found, mean=mean))
+    figure = drawn(lambda onto: draw_overview(onto, large))
+    assert "RMS 1000.100 ... " in said(figure)
+    assert_legible(figure)
 
 
 @pytest.mark.slow
