@@ -104,6 +104,7 @@ class CalibrationGuide(QDialog):
         answers = row((self.question, 1), self.yes, self.no)
         self.steps = Scrolled(steps)
         fill_dialog(self, (self.steps, 1), answers)
+        controller.connected.connect(self._restart)
 
     def begin(self, frames: int) -> None:
         """Take all steps, averaging `frames` frames into dark and reference; only show steps under way."""
@@ -128,6 +129,11 @@ class CalibrationGuide(QDialog):
         if was_running:
             self._end("ended: the light was switched off")
         return was_running
+
+    def _restart(self) -> None:
+        """End the sequence of an acquisition that has gone, whose commands are not answered."""
+        if self._is_running:
+            self._end("ended: the devices were connected again")
 
     def reject(self) -> None:
         if self._is_running:

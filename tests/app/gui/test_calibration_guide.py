@@ -131,6 +131,18 @@ def test_esc_cancels_and_restores_the_devices(window: MainWindow, qtbot: QtBot, 
 
 
 @pytest.mark.slow
+def test_guide_ends_with_its_bench(window: MainWindow, camera: ExposedCamera) -> None:
+    guide = window.guide
+    window.controls.frames.setValue(10_000)
+    window.controls.calibrate.click()
+    assert state(guide, LATTICE) == "running"
+    window.open(Access(lambda: Acquisition(MANUAL, opener(camera))))
+    assert state(guide, LATTICE) == "failed"
+    assert guide.question.text() == "Ended: the devices were connected again"
+    assert not guide.end_for_light()
+
+
+@pytest.mark.slow
 @pytest.mark.long
 def test_failed_step_can_be_repeated(window: MainWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
     guide = window.guide
