@@ -66,10 +66,11 @@ class Recording:
 
     def refresh(self) -> int:
         """Look for new frames and for the end of the recording; return the number of frames."""
-        if (path := self.folder / FRAME_LINES).exists():
-            check_readable(path)
+        path = self.folder / FRAME_LINES
         try:
-            with (self.folder / FRAME_LINES).open("rb") as file:
+            if path.exists():
+                check_readable(path)
+            with path.open("rb") as file:
                 file.seek(self._ends[-1])
                 while piece := file.read(_PIECE_BYTES):
                     after = file.tell() - len(piece) + 1
@@ -77,7 +78,7 @@ class Recording:
         except FileNotFoundError:  # the recording has just begun
             pass
         except OSError as error:
-            raise self._unreadable(error) from error
+            raise _unreadable(path, error) from error
         if not self.is_complete:
             self.run = read_run(self.folder)
         return len(self)
@@ -151,7 +152,10 @@ class Recording:
     def stored_frames(self) -> int:
         """Number of frames of which some pixels are stored."""
         folder = self.folder / STORE / PIXELS / "c"
-        return sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
+        try:
+            return sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
+        except OSError as error:
+            raise _unreadable(folder, error) from error
 
     def is_whole(self, index: int) -> bool:
         """True if all pixels of a frame exist; after a power failure some may not."""
@@ -260,12 +264,13 @@ class Recording:
         return all(run.get(key) == self.run.get(key) for key in _UNCHANGED)
 
     def _line(self, index: int) -> FrameLine:
+        path = self.folder / FRAME_LINES
         try:
-            with (self.folder / FRAME_LINES).open("rb") as file:
+            with path.open("rb") as file:
                 file.seek(self._ends[index])
                 text = file.read(self._ends[index + 1] - self._ends[index])
         except OSError as error:  # for example, the disk is gone
-            raise self._unreadable(error) from error
+            raise _unreadable(path, error) from error
         try:
             line = FrameLine.from_json(text)
         except ValueError as error:
@@ -296,11 +301,16 @@ class Recording:
         found = self._arrays.get(name)
         if found is None:  # it may have appeared since
             path = self.folder / STORE / name
-            found = self._arrays[name] = FrameArray(path) if is_array(path) else None
+            try:
+                is_there = is_array(path)
+            except OSError as error:
+                raise _unreadable(path, error) from error
+            found = self._arrays[name] = FrameArray(path) if is_there else None
         return found
 
-    def _unreadable(self, error: OSError) -> InputError:
-        return InputError(f"{self.folder / FRAME_LINES}: cannot be read: {error.strerror or error}")
+
+def _unreadable(path: Path, error: OSError) -> InputError:
+    return InputError(f"{path}: cannot be read: {error.strerror or error}")
 
 
 def selected(text: str | None, count: int, source: Path) -> range:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import binascii
+import errno
 import json
 import re
 from collections.abc import Callable
@@ -100,6 +101,25 @@ def test_missing_or_damaged_file_is_named(
     damage(tmp_path / "r")
     with pytest.raises(InputError, match=said):
         use(Recording(tmp_path / "r"))
+
+
+@pytest.mark.parametrize(
+    "use",
+    [Recording.refresh, lambda r: r.line(0), lambda r: r.pixels(0), lambda r: r.frame_shape, lambda r: r.stored_frames],
+)
+def test_lost_disk_is_unusable_input(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Callable[[Recording], object]
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOTCONN, "Transport endpoint is not connected")
+
+    write(tmp_path / "r", [make_record(0)])
+    recording = Recording(tmp_path / "r")
+    with monkeypatch.context() as lost:
+        for name in ("stat", "open", "iterdir"):
+            lost.setattr(Path, name, fail)
+        with pytest.raises(InputError, match=r"r/.*: cannot be read: Transport endpoint is not connected"):
+            use(recording)
 
 
 def test_misplaced_line_is_detected(tmp_path: Path) -> None:
