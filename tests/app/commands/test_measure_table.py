@@ -16,8 +16,8 @@ from app.results.frame_tallies import Measured
 def test_scatter_is_printed_only_of_several_frames(frames: int, capsys: pytest.CaptureFixture[str]) -> None:
     bench = load_bench("small_demo")
     mean = np.full((bench.field.view_rows, bench.field.view_columns), 1.5)
-    noise = np.full(mean.shape, 0.25**2)
-    measured = Measured(bench=bench, means=np.stack([mean, mean**2 + 0.01, noise]), frames=frames, reconstructed=frames)
+    means = np.stack([mean, mean**2 + 0.1**2 / 2, np.full(mean.shape, 0.25**2)])
+    measured = Measured(bench=bench, means=means, frames=frames, reconstructed=frames)
     print_measurement(measured, Path("run"))
     printed = " ".join(capsys.readouterr().out.split())
     assert "1.500" in printed
