@@ -145,6 +145,16 @@ def test_drag_without_a_tool_moves_the_picture(window: MainWindow) -> None:
     assert not panel.measuring.isVisible()
 
 
+def test_frame_stays_in_sight(window: MainWindow) -> None:
+    panel = window.panels.camera
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    panel._view.scaleBy((0.3, 0.3))
+    for far_px, corner in ((1000, (429.5, 299.5)), (-1000, (-0.5, -0.5))):
+        panel._view.translateBy(x=far_px, y=far_px)
+        middle = panel._view.viewRect().center()
+        assert (middle.x(), middle.y()) == pytest.approx(corner)
+
+
 def test_click_with_a_tool_inspects_no_lenslet(window: MainWindow, qtbot: QtBot) -> None:
     panel = window.panels.camera
     window.show_measurement(make_measurement(dim_frame(), views()))
