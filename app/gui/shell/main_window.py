@@ -12,7 +12,7 @@ from PyQt6.QtGui import QCloseEvent, QResizeEvent
 from PyQt6.QtWidgets import QApplication, QWidget
 
 from app.acquisition.instrument import Status
-from app.acquisition.running_instrument import Activity, RunningInstrument
+from app.acquisition.running_instrument import CLOSING_S, Activity, RunningInstrument
 from app.acquisition.start_up import DARK, REFERENCE
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
@@ -34,7 +34,7 @@ from app.gui.shell.recording import RecordingBar, RecordingPanel
 from app.gui.shell.replay_bar import ReplayBar
 from app.gui.shell.state import PreferencesDialog, fit_to_screen, restore_state, save_state
 from app.gui.shell.status_line import StatusLine
-from app.gui.shell.wording import Situation, advice, light_when_closing, liveness, way_out
+from app.gui.shell.wording import Situation, advice, left_behind, light_when_closing, liveness, way_out
 from app.gui.widgets import theme
 from app.gui.widgets.fields import NumberField
 from app.gui.widgets.file_work import FileWork, answer
@@ -205,12 +205,18 @@ class MainWindow(BaseWindow):
     def open(self, access: Access) -> None:
         """Close the devices and connect others.
 
-        The user is asked first if a recording is under way, or the light must be switched off by hand.
+        The user is asked first if a recording is under way, or the light must be switched off by hand. If a device
+        hangs, which cannot be opened again, nothing else is opened.
         """
 
         def connect() -> None:
             self._timer.stop()
             self._text_timer.stop()
+            self.controller.close(self._show_closing)
+            if self.controller.is_stuck and not self.controller.is_silent:
+                self.messages.warn(left_behind(self.controller.status, CLOSING_S))
+                self._timer.start()
+                return
             self.controller.use(access, self._show_closing)
             if (status := self.controller.status) is not None and not self.controller.left:
                 self.show_status(_ended(status))

@@ -341,6 +341,24 @@ def test_closing_during_long_exposure_is_quick_and_turns_light_off(
     assert not window.controller.is_stuck
 
 
+@pytest.mark.slow
+def test_nothing_is_opened_beside_a_device_that_hangs(
+    live: tuple[MainWindow, FakeCamera], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, camera = live
+    before = window.controller.acquisition
+    with monkeypatch.context() as hanging:
+        hanging.setattr("app.gui.shell.controller.CLOSING_S", 0.2)
+        hanging.setattr(Acquisition, "is_alive", True)
+        window.open(Access(lambda: Acquisition(BENCH, opener(FakeCamera()))))
+    assert window.controller.acquisition is before
+    assert "A device or a computation did not end within 45 s" in window.messages.log
+    assert window._timer.isActive()
+    assert not camera.light.shines
+    window.open(Access(lambda: Acquisition(BENCH, opener(FakeCamera()))))  # it has ended
+    assert window.controller.acquisition is not before
+
+
 def test_keys_are_unique_and_help_opens(make_window: MakeWindow) -> None:
     window = make_window()
     bar = window.menuBar()
