@@ -28,7 +28,7 @@ MEANINGS: dict[TimedStage, str] = {
     "to_result": "from the end of a frame's exposure to its result",
     "to_screen": "from the end of a frame's exposure to its painting",
 }
-_KEPT = 4096  # times per stage; a minute at the highest frame rate
+KEPT = 4096  # times per stage; a minute at the highest frame rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class _Ring:
 class Timings:
     """Times of all stages; the last `kept` of each are stored."""
 
-    def __init__(self, kept: int = _KEPT) -> None:
+    def __init__(self, kept: int = KEPT) -> None:
         self._rings = {stage: _Ring(kept) for stage in STAGES}
 
     def note(self, stage: TimedStage, seconds: float) -> None:

@@ -187,6 +187,7 @@ def print_benchmark(result: dict[str, Any]) -> None:
 def print_figures(figures: LiveFigures) -> None:
     """Print every figure beside its limit."""
     from app.run_facts import machine_facts
+    from app.timing import KEPT
 
     machine, recording, span = machine_facts(), figures.recording, figures.window
     camera, sensor = figures.plan.bench.camera_model, figures.plan.bench.sensor
@@ -206,7 +207,7 @@ def print_figures(figures: LiveFigures) -> None:
         colour = "[green]met[/]" if check and check.is_met else "[red]missed[/]"
         lines.append([name, measured, *((check.asked, colour) if check else ("", ""))])
     terminal.print_table(None, ("live", "measured", "asked", ""), lines)
-    terminal.print_sentence("Times are median / 99 % of the newest 4096 / longest since the start.")
+    terminal.print_sentence(f"Times are median / 99 % of the newest {KEPT} / longest since the start.")
     if recording is not None and recording.problem:
         terminal.print_sentence(f"The recording ended early: {recording.problem}")
 

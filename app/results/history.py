@@ -101,7 +101,7 @@ class History:
         for name, value in values.items():
             if name not in self._series and len(self._series) >= self._most:
                 del self._series[next(iter(self._series))]
-            series = self._series.pop(name, np.full(self._capacity, np.nan))
+            series = self._series.pop(name) if name in self._series else np.full(self._capacity, np.nan)
             series[at] = value
             self._series[name] = series  # last: the first is the one unused for longest
         self._count += 1
