@@ -1,5 +1,6 @@
-"""Studies and their results: measured in turn or shared among workers, and written as each ends, even after Ctrl-C.
+"""Studies and their results.
 
+They are measured in turn or shared among workers, and written as each ends, even after Ctrl-C.
 A study has a summary over the repeats, files, a figure, and a table on the terminal.
 """
 

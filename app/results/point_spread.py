@@ -1,4 +1,4 @@
-"""Point-spread functions: at a field position, in results, and as means over the frames of a recording."""
+"""Point-spread functions: at a field position, in results, as means over a recording's frames."""
 
 from __future__ import annotations
 

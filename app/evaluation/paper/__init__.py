@@ -363,6 +363,10 @@ def _sources(bench: Bench, progress: Progress) -> Iterator[CaseResult]:
 def _all_compared(
     bench: Bench, frames: Mapping[str, FramePair], truth: Floats, methods: Mapping[str, TableMethod], progress: Progress
 ) -> Iterator[CaseResult]:
+    """Yield each method's result beside the truth.
+
+    `truth` is in rad, (view_row, view_column, lenslet_row, lenslet_column).
+    """
     for done, (name, method) in enumerate(methods.items()):
         progress(name, done / len(methods))
         try:
@@ -372,7 +376,10 @@ def _all_compared(
 
 
 def _compared(name: str, bench: Bench, made: Arrays, truth: Floats) -> CaseResult:
-    """Return the wavefronts beside the truth; a result with an unknown view of the field has no residual."""
+    """Return the wavefronts beside the truth, rad, (view_row, view_column, lenslet_row, lenslet_column).
+
+    A result with an unknown view of the field has no residual.
+    """
     x, y = bench.field.view_x_m, bench.field.view_y_m
     is_inside = bench.field.contains(x / bench.field.half_width_m, y[:, None] / bench.field.half_width_m)
     residual = rms(made["views"] - truth)

@@ -161,7 +161,10 @@ class BlockFlow(_NonRigid):
         return correlation
 
     def _prepare_plate(self) -> tuple[Floats, Floats]:
-        """Structure tensors (L, block_row, block_column, xy, xy); plate (L, shifts, shifts) that fills in shifts."""
+        """Structure tensors and the plate that fills in shifts.
+
+        They are (L, block_row, block_column, xy, xy) and (L, shifts, shifts).
+        """
         gradient = self._reference.gradient.reshape(-1, self._reference.width, self._reference.width, 2)
         along_x, along_y = (self._blocks(gradient[..., axis]) for axis in (0, 1))
         tensor = np.empty((*along_x.shape[:3], 2, 2))
@@ -221,7 +224,10 @@ class _Deformable(_NonRigid):
 
     @abstractmethod
     def _field(self, reference: Any, subimage: Any, start: Any) -> Any:
-        """Displacement field of two ITK images, reference(x) ~ subimage(x + d(x)), from the affine map `start`."""
+        """Displacement field d of two ITK images, from the affine map `start`.
+
+        With it reference(x) ~ subimage(x + d(x)).
+        """
 
 
 class Demons(_Deformable):

@@ -113,11 +113,11 @@ def imperfect_images(bench: Bench, imperfections: Imperfections) -> tuple[tuple[
     imperfections of the detector follow, see `detected`.
     """
     focal_length_m = bench.sensor.lenslet_focal_length_m * (1 + imperfections.defocus)
-    seen = with_screen(
+    defocused = with_screen(
         replace(bench, sensor=replace(bench.sensor, lenslet_focal_length_m=focal_length_m)),
         transmission_rms=imperfections.absorption_rms or bench.simulation.screen.transmission_rms,
     )
-    scene, offset_m = scene_of(seen), imperfections.bandwidth_m
+    scene, offset_m = scene_of(defocused), imperfections.bandwidth_m
     if offset_m:
         scene = replace(scene, lines=tuple((bench.sensor.wavelength_m + n * offset_m, 1 / 3) for n in (-1, 0, 1)))
     whole = Renderer(scene)
@@ -165,6 +165,7 @@ def _pupil(bench: Bench, imperfections: Imperfections, model: ForwardModel) -> t
 
 
 def _through(light: PointField, amplitude: NDArray[np.complex64]) -> PointField:
+    """Return the light behind a pupil of this amplitude (y, x)."""
     return lambda x_m, y_m: np.asarray(light(x_m, y_m) * amplitude, np.complex64)
 
 
@@ -208,6 +209,10 @@ def _camera(bench: Bench, nonlinearity: float) -> EmCamera:
 
 
 def _measured(bench: Bench, case: _Case, images: tuple[Image, Image], truth: Floats) -> Iterator[CaseResult]:
+    """Yield a case's residuals from reference and frame, electrons, (row, column).
+
+    `truth` is in rad, (view_row, view_column, lenslet_row, lenslet_column).
+    """
     em_camera, at = _camera(bench, case.imperfections.nonlinearity), case.name
     if case.is_calibrated:
         bench = replace(bench, linearity=em_camera.linearity(images[0], bench.simulation.seed))

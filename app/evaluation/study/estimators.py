@@ -53,7 +53,7 @@ def warp_estimator(
 def warp_estimators(
     bench: Bench, reference: Image, warps: tuple[Warp, ...] = WARPS, noise: CameraNoise | None = None
 ) -> dict[Warp, Estimator]:
-    """Prepare several warps for a reference, see `warp_estimator`."""
+    """Prepare several warps for a reference (row, column), see `warp_estimator`."""
     return {warp: warp_estimator(bench, reference, warp, noise=noise) for warp in warps}
 
 
@@ -157,7 +157,10 @@ class EmCamera:
         return np.asarray(signal / np.float32(self.settings.electrons_per_count))
 
     def linearity(self, electrons: Image, seed: int) -> Linearity:
-        """Nonlinearity as `svwfs calibrate --linearity` finds it, from exposures of an image (row, column) in e-."""
+        """Nonlinearity as `svwfs calibrate --linearity` finds it.
+
+        It comes from exposures of an image (row, column) in electrons.
+        """
         settings, index = self.settings, count()
         full_scale = 2**settings.bits - 1 - settings.offset_counts
         longest = electrons * np.float32(_FILL * full_scale / self.counts(electrons).max())
@@ -180,10 +183,13 @@ class EmCamera:
         return np.asarray(counts - np.float32(settings.offset_counts), np.float32)
 
     def reconstructor(self, bench: Bench, electrons: Image, warp: Warp | None = None, **more: Any) -> Reconstructor:
-        """Prepare the reconstruction against a reference without noise."""
+        """Prepare the reconstruction against a noise-free reference of electrons (row, column)."""
         return warp_estimator(bench, self.counts(electrons), warp, noise=self.noise, **more).reconstructor
 
 
 def camera(bench: Bench, speed: int = SLOW, em_gain: float = 1.0) -> EmCamera:
-    """Return the bench's camera with another read-out speed and gain; its exposure is allowed at every speed."""
+    """Return the bench's camera with another read-out speed and gain.
+
+    Its exposure is allowed at every speed.
+    """
     return EmCamera(replace(bench.camera_model, amplifier="em", readout_speed=speed, em_gain=em_gain, exposure_s=1.0))

@@ -86,9 +86,10 @@ def _correctors(bench: Bench, seeds: range, progress: Progress) -> Iterator[Case
 def predicted_and_simulated(
     bench: Bench, cases: Sequence[tuple[Corrector, float]], progress: Progress
 ) -> Iterator[CaseResult]:
-    """Yield the residuals of correctors at distances from the lenslets, m: predicted from one frame, then simulated.
+    """Yield the residuals of correctors at distances from the lenslets, m.
 
-    The frame through a corrector is rendered with its best command as a second screen at its distance.
+    They are predicted from one frame, then simulated. The frame through a corrector is rendered with its best command
+    as a second screen at its distance.
     """
     mask, em_camera, positions_m = bench.simulation.source.mask, camera(bench), field_positions_m(bench.field)
     renderer = Renderer(replace(scene_of(bench), lines=()))  # a corrector's phase is known at one wavelength

@@ -54,7 +54,9 @@ _NODES = 8  # of Gauss-Legendre quadrature
 
 
 def mask_study(masks: Sequence[str]) -> Sweep:
-    """Return the study of some masks: names of built-in ones, checkerboards as `checkerboard:5`, or image files.
+    """Return the study of some masks.
+
+    They are names of built-in ones, checkerboards as `checkerboard:5`, or image files.
 
     Raises `InputError` if there is none, or if one is unknown or no image.
     """
@@ -128,7 +130,10 @@ class _MaskStudy:
         self.light = float(self._reference.sum() / square.sum())  # relative to the square
 
     def residuals(self, seeds: range, at: str) -> Iterator[CaseResult]:
-        """Noise-free residual of one pass for each screen, predicted and simulated, free and over layers."""
+        """Yield the residuals, rad, of one noise-free pass for each screen: predicted and simulated.
+
+        They are those without assumption, and over the layers found; `at` names the mask on the axis.
+        """
         reconstructor = self._reconstructor
         predict = LinearPass(self._bench, reconstructor, self._reference)
         for screen in seeded(self._bench, seeds):
@@ -144,7 +149,7 @@ class _MaskStudy:
                     )
 
     def noise(self, at: str) -> Iterator[CaseResult]:
-        """Noise of 45 modes with the bench's screen, at equal peak, and at equal exposure."""
+        """Yield the noise, rad, of 45 modes with the bench's screen, at equal peak, and at equal exposure."""
         frame = NoiseFreeFrames(self._bench).frame().photons
         for label, own_peak in (("", float(self._reference.max())), (" in the square", self._square_peak)):
             for peak_e in PEAKS_E:
@@ -154,16 +159,19 @@ class _MaskStudy:
     def _noise(
         self, at: str, curve: str, electrons: Image, electrons_per_photon: np.float32, peak_e: float
     ) -> Iterator[CaseResult]:
-        seen, reference_e = camera(self._bench), self._reference * electrons_per_photon
-        reconstructor = seen.reconstructor(self._bench, reference_e, WARP, reconstruction=without_prior(self._bench))
-        without = reconstructor(seen.counts(electrons))
+        """Yield bound, error bar and scatter, rad, for a frame (row, column) of electrons."""
+        em_camera, reference_e = camera(self._bench), self._reference * electrons_per_photon
+        reconstructor = em_camera.reconstructor(
+            self._bench, reference_e, WARP, reconstruction=without_prior(self._bench)
+        )
+        without = reconstructor(em_camera.counts(electrons))
         modes = without.displacement.modes.count
         bound = bound_rad(self._bench, reconstructor, field_modes=modes, views=self._views)
         yield with_rms(without, bound, curve=f"{curve}: bound", at=at)
         yield with_rms(without, error_bar_rad(without, self._views), curve=f"{curve}: predicted", at=at)
         if peak_e in _SIMULATED_E:
             seed = self._bench.simulation.seed
-            draws = (reconstructor(seen.exposed(electrons, seed, draw)) for draw in range(_DRAWS))
+            draws = (reconstructor(em_camera.exposed(electrons, seed, draw)) for draw in range(_DRAWS))
             simulated = scatter_of(draws, without.views, self._views)
             yield with_rms(without, simulated.rms_rad, curve=f"{curve}: simulated", at=at)
 
@@ -172,6 +180,7 @@ class LinearPass:
     """One pass of a reconstruction for screens without noise, to first order in their wavefronts."""
 
     def __init__(self, bench: Bench, reconstructor: Reconstructor, reference: Image) -> None:
+        """Take the reference (row, column) above the dark, in the unit of the frames."""
         self._bench = bench
         self._at_rest = reconstructor.register(reference)
         registration = reconstructor.registration_for(reference)
@@ -193,9 +202,10 @@ class LinearPass:
 
 
 def local_screen(sample: Sample, bench: Bench, modes: LegendreModes) -> Floats:
-    """Phase of the light as wavefronts P_m(xi) P_n(eta) T_q over each lenslet, rad, (lenslet, n, m, field_mode).
+    """Return the light's phase over each lenslet, rad, (lenslet, n, m, field_mode).
 
-    It is 0 beyond degree 5. The projection is exact up to rounding for screens that are polynomials of that degree.
+    It is that of wavefronts P_m(xi) P_n(eta) T_q, and 0 beyond degree 5. The projection is exact up to rounding for
+    screens that are polynomials of that degree.
     """
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     project = np.polynomial.legendre.legvander(nodes, _DEGREE) * weights[:, None] * (np.arange(_DEGREE + 1) + 0.5)

@@ -32,7 +32,10 @@ class Scatter:
 
 
 def without_prior(bench: Bench) -> ReconstructionSettings:
-    """Modal reconstruction with 45 modes, or all that the lattice carries: unbiased, as the bound requires."""
+    """Modal reconstruction with 45 modes, or all that the lattice carries.
+
+    It is unbiased, as the bound requires.
+    """
     all_modes = len(pupil_modes(bench.sensor, "legendre", None).degree)
     return ReconstructionSettings(pupil_modes=min(NOISE_MODES, all_modes))
 

@@ -125,6 +125,10 @@ def _faint(reference: _Reference) -> tuple[Image, Floats]:
 
 
 def _lattice_trial(reference: _Reference, light: Image, alive: Floats | None) -> CaseResult:
+    """Find the lattice in an image (row, column), counts.
+
+    `alive` is as `_faint` returns it, None if all lenslets are.
+    """
     limits = {name: most * (1.0 if alive is None else _FAINT_FACTOR) for name, most in _LATTICE_LIMITS.items()}
     limits |= {"whole, wrong by": 0.0, "lit, wrong": 0.0}
     if light.size <= _TIMED_PIXELS:
@@ -142,6 +146,7 @@ def _lattice_trial(reference: _Reference, light: Image, alive: Floats | None) ->
 
 
 def _errors(found: Survey, truth: Lattice, sensor: Sensor, alive: Floats | None) -> dict[str, float]:
+    """Return errors of a lattice by name with unit; `alive` as in `_lattice_trial`."""
     lattice = found.lattice
     whole = abs(found.rows - sensor.lenslet_rows) + abs(found.columns - sensor.lenslet_columns)
     is_lit = np.ones_like(found.illuminated) if alive is None else alive > 0
