@@ -200,7 +200,9 @@ def unattended_window(bench: Bench, access: Access, *, seconds: float | None, ou
         _write_run(run, acquisition)
         if measurement.wavefront is not None:
             dataset = result_dataset(measurement.wavefront, measurement.quality)
-            write_results(results, dataset, bench=bench, inputs={})
+            status = acquisition.status
+            in_force = bench if status is None else status.bench_in_force  # with the lattice found
+            write_results(results, dataset, bench=in_force, inputs={})
 
     make_folder(out)
     unattended = UnattendedRun(access.make())

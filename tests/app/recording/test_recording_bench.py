@@ -160,3 +160,4 @@ def test_window_opens_on_a_recording(
     expected = [rms(reconstructor(steady.pixels(index)).views) for index in range(FRAMES)]
     with xr.open_dataset(out / "result.nc") as shown:
         assert any(np.allclose(shown["rms"], each, rtol=5e-3) for each in expected)
+        assert parse_bench(shown.attrs["bench"], "result.nc").lattice is not None
