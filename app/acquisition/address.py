@@ -91,7 +91,7 @@ def clear_abandoned(name: str | None = None, *, timeout_s: float = 0.0) -> None:
 
 
 @contextmanager
-def _lock(name: str, timeout_s: float = 0.0) -> Iterator[None]:
+def _lock(name: str, timeout_s: float) -> Iterator[None]:
     """Hold a lock that ends with this process at the latest; `RunError` if another one holds it."""
     descriptor = os.open(file_of(name, "lock"), os.O_RDWR | os.O_CREAT, 0o600)
     until_s = time.monotonic() + timeout_s

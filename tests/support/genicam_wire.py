@@ -21,7 +21,7 @@ from support.patience import HANG_S, udp_socket
 FAKE_CAMERA: Final = "arv-fake-gv-camera-0.8"
 SERIAL: Final = "SVWFS-TEST"
 HERE: Final = "127.0.0.2"
-TURN: Final = ("127.0.0.1", 3957)  # whoever has this port may start the camera
+TURN: Final = ("127.0.0.1", 3957)  # the test process that holds this port may start the camera
 
 _GVCP: Final = ("127.0.0.1", 3956)
 _DISCOVERY: Final = bytes.fromhex("4211000200000001")

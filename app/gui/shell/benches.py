@@ -33,7 +33,7 @@ Choices = tuple[tuple[str, str, Callable[[], object]], ...]  # text, tool tip, a
 
 
 class _Fault(NamedTuple):
-    """What is wrong with a bench file, and the lines around it."""
+    """Fault of a bench file, with the lines around it."""
 
     error: InputError
     path: Path | None

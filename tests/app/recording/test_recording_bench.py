@@ -151,9 +151,10 @@ def test_measuring_beyond_the_end_keeps_all_frames(small_toml: Path, steady: Rec
 def test_window_opens_on_a_recording(
     small_toml: Path, steady: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Offscreen; the result is the wavefront of one of the frames."""
+    """Offscreen; the result is the wavefront of one of the frames, and has the lattice that was found."""
     bench, out = tmp_path / "bench.toml", tmp_path / "out"
-    bench.write_text(bench_text(small_toml, steady.folder, repeat=True))
+    given = parse_bench(bench_text(small_toml, steady.folder, repeat=True), "bench")
+    bench.write_text(write_bench(replace(given, lattice=None)))
     assert run(monkeypatch, "live", "--bench", bench, "--seconds", "0.5", "--out", out) == 0
     assert_drawn(out / "window.png")
     reconstructor = steady.calibration(0).reconstructor()
