@@ -7,7 +7,6 @@ from contextlib import ExitStack
 from app.acquisition.guarded_light import GuardedLight
 from app.bench.config import Bench
 from app.bench.device_kinds import DRIVERS, DeviceKind, DeviceSettings, RecordingSettings
-from app.bench.trusted_libraries import check_unchanged
 from app.cache import cache_folder
 from app.errors import InputError
 from app.recording.reader import Recording
@@ -95,7 +94,6 @@ def _kind(section: str, settings: DeviceSettings) -> DeviceKind:
         check(settings)
     except SettingError as error:
         raise InputError(f"{section}.{error}") from error
-    check_unchanged(settings)
     kind = DRIVERS[section][settings.driver]
     if not kind.device:
         raise InputError(f"{section}.driver = {settings.driver!r} has no device of its own")

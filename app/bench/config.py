@@ -19,7 +19,6 @@ from typing_extensions import Doc
 
 from app.bench.bench_files import BenchError, bench_file, line_of_setting, line_of_syntax, read_bench_text
 from app.bench.device_kinds import DRIVERS, DeviceSettings, RecordingSettings
-from app.bench.earlier_versions import replace_conserve_flux, set_recorded_defaults, take_non_rigid
 from app.errors import InputError
 from app.files import in_words, write_whole
 from drivers.manual_light import ManualLightSettings
@@ -156,10 +155,9 @@ class Bench(Checked):
         return self.light if isinstance(self.light, SimulatedLightSettings) else SimulatedLightSettings()
 
 
-def load_bench(source: str | Path, overrides: tuple[str, ...] = (), *, is_recorded: bool = False) -> Bench:
+def load_bench(source: str | Path, overrides: tuple[str, ...] = ()) -> Bench:
     """Read a bench from a TOML file or a preset; see `parse_bench`."""
-    text = read_bench_text(Path(source) if is_recorded else bench_file(source))
-    return parse_bench(text, str(source), overrides, is_recorded=is_recorded)
+    return parse_bench(read_bench_text(bench_file(source)), str(source), overrides)
 
 
 def as_bench(bench: object) -> Bench:
@@ -171,24 +169,19 @@ def as_bench(bench: object) -> Bench:
     return bench
 
 
-def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_recorded: bool = False) -> Bench:
+def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
     """Parse a bench from TOML text; `name` stands for it in errors.
 
-    `overrides` are "section.key=value" as in TOML. With `is_recorded`, the text comes from a recording or a result, and
-    settings unknown to its version mean what that version did. `BenchError` names the key and what is allowed in one
-    sentence, with the line and the setting.
+    `overrides` are "section.key=value" as in TOML. `BenchError` names the key and what is allowed in one sentence, with
+    the line and the setting.
     """
     try:
         tree = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         sentence = in_words(error)
         raise BenchError(f"{name}: not valid TOML: {sentence}", line_of_syntax(text, sentence)) from error
-    if is_recorded:
-        set_recorded_defaults(tree)
     for override in overrides:
         _override(tree, override)
-    replace_conserve_flux(tree, text, name, is_recorded=is_recorded)
-    non_rigid: Any = take_non_rigid(tree, text, name, is_recorded=is_recorded)
     for section, key in _CHOSEN_IF_OMITTED:
         if isinstance(tree.get(section), dict) and tree[section].get(key) == AUTOMATIC:
             del tree[section][key]
@@ -201,8 +194,6 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
         fault = SettingError(path, error.why, error.limit)
         chosen = f', or "{AUTOMATIC}"' if tuple(path.split(".")) in _CHOSEN_IF_OMITTED else ""
         raise BenchError(f"{name}: {fault}{chosen}", line, fault) from error
-    if non_rigid:  # the reconstruction refuses it
-        bench = dataclasses.replace(bench, registration=dataclasses.replace(bench.registration, method=non_rigid))
     return bench
 
 

@@ -63,9 +63,7 @@ def command_of(kind: type[Analysis]) -> Callable[..., None]:
         if (table := analysis.by_view(found)) is not None:
             terminal.print_by_view(*table)
         typer.echo("\n".join(analysis.sentences(found)) + kind.closing.format(out=out))
-        for each, settings in sources.items():
-            if analysis.is_reconstructed:
-                terminal.print_version_notice(each, settings=settings)
+        for each in sources:
             terminal.print_missing_lines(each)
 
     own = [each.replace(kind=each.KEYWORD_ONLY) for each in signature(kind, eval_str=True).parameters.values()]

@@ -59,8 +59,6 @@ def batch(
             typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
         done = run_batch(recordings, out, job, evaluate, progress)
     print_batch(done, out)
-    if bench is None:
-        terminal.print_version_notice(*recordings, settings=settings)
     if done.failed:
         raise RunError(f"{len(done.failed)} of {done.recordings} recordings failed")
     if lost := sum(map(len, done.damaged.values())):

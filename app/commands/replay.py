@@ -52,8 +52,6 @@ def replay(
         change = change_of(other, settings)
         made = run(recording, change, frames=frames, out=out, must_match=verify, progress=progress)
     print_replay(made)
-    if bench is None:
-        terminal.print_version_notice(recording, settings=settings)
     terminal.print_missing_lines(recording)
 
 

@@ -6,7 +6,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -122,16 +122,6 @@ def print_quality(quality: QualityTally) -> None:
         print_sentence(f"note: {quality.unjudged}")
 
 
-def print_version_notice(*sources: Path, settings: Iterable[str] = ()) -> None:
-    """Say which recordings or results neglect the propagation of light, as their version did."""
-    from app.results.sources import version_notice
-
-    for source in sources:
-        with suppress(InputError):  # of a source that the command has refused
-            if notice := version_notice(source, tuple(settings)):
-                print_sentence(f"{source}: {notice}")
-
-
 def print_missing_lines(source: Path) -> None:
     """Warn of a recording in which the lines of frames are missing."""
     if source.is_dir():
@@ -158,9 +148,9 @@ def ask(request: str) -> None:
 def confirm_libraries(bench: Bench, *, is_trusted: bool) -> None:
     """Ask whether each library of a bench may be loaded; if `is_trusted`, remember it without asking.
 
-    A changed library is asked for again. `InputError` if it is refused, or no terminal is attached.
+    `InputError` if it is refused, or no terminal is attached.
     """
-    from app.bench.trusted_libraries import unconfirmed
+    from app.bench.trusted_libraries import trust, unconfirmed
 
     for library in unconfirmed(bench):
         setting = f"{library.key} = {library.named}"
@@ -173,4 +163,4 @@ def confirm_libraries(bench: Bench, *, is_trusted: bool) -> None:
             sys.stderr.write(f"the bench runs code: {setting}\nType yes if you trust it: ")
             if sys.stdin.readline().strip().lower() != "yes":
                 raise InputError(f"{setting} is not trusted: change the bench")
-        library.trust()
+        trust([library])

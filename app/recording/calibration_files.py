@@ -43,7 +43,7 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
 
 def read_calibration(folder: Path) -> Calibration:
     """Read a calibration, bit-identical; `InputError` if it is missing or damaged."""
-    bench = load_bench(folder / "bench.toml", is_recorded=True)
+    bench = load_bench(folder / "bench.toml")
     check_readable(folder / "camera.json")
     try:
         full_scale = float(json.loads((folder / "camera.json").read_text("utf-8"))["full_scale"])

@@ -67,7 +67,7 @@ def parts_of(folder: Path) -> list[Path]:
     """Return the parts of a recording and the files that its bench names, which no command may replace."""
     parts = [folder / part for part in RECORDING_PARTS]
     with suppress(InputError):  # the reader says what is wrong
-        parts += parse_bench(str(read_run(folder)["bench"]), RUN, is_recorded=True).files
+        parts += parse_bench(str(read_run(folder)["bench"]), RUN).files
     return parts
 
 

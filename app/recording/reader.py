@@ -110,7 +110,7 @@ class Recording:
     def bench(self) -> Bench:
         """The bench at the beginning; each calibration has its own, with the lattice in force."""
         with written_by(self.folder, version_of(self.run)):
-            return parse_bench(str(self.run["bench"]), f"{self.folder / RUN}: bench", is_recorded=True)
+            return parse_bench(str(self.run["bench"]), f"{self.folder / RUN}: bench")
 
     def first_calibration(self, frames: Iterable[int]) -> int | None:
         """Return the number of the first calibration of these frames; None if they have none."""

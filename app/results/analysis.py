@@ -66,7 +66,6 @@ class Analysis:
     needs_suffix: ClassVar[bool] = False  # which says what is written
     picture_dpi: ClassVar[int] = 150  # 0: it has no picture
     closing: ClassVar[str] = ""  # after the sentences on the terminal, of the file `out`
-    is_reconstructed: bool = True  # frames with their bench
     frame: int | None = None  # its only frame
     setting: list[str] | None = None  # changes of the bench
 

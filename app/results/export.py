@@ -46,11 +46,6 @@ class Export(RecordingAnalysis):
     frames: Frames = None
 
     @property
-    def is_reconstructed(self) -> bool:  # type: ignore[override] # of frames alone
-        """False for frames as they are."""
-        return self.to != "tiff"
-
-    @property
     def suffixes(self) -> tuple[str, ...]:  # type: ignore[override] # those of the format
         """Suffixes of the format."""
         return EXPORT_FORMATS[self.to][1]

@@ -127,7 +127,7 @@ class OpenedRecording:
         if path.exists():
             with reading_results(path) as results:
                 bench = str(results.attrs.get("bench", ""))
-                if parse_bench(bench, f"{path}: bench", is_recorded=True) == self.bench:
+                if parse_bench(bench, f"{path}: bench") == self.bench:
                     return results.load()
         pieces = list(results_in_pieces((made, {}) for made in reprocess(self._recording)))
         if not pieces:

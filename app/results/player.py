@@ -14,15 +14,14 @@ from app.measurement.measurement import Measurement
 from app.recording.reader import Recording
 from app.recording.recorded_devices import RecordedCamera, recorded_devices
 from app.results.replay import change_of
-from app.results.sources import version_notice
 from drivers.interface import Devices, Frame, FrameLost, WrongState
 
 
 class Player:
     """Opens devices that play a recording, and sets the calibration of each frame.
 
-    `position` is that of the newest frame in `frames`, the played indices; None before the first. `notice` says that
-    the recording is of an earlier version. Any thread may call `show_frame` and `set_speed`.
+    `position` is that of the newest frame in `frames`, the played indices; None before the first. Any thread may call
+    `show_frame` and `set_speed`.
     """
 
     def __init__(
@@ -31,7 +30,6 @@ class Player:
         """Use another `bench`, or changed `settings` of the recorded one, if given."""
         self._recording = Recording(folder)
         self.folder, self.frames = folder, self._recording.select(frames)
-        self.notice = version_notice(folder, settings) if bench is None else ""
         self.position: int | None = None
         self._speed = 1.0
         self._change = change_of(None if bench is None else load_bench(bench, settings), settings)

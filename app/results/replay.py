@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,6 @@ from app.results.result_file import VIEW, Variable, about, write_pieces
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.runtime.threads import one_blas_thread
-from reconstruction.settings import Method
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, mean_rms, rms
 
@@ -146,15 +145,14 @@ def replay(
 ) -> Replay:
     """Reconstruct the recorded frames FIRST:END again and write the results to `out`, if given.
 
-    With a `change` of the bench, see `change_of`, both are made and compared, unless the recorded registration method
-    is no longer offered. With `must_match`, raise `RunError` if a result differs from the recorded one in any bit.
+    With a `change` of the bench, see `change_of`, both are made and compared. With `must_match`, raise `RunError` if a
+    result differs from the recorded one in any bit.
     """
     recording = Recording(folder)
     chosen = recording.select(frames)
     if must_match and change is not None:
         raise InputError("--verify compares with the recorded bench: leave --bench and --set out")
-    is_known = recording.bench.registration.method in get_args(Method)  # earlier versions had others
-    comparison = Comparison() if change is not None and is_known else None
+    comparison = Comparison() if change is not None else None
     made = Replay(verification=Verification(recording) if change is None else None, comparison=comparison)
     with one_blas_thread():
         stream = _frames(recording, chosen, change, made, progress)

@@ -11,7 +11,6 @@ import scipy  # which loads its parts when they are used
 
 from app.bench.bench_files import written_by
 from app.bench.config import Bench, parse_bench
-from app.bench.earlier_versions import neglected_propagation
 from app.errors import SETTINGS_CHANGED, InputError
 from app.progress import Progress
 from app.results.result_file import reading_results
@@ -68,7 +67,7 @@ def stored_frame(path: Path, frame: int, *names: str) -> tuple[Bench, xr.Dataset
         results = opened[["coefficients", *names]]
         results = results if "frame" in results.dims else results.expand_dims("frame")
         _require_frame(path, frame, results.sizes["frame"])
-        bench = parse_bench(str(opened.attrs.get("bench", "")), f"{path}: bench", is_recorded=True)
+        bench = parse_bench(str(opened.attrs.get("bench", "")), f"{path}: bench")
         one = results.isel(frame=frame).load()
     require_plausible(path, one["coefficients"].values)
     return bench, one
@@ -90,13 +89,7 @@ def read_bench_of(source: Path, settings: tuple[str, ...] = ()) -> Bench:
     """Return the bench of results or of a recording, changed by "section.key=value"."""
     text, software = _origin_of(source)
     with written_by(source, software):
-        return parse_bench(text, f"{source}: bench", settings, is_recorded=True)
-
-
-def version_notice(source: Path, settings: tuple[str, ...] = ()) -> str:
-    """Say that results or a recording neglect propagation, as their version did; empty if not."""
-    notice = neglected_propagation(_origin_of(source)[0])
-    return notice if notice and read_bench_of(source, settings).field.neglect_propagation else ""
+        return parse_bench(text, f"{source}: bench", settings)
 
 
 def _origin_of(source: Path) -> tuple[str, str]:

@@ -301,7 +301,7 @@ _LEAST_GROWTH = 0.002  # standard deviation of log area; less decides nothing
 _CERTAIN = 5.0  # standard errors of the slope
 _ALIKE = 25.0  # neighbouring lenslets, over which absorption and uneven light are alike
 _MOST_NOISE = 0.3  # of the variance of log area
-_REAL = "real light: remove neglect_propagation from the bench, or conserve_flux of version 0.2"
+_REAL = "real light: remove neglect_propagation from the bench"
 _NEGLECTED = "the paper's simulation: set field.neglect_propagation = true, or is the light uneven?"
 
 

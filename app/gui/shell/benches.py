@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import QDialog, QFileDialog, QHBoxLayout, QWidget
 from app.bench.bench_files import faulty_lines
 from app.bench.config import Bench, load_bench, save_bench
 from app.bench.presets import DEFAULT, PRESETS
-from app.bench.trusted_libraries import Library, named_libraries, unconfirmed
+from app.bench.trusted_libraries import Library, named_libraries, trust, unconfirmed
 from app.errors import InputError
 from app.gui.panels.panel import Entries
 from app.gui.shell.controller import Controller, SettingsControl
@@ -187,8 +187,7 @@ def _read(source: str, overrides: tuple[str, ...]) -> Bench | _Fault:
 
 def _trust_libraries(bench: Bench) -> tuple[Library, ...]:
     """Confirm all libraries; none is left."""
-    for library in unconfirmed(bench):
-        library.trust()
+    trust(named_libraries(bench))
     return ()
 
 

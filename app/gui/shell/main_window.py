@@ -313,7 +313,7 @@ class MainWindow(BaseWindow):
             failure=self._failure,
             may_reconnect=status is None or not status.is_replay,
             may_take_control=self.attachment.may_take_control,
-            warning="; ".join(filter(None, [alarm, self.replay.notice, self.attachment.notice])),
+            warning="; ".join(filter(None, [alarm, self.attachment.notice])),
             advice=way_out(status) if self._failure else advice(status, self._activity, measurement),
         )
 

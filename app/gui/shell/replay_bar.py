@@ -69,11 +69,6 @@ class ReplayBar(QFrame):
         self._timer = timer(self, REFRESH_MS, self.refresh)
         self.use(None)
 
-    @property
-    def notice(self) -> str:
-        """Note about the version of the recording; empty if there is none."""
-        return "" if self._player is None else self._player.notice
-
     def use(self, player: Player | None) -> None:
         """Move through the frames of another player; hide without one."""
         if self._player is not None and player is None:

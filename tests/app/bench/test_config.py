@@ -10,13 +10,11 @@ from support.paths import FOREIGN_FRAMES
 
 from app.bench.bench_files import BenchError
 from app.bench.config import load_bench, parse_bench, write_bench
-from app.bench.earlier_versions import neglected_propagation
 from app.bench.presets import PRESETS
 from app.errors import InputError
 from drivers.genicam import GenicamSettings
 
 MINIMAL = (FOREIGN_FRAMES / "bench.toml").read_text().replace("neglect_propagation = true\n", "")
-OF_VERSION_0_2 = MINIMAL.replace("[registration]\n", "[registration]\nconserve_flux = true\n")
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -71,6 +69,7 @@ def test_arrangement_belongs_to_sensor_and_lattice() -> None:
 FAULTS = {
     "unknown section": ("[sensor]", "[sensors]", "sensors is an unknown key; known are sensor, field"),
     "misspelt key": ("lenslet_rows", "lenslet_row", "sensor.lenslet_row is an unknown key; known are lenslet_rows"),
+    "key of version 0.2": ("[registration]", "[registration]\nconserve_flux = true", "conserve_flux is an unknown key"),
     "missing key": ("wavelength_m = 462e-9\n", "", "sensor.wavelength_m is missing"),
     "text for a number": ("lenslet_rows = 15", 'lenslet_rows = "15"', "sensor.lenslet_rows must be a whole number"),
     "a fraction for a count": ("lenslet_rows = 15", "lenslet_rows = 15.5", "sensor.lenslet_rows must be a whole"),
@@ -100,60 +99,6 @@ def test_invalid_bench_error_names_key(name: str) -> None:
     assert str(fault.value).startswith("bench.toml: ")
     assert sentence in str(fault.value)
     assert "\n" not in str(fault.value)
-
-
-def with_flux(value: str) -> str:
-    """A bench of version 0.2."""
-    return OF_VERSION_0_2.replace("conserve_flux = true", f"conserve_flux = {value}")
-
-
-@pytest.mark.parametrize("is_recorded", [True, False])
-def test_conserved_flux_is_read_as_neglected_propagation(is_recorded: bool) -> None:
-    bench = parse_bench(with_flux("true"), "b", is_recorded=is_recorded)
-    assert bench.field.neglect_propagation
-    assert bench.reconstruction.sample == ("free" if is_recorded else "automatic")
-    assert "conserve_flux" not in write_bench(bench)
-
-
-def test_flux_not_conserved_is_dropped_from_a_recorded_bench_and_refused_in_a_new_one() -> None:
-    bench = parse_bench(with_flux("false"), "b", is_recorded=True)
-    assert bench == parse_bench(with_flux("true"), "b", is_recorded=True)
-    with pytest.raises(BenchError, match=r"b: registration\.conserve_flux = false is no longer offered") as fault:
-        parse_bench(with_flux("false"), "b")
-    assert fault.value.line == with_flux("false").splitlines().index("conserve_flux = false") + 1
-    with pytest.raises(BenchError, match=r"conserve_flux = false is no longer offered"):
-        parse_bench(MINIMAL, "b", ("registration.conserve_flux=false",))
-    with pytest.raises(BenchError, match=r"registration\.conserve_flux is an unknown key"):
-        parse_bench(with_flux("3"), "b")
-
-
-@pytest.mark.parametrize("method", ["block_flow", "demons", "ffd"])
-def test_non_rigid_method_is_kept_in_a_recorded_bench_and_refused_in_a_new_one(method: str) -> None:
-    text = MINIMAL.replace("[registration]", f'[registration]\nmethod = "{method}"\nflow = "warp"', 1)
-    assert str(parse_bench(text, "b", is_recorded=True).registration.method) == method
-    with pytest.raises(BenchError, match=rf'b: registration\.method = "{method}" is no longer offered: ') as fault:
-        parse_bench(text, "b")
-    assert fault.value.line == text.splitlines().index(f'method = "{method}"') + 1
-    assert parse_bench(text, "b", ("registration.method=centroids",)).registration.method == "centroids"
-    for other in ("flow = 3", 'flow = "other"'):
-        with pytest.raises(BenchError, match="flow is an unknown key"):
-            parse_bench(MINIMAL.replace("[registration]", f"[registration]\n{other}", 1), "b")
-
-
-def test_recorded_bench_of_version_0_2_neglects_propagation_and_says_so() -> None:
-    bench = parse_bench(MINIMAL, "b", is_recorded=True)
-    assert (bench.field.neglect_propagation, bench.reconstruction.sample) == (True, "free")
-    assert "neglected propagation" in neglected_propagation(MINIMAL)
-    assert "conserve_flux = false is no longer offered" in neglected_propagation(with_flux("false"))
-    for damaged in ("[", "field = 3", "registration = 3"):
-        assert neglected_propagation(damaged) == ""
-
-
-@pytest.mark.parametrize("settings", [(), ("field.neglect_propagation=true", "reconstruction.sample=layers")])
-def test_recorded_bench_of_today_keeps_its_settings(settings: tuple[str, ...]) -> None:
-    bench = parse_bench(MINIMAL, "b", settings)
-    assert parse_bench(write_bench(bench), "again", is_recorded=True) == bench
-    assert neglected_propagation(write_bench(bench)) == ""
 
 
 def test_unknown_driver_error_lists_drivers() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,12 +10,11 @@ from pathlib import Path
 import pytest
 from support.command_line import run
 
-from app.acquisition.devices import open_camera
+from app.bench import trusted_libraries
 from app.bench.config import Bench, load_bench, write_bench
 from app.commands.terminal import confirm_libraries
 from app.errors import InputError
 from drivers.dcam import DcamSettings
-from drivers.errors import Unsupported
 from drivers.micro_manager import MicroManagerSettings
 from drivers.serial_lights import CoolLEDSettings
 
@@ -69,51 +67,27 @@ def test_refused_library_is_asked_for_again(bench: Bench, monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("trust", [True, False])
-def test_confirmed_library_is_remembered_until_it_changes(
+def test_confirmed_path_is_asked_for_once(
     bench: Bench, library: Path, monkeypatch: pytest.MonkeyPatch, trust: bool
 ) -> None:
     answer(monkeypatch, "yes\n")
     confirm_libraries(bench, is_trusted=trust)
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     confirm_libraries(bench, is_trusted=False)
-    library.write_bytes(b"other code")
+    other = replace(bench, camera=DcamSettings(library=str(library.with_name("libother.so"))))
     with pytest.raises(InputError, match="would run code"):
-        confirm_libraries(bench, is_trusted=False)
+        confirm_libraries(other, is_trusted=False)
+    confirm_libraries(other, is_trusted=True)
+    confirm_libraries(bench, is_trusted=False)
 
 
-@pytest.mark.parametrize(
-    "name", ["libmmgr_dal_DemoCamera.so.0", "mmgr_dal_DemoCamera", "atcore.DLL", "libpvcam.so.3.2"]
-)
-def test_folder_whose_code_changes_is_asked_for_again(
-    bench: Bench, library: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    """Also if names, sizes and dates stay; what is no code may change."""
-    camera = MicroManagerSettings(adapter="DemoCamera", device="DCam", adapter_folder=str(library.parent))
-    adapter, is_of = library.with_name(name), replace(bench, camera=camera)
-    adapter.write_bytes(b"code")
-    confirm_libraries(is_of, is_trusted=True)
-    library.with_name("MMConfig.cfg").write_text("other settings")
-    monkeypatch.setattr(sys, "stdin", io.StringIO())
-    confirm_libraries(is_of, is_trusted=False)
-    before = adapter.stat()
-    adapter.write_bytes(b"evil")
-    os.utime(adapter, ns=(before.st_atime_ns, before.st_mtime_ns))
-    with pytest.raises(InputError, match="would run code"):
-        confirm_libraries(is_of, is_trusted=False)
-
-
-def test_library_that_changes_before_it_is_loaded_is_refused(
-    bench: Bench, library: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with pytest.raises(Unsupported, match="cannot be loaded"):  # from Python nothing is asked
-        open_camera(bench.camera)
+def test_damaged_list_of_trusted_paths_trusts_nothing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     confirm_libraries(bench, is_trusted=True)
-    with pytest.raises(Unsupported, match="cannot be loaded"):
-        open_camera(bench.camera)
-    library.write_bytes(b"other code")
-    monkeypatch.setattr("ctypes.CDLL", lambda *_, **__: pytest.fail("the library was loaded"))
-    with pytest.raises(InputError, match=r"libevil\.so has changed since it was confirmed: open the bench again"):
-        open_camera(bench.camera)
+    for text in ("", "3", "[[1]]", "["):
+        trusted_libraries._file().write_text(text)
+        monkeypatch.setattr(sys, "stdin", io.StringIO())
+        with pytest.raises(InputError, match="would run code"):
+            confirm_libraries(bench, is_trusted=False)
 
 
 def test_bench_without_library_needs_no_confirmation(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,7 +28,6 @@ from app.results.player import Player
 from drivers.interface import DeviceTimeout, Frame, WrongState
 
 FRAMES = 8
-VERSION_0_1 = Path(__file__).parents[2] / "support" / "version_0_1" / "recording"
 
 
 @pytest.fixture(scope="module")
@@ -230,23 +229,6 @@ def test_bar_is_hidden_at_live_devices(live: tuple[MainWindow, object], qtbot: Q
     press(qtbot, window, Qt.Key.Key_Period)
     assert window.controls.light.isEnabled()
     assert window.recording_panel.record.isEnabled()
-
-
-def test_recording_of_an_earlier_version_says_that_propagation_was_neglected(
-    qapp: QApplication, recording: Recording
-) -> None:
-    assert Player(recording.folder).notice == ""
-    player = Player(VERSION_0_1)
-    window = MainWindow()
-    window.show()
-    window.open(Access(player.acquisition, player.begin, player))
-    window.messages.clear_notice()  # gone after some seconds
-    window.update_text()
-    told = window.messages.text.text()
-    window.close()
-    window.deleteLater()
-    qapp.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
-    assert "neglected propagation of light" in told
 
 
 @pytest.mark.slow
