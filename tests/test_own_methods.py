@@ -16,10 +16,10 @@ from support.command_line import run
 from support.optics import sensor_of
 
 import svwfs
+from app.commands.field import field
 from app.evaluation.frames import SimulatedFrames
 from app.gui.panels.coefficients import CoefficientsPanel
 from app.gui.panels.panel import Shown
-from app.results.coefficients import FieldMaps
 from reconstruction.displacement import Displacement, RegistrationMethod
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Sensor
@@ -175,7 +175,7 @@ def test_every_list_of_bases_is_the_same(qtbot: QtBot) -> None:
     panel = CoefficientsPanel(Shown())
     qtbot.addWidget(panel)
     shown = [panel.basis.itemData(index) for index in range(panel.basis.count())]
-    given = get_type_hints(FieldMaps, include_extras=True)["basis"].__args__[0]
+    given = get_type_hints(field, include_extras=True)["basis"].__args__[0]
     names_there = {**vars(svwfs), "Wavefront": object, "xr": xarray, "PupilBasis": PupilBasis}
     of_python = get_type_hints(svwfs.field_coefficients, names_there)["basis"]
     for names in (get_args(PupilBasis), get_args(given), get_args(of_python), shown):

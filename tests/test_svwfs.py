@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 import subprocess
 import sys
@@ -24,9 +23,6 @@ import svwfs
 from app.bench.config import Bench
 from app.evaluation.frames import SimulatedFrames
 from app.images import read_image
-from app.results.coefficients import FieldMaps
-from app.results.corrector import BestCorrector
-from app.results.deconvolution import Deconvolution
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import rms
 
@@ -309,18 +305,3 @@ def test_open_result_names_an_unusable_file(path: str, tmp_path: Path) -> None:
     (tmp_path / "empty.nc").touch()
     with pytest.raises(svwfs.InputError, match=path):
         svwfs.open_result(tmp_path / path)
-
-
-def test_defaults_agree_where_they_must_be_told_again() -> None:
-    """Python loads nothing to know them."""
-
-    def default(function: Callable[..., Any], name: str) -> Any:
-        return inspect.signature(function).parameters[name].default
-
-    for python, command, names in (
-        (svwfs.find_corrector, BestCorrector, ("modes", "count")),
-        (svwfs.field_coefficients, FieldMaps, ("basis", "order", "positions")),
-        (svwfs.deconvolve, Deconvolution, ("method", "iterations")),
-    ):
-        for name in names:
-            assert default(python, name) == default(command, name), name

@@ -3,11 +3,13 @@
 Each command imports what it needs when it runs, so that `--help` is fast.
 """
 
-from typing import Annotated
+from importlib import import_module
+from typing import Annotated, Any
 
 import typer
+from typer.main import get_command_from_info
+from typer.models import CommandInfo
 
-from app.commands.analyse import AnalysisCommand
 from app.commands.batch import batch
 from app.commands.benchmark import benchmark
 from app.commands.calibrate import calibrate
@@ -26,7 +28,6 @@ from app.commands.selftest import selftest
 from app.commands.serve import serve
 from app.commands.simulate import simulate
 from app.commands.study import study
-from app.results.analysis import ANALYSES
 
 cli = typer.Typer(
     help="Live space-variant Shack-Hartmann wavefront sensing: the wavefront at every position of the field.",
@@ -48,10 +49,38 @@ def _common(
         raise typer.Exit
 
 
+_ANALYSES = {  # commands whose files are loaded when they run, with the first sentence of their help
+    "export": "Convert a recording for other programs.",
+    "report": "Summarise a recording on three pages.",
+    "layers": "Find at which distance the aberration originates.",
+    "corrector": "Tell what one corrector could do, over its distance.",
+    "field": "Map the coefficients of a wavefront over the field, with errors.",
+    "deconvolve": "Deconvolve an image by the measured aberration of each field position.",
+}
+
+
+class _LazyCommand(OnceCommand):
+    """Command whose file is loaded when more than its first sentence is needed."""
+
+    def __init__(self, **known: Any) -> None:
+        super().__init__(**known)
+        del self.params, self.callback
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in {"params", "callback"}:
+            raise AttributeError(name)
+        function = getattr(import_module(f"app.commands.{self.name}"), str(self.name))
+        made = get_command_from_info(
+            CommandInfo(callback=function), pretty_exceptions_short=False, rich_markup_mode=None
+        )
+        self.params, self.callback, self.help = made.params, made.callback, made.help
+        return getattr(made, name)
+
+
 # in the order of the help
 for command in (live, measure, serve, recover, replay, batch):
     cli.command(cls=OnceCommand)(command)
-for name, (_, sentence) in ANALYSES.items():
-    cli.command(name, cls=AnalysisCommand, help=sentence)(lambda: None)
+for name, sentence in _ANALYSES.items():
+    cli.command(name, cls=_LazyCommand, help=sentence)(lambda: None)
 for other in (calibrate, simulate, mask, devices, light_off, desktop, selftest, study, paper, benchmark, reconstruct):
     cli.command(cls=OnceCommand)(other)

@@ -15,7 +15,6 @@ from app.bench.presets import PRESETS
 from app.errors import InputError
 from app.files import atomic_write, check_outputs, check_readable, check_suffix, require_suffix
 from app.measurement.averages import AVERAGED_FRAMES
-from app.results import analysis
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,9 +46,17 @@ Attach = Annotated[
     bool, typer.Option("--attach", help="Use the instrument that runs already, in place of devices of a bench.")
 ]
 Instrument = Annotated[str, typer.Option("--name", metavar="NAME", help="Name of the instrument.")]
-Set = analysis.Set
-Frames = analysis.Frames
-RecordingFolder = analysis.RecordingFolder
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the bench, as registration.warp=affine."),
+]
+Frame = Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")]
+Frames = Annotated[
+    str | None,
+    typer.Option(metavar="FIRST:END", help="Only these frames, counted from 0; END is excluded; -10: is the last 10."),
+]
+RecordingFolder = Annotated[Path, typer.Argument(metavar="recording", help="Folder of a recording.")]
+RunOrResult = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]
 Plot = Annotated[Path | None, typer.Option(help="Picture of the result: PNG, PDF or SVG.")]
 Seeds = Annotated[int, typer.Option(min=1, max=1000, help="Number of screens, starting at the bench's seed.")]
 
@@ -94,6 +101,13 @@ def files_of_bench(bench: str, loaded: config.Bench) -> tuple[Path, ...]:
     return (bench_file(bench), *loaded.files)
 
 
+def check_recording(folder: Path) -> None:
+    """Refuse a folder without a recording, before anything is loaded that takes seconds."""
+    from app.recording.folder import read_run
+
+    read_run(folder)
+
+
 def check_images(*images: Path | None) -> None:
     """Raise `InputError` if one of these files cannot be read."""
     for image in filter(None, images):
@@ -123,7 +137,7 @@ def check_files(
         require_suffix(plot, *PICTURES, kind="picture's name")
 
 
-def draw(plot: Path | None, figure: Callable[[], Figure], *, dpi: int = analysis.Analysis.picture_dpi) -> None:
+def draw(plot: Path | None, figure: Callable[[], Figure], *, dpi: int = 150) -> None:
     """Make a figure of the result and write it, if a picture is wanted."""
     if plot is not None:
         with atomic_write(plot) as temporary:

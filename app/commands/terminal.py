@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.errors import InputError
+from app.errors import InputError, Interrupted
 from app.progress import LINE_START, LINES
 
 if TYPE_CHECKING:
@@ -48,6 +48,20 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("starting", total=1.0)
         yield lambda text, fraction: progress.update(task, description=text or "waiting", completed=fraction)
+
+
+@contextmanager
+def analysing(source: Path, out: Path) -> Iterator[Callable[[str, float], None]]:
+    """Show a progress bar while `source` is analysed, and name it, or the file `out`, in errors."""
+    from reconstruction.errors import ReconstructionError
+
+    try:
+        with progress_bar() as progress:
+            yield progress
+    except ReconstructionError as error:
+        raise InputError(f"{source}: {error}") from error
+    except Interrupted:
+        raise Interrupted(f"interrupted: {out} is not written") from None
 
 
 def print_sentence(text: str) -> None:

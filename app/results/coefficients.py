@@ -5,19 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
-import typer
 
-from app.bench.config import Bench
 from app.errors import InputError
-from app.files import write_csv
-from app.progress import Progress
-from app.results.analysis import Analysis, Frame
 from app.results.result_file import about
-from app.results.sources import measured, read_fit
+from app.results.sources import measured
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_coefficients import FieldCoefficients, ModalFit, fit_coefficients
@@ -33,7 +27,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase
 
 _MOST_MODES = 36  # all up to degree 7
-MAP_ACROSS = 21  # positions across the field
+MAP_ACROSS = 21  # positions across the field, unless another number is chosen
+FIELD_BASIS: PupilBasis = "zernike"  # unless another is chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,94 +98,8 @@ def _apply(fit: Floats, phases: Floats) -> Floats:
     return np.asarray(np.nan_to_num(phases.reshape(len(phases), -1)) @ fit.T)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FieldMaps(Analysis):
-    """Map the coefficients of a wavefront over the field, with errors.
-
-    This is a full-field display: how much defocus, astigmatism, coma ... there is at each field position. The same
-    wavefront is written as double Zernike coefficients in GalSim's convention. Error bars from a results file
-    neglect correlations. See docs/field.md.
-
-    Example: svwfs field run1 --out field.nc --plot field.png
-
-    Example: svwfs field run1 --order 4 --positions 5 --out table.csv
-
-    Example: svwfs field result.nc --mode 5 --mode 6 --out field.nc --plot astigmatism.png
-    """
-
-    file_help: ClassVar = "NetCDF file for maps and double Zernikes, or .csv for a table of field positions."
-    suffixes: ClassVar = (".nc", ".csv")
-    needs_suffix: ClassVar = True
-    picture_dpi: ClassVar = 130
-
-    basis: Annotated[
-        PupilBasis, typer.Option(help="Modes of the pupil, see docs/field.md; zernike gives double Zernikes, too.")
-    ] = "zernike"
-    order: Annotated[
-        int | None, typer.Option(min=1, help="Highest degree of the pupil modes; that of the result if omitted.")
-    ] = None
-    field_order: Annotated[
-        int | None, typer.Option(min=0, help="Highest order of double Zernikes over the field; all if omitted.")
-    ] = None
-    positions: Annotated[int, typer.Option(min=1, max=501, help="Field positions along each side.")] = MAP_ACROSS
-    frame: Frame = 0
-    mode: Annotated[
-        list[int] | None, typer.Option(metavar="N", help="Mode in the picture, repeatable; the strongest if omitted.")
-    ] = None
-
-    def __post_init__(self) -> None:
-        if self.field_order is not None and self.basis != "zernike":
-            raise InputError(f"--field-order is that of double Zernikes: leave it out with --basis {self.basis}")
-
-    def compute(self, source: Path, progress: Progress) -> tuple[Bench, xr.Dataset]:
-        """Return coefficients over the field, Zernike coefficients also as double Zernikes."""
-        progress("reconstructing the frame", 0.0)
-        bench, fit = read_fit(source, self.frame)
-        found = fit_coefficients(fit, self.basis, self.order)
-        maps = field_dataset(found, bench.sensor, bench.field, positions=self.positions, field_order=self.field_order)
-        first, last = (int(maps["mode"].values[at]) for at in (0, -1))
-        for number in self.mode or ():
-            if not first <= number <= last:
-                raise InputError(f"--mode {number}: the {self.basis} modes of this result are {first} ... {last}")
-        return bench, maps
-
-    def draw(self, found: xr.Dataset) -> Figure:
-        """Draw the chosen modes, or the strongest."""
-        from matplotlib.figure import Figure
-
-        modes = self.mode or strongest(found)
-        figure = Figure(figsize=(4.4 * min(_PAIRS, len(modes)), 2.9 * -(-len(modes) // _PAIRS)), layout="constrained")
-        draw_field(figure, found, modes)
-        return figure
-
-    def sentences(self, found: xr.Dataset) -> list[str]:
-        """Say the strongest coefficients, as mean and range over the field."""
-        lines = []
-        for number in strongest(found):
-            of_mode = found.sel(mode=number)
-            values, sigma = of_mode["coefficient"], float(of_mode["coefficient_sigma"].mean())
-            lines.append(
-                f"{of_mode['name'].item()}: mean {float(values.mean()):+.3f} rad,"
-                f" {float(values.min()):+.3f} ... {float(values.max()):+.3f} over the field, error {sigma:.2g} rad"
-            )
-        if (share := found.attrs["known_share"]) < 1:
-            lines.append(f"{100 * (1 - share):.0f} % of the lenslets in the pupil are unknown: the modes bridge them")
-        return lines
-
-    def write(self, found: xr.Dataset, bench: Bench, source: Path, out: Path) -> None:
-        """Write the dataset, or a table of field positions."""
-        if out.suffix.lower() == ".csv":
-            write_csv(out, *table_of(found))
-        else:
-            Analysis.write(self, found, bench, source, out)
-
-
 def field_coefficients(
-    wavefront: Wavefront,
-    basis: PupilBasis = FieldMaps.basis,
-    *,
-    order: int | None = None,
-    positions: int = FieldMaps.positions,
+    wavefront: Wavefront, basis: PupilBasis = FIELD_BASIS, *, order: int | None = None, positions: int = MAP_ACROSS
 ) -> xr.Dataset:
     """Map the coefficients of a wavefront over the field, with double Zernikes (docs/field.md).
 
@@ -305,6 +214,30 @@ def strongest(maps: xr.Dataset, count: int = STRONGEST) -> list[int]:
     """Return the numbers of the modes with the largest RMS over the field, the largest first."""
     mean_square = (maps["coefficient"] ** 2).mean(("y", "x")).values
     return [int(number) for number in maps["mode"].values[np.argsort(-mean_square)[:count]]]
+
+
+def coefficient_sentences(maps: xr.Dataset) -> list[str]:
+    """Say the strongest coefficients, as mean and range over the field."""
+    lines = []
+    for number in strongest(maps):
+        of_mode = maps.sel(mode=number)
+        values, sigma = of_mode["coefficient"], float(of_mode["coefficient_sigma"].mean())
+        lines.append(
+            f"{of_mode['name'].item()}: mean {float(values.mean()):+.3f} rad,"
+            f" {float(values.min()):+.3f} ... {float(values.max()):+.3f} over the field, error {sigma:.2g} rad"
+        )
+    if (share := maps.attrs["known_share"]) < 1:
+        lines.append(f"{100 * (1 - share):.0f} % of the lenslets in the pupil are unknown: the modes bridge them")
+    return lines
+
+
+def field_figure(maps: xr.Dataset, modes: Sequence[int]) -> Figure:
+    """Return the figure of these modes, see `draw_field`."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.4 * min(_PAIRS, len(modes)), 2.9 * -(-len(modes) // _PAIRS)), layout="constrained")
+    draw_field(figure, maps, modes)
+    return figure
 
 
 def draw_field(figure: FigureBase, maps: xr.Dataset, modes: Sequence[int]) -> None:

@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import typer
 from numpy.typing import NDArray
 
 from app.bench.config import Bench, as_bench
 from app.errors import InputError
-from app.files import atomic_write, require_suffix
+from app.files import atomic_write
 from app.images import fits_file
 from app.measurement.measurement import Measurement
-from app.progress import Progress, between
 from app.results import layers
-from app.results.analysis import Analysis, Frames, From, Origin
 from app.results.result_file import about
-from app.results.sources import mean_wavefront, phase_of, read_bench_of
+from app.results.sources import phase_of
 from reconstruction.arrays import Floats
 from reconstruction.layers.corrector import Correction, Corrector, Influence, best_correction, field_positions_m
 from reconstruction.wavefront import Wavefront, rms
@@ -32,116 +28,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PHASE_FORMATS = (".npy", ".fits", ".png")
+DEFAULT = Corrector("zernike", 45)
 _SHARES = np.linspace(-0.95, 0.95, 77)  # ratio / (1 + |ratio|) of the correctors compared
 _GREY = 256  # levels of a wrapped phase
 _REFINED = 0.02  # about the best of them
-_READING = 0.7  # share of the work
-
-
-@dataclass(frozen=True, kw_only=True)
-class BestCorrector(Analysis):
-    """Tell what one corrector could do, over its distance.
-
-    A corrector conjugate to some distance adds the same phase to every ray that meets it there. For each distance its
-    best command is found, and what it leaves over the field. The mean wavefront of the frames is corrected. See
-    docs/layers.md.
-
-    Example: svwfs corrector run1 --out corrector.nc --plot corrector.png
-
-    Example: svwfs corrector result.nc --distance 0.195 --out c.nc --command slm.png --pixels 1024
-    """
-
-    file_help: ClassVar = "NetCDF file for residuals and command."
-
-    modes: Annotated[Influence, typer.Option(help="Shapes that the corrector can take.")] = "zernike"
-    count: Annotated[int, typer.Option(min=2, help="Number of modes with the piston, or of actuators.")] = 45
-    distance: Annotated[
-        float | None, typer.Option(metavar="M", help="Distance of the corrector (m); the best one if omitted.")
-    ] = None
-    origin: From = layers.Layers.origin
-    command: Annotated[
-        Path | None,
-        typer.Option(help="Phase map of the best command: .npy or .fits in rad, or .png wrapped at 2 pi, 8 bit."),
-    ] = None
-    pixels: Annotated[int, typer.Option(min=2, max=8192, help="Pixels of the map's longer side.")] = 512
-    frames: Frames = None
-
-    def __post_init__(self) -> None:
-        try:
-            Corrector(self.modes, self.count)
-        except ValueError as error:
-            raise InputError(f"--count: {error}") from error
-
-    def more_files(self, source: Path) -> tuple[Iterable[Path], Iterable[Path]]:  # noqa: ARG002 - as in `Analysis`
-        """Return the file of the command as output."""
-        if self.command is None:
-            return (), ()
-        require_suffix(self.command, *PHASE_FORMATS)
-        return (), (self.command,)
-
-    def compute(self, source: Path, progress: Progress) -> tuple[Bench, xr.Dataset]:
-        """Return residuals over the distance, and the command of the chosen corrector."""
-        bench = read_bench_of(source)
-        if self.distance is not None:
-            layers.ratio_at(self.distance, self.origin, bench)  # refuses a wrong one before the frames are read
-        phase_at = mean_wavefront(source, bench, self.frames, between(progress, 0, _READING))
-        corrector = Corrector(self.modes, self.count)
-        try:
-            found, chosen = compare_correctors(phase_at, bench, corrector, at_m=self.distance, origin=self.origin)
-        except ValueError as error:
-            raise InputError(f"{source}: {error}") from error
-        if self.command is not None:  # for `write`
-            found = found.assign(map=(("row", "column"), chosen.phase_map(self.pixels)[2]))
-        return bench, found
-
-    def draw(self, found: xr.Dataset) -> Figure:
-        """Draw the residual over the distance, and over the field."""
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(10.5, 4.2), layout="constrained")
-        left, right = figure.subplots(1, 2, width_ratios=[1.5, 1])
-        left.plot(found["distance"] * 1e3, found["residual"], color="#35739f", marker=".")
-        origin, at_m = found.attrs["distances_from"], float(found["corrector_distance_m"])
-        residual = float(found["corrector_residual"])
-        label = f"{layers.distance_in_words(at_m, np.nan, origin)}: {residual:.2g} rad"
-        left.plot([at_m * 1e3], [residual], "o", color="#d1495b", label=label)
-        uncorrected = float(found["uncorrected"])
-        label = f"uncorrected: {uncorrected:.2g} rad"
-        left.axhline(uncorrected, color="0.5", linewidth=0.8, linestyle="--", label=label)
-        title = f"Best command of {found.attrs['shapes']} {found.attrs['influence']} shapes"
-        left.set(ylabel="residual over the field (rad RMS)", title=title)
-        layers.set_distance_axes(left, found, found["corrector_distance_m"].values)
-        left.legend()
-        shown = right.scatter(
-            found["field_x"] * 1e3, found["field_y"] * 1e3, c=found["field_residual"], s=160, marker="s", vmin=0
-        )
-        right.set(xlabel="field x (mm)", ylabel="field y (mm)", aspect="equal", title="Residual (rad RMS)")
-        right.invert_yaxis()  # +y down, as on the camera
-        figure.colorbar(shown, ax=right)
-        return figure
-
-    def sentences(self, found: xr.Dataset) -> list[str]:
-        """Say what correctors leave at the pupil and at the chosen distance, and what is there without one."""
-        origin, residual = found.attrs["distances_from"], found["residual"].values
-        at_pupil = residual[np.argmin(np.abs(found["distance"].values)) if origin == "lenslets" else -1]
-        place = layers.distance_in_words(float(found["corrector_distance_m"]), np.nan, origin)
-        pupil = f"one corrector at the pupil leaves {at_pupil:.2g} of {float(found['uncorrected']):.2g} rad RMS"
-        strehl = f"Strehl {float(found['field_strehl'].mean()):.2f}"
-        return [f"{pupil}; {place}, {float(found['corrector_residual']):.2g} rad ({strehl})"]
-
-    def write(self, found: xr.Dataset, bench: Bench, source: Path, out: Path) -> None:
-        """Write the results, and the phase map of the command."""
-        Analysis.write(self, found.drop_vars("map", errors="ignore"), bench, source, out)
-        if self.command is not None:
-            write_phase(self.command, found["map"].values)
 
 
 def find_corrector(
     source: Wavefront | str | Path,
     bench: Bench,
     *,
-    modes: Influence = BestCorrector.modes,
-    count: int = BestCorrector.count,
+    modes: Influence = DEFAULT.influence,
+    count: int = DEFAULT.count,
     distance_m: float | None = None,
 ) -> xr.Dataset:
     """Find what a corrector at each conjugate distance leaves, and its best command (docs/layers.md).
@@ -190,7 +88,7 @@ def compare_correctors(
     corrector: Corrector,
     *,
     at_m: float | None,
-    origin: Origin,
+    origin: layers.Origin,
 ) -> tuple[xr.Dataset, Correction]:
     """Find the best commands of correctors at every distance; choose the best one, or that at `at_m`.
 
@@ -252,6 +150,43 @@ def compare_correctors(
     return found, made
 
 
+def corrector_sentence(found: xr.Dataset) -> str:
+    """Say what correctors leave at the pupil and at the chosen distance, and what is there without one."""
+    origin, residual = found.attrs["distances_from"], found["residual"].values
+    at_pupil = residual[np.argmin(np.abs(found["distance"].values)) if origin == "lenslets" else -1]
+    place = layers.distance_in_words(float(found["corrector_distance_m"]), np.nan, origin)
+    pupil = f"one corrector at the pupil leaves {at_pupil:.2g} of {float(found['uncorrected']):.2g} rad RMS"
+    strehl = f"Strehl {float(found['field_strehl'].mean()):.2f}"
+    return f"{pupil}; {place}, {float(found['corrector_residual']):.2g} rad ({strehl})"
+
+
+def draw_corrector(found: xr.Dataset) -> Figure:
+    """Draw the residual over the distance, and over the field."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[1.5, 1])
+    left.plot(found["distance"] * 1e3, found["residual"], color="#35739f", marker=".")
+    origin, at_m = found.attrs["distances_from"], float(found["corrector_distance_m"])
+    residual = float(found["corrector_residual"])
+    label = f"{layers.distance_in_words(at_m, np.nan, origin)}: {residual:.2g} rad"
+    left.plot([at_m * 1e3], [residual], "o", color="#d1495b", label=label)
+    uncorrected = float(found["uncorrected"])
+    label = f"uncorrected: {uncorrected:.2g} rad"
+    left.axhline(uncorrected, color="0.5", linewidth=0.8, linestyle="--", label=label)
+    title = f"Best command of {found.attrs['shapes']} {found.attrs['influence']} shapes"
+    left.set(ylabel="residual over the field (rad RMS)", title=title)
+    layers.set_distance_axes(left, found, found["corrector_distance_m"].values)
+    left.legend()
+    shown = right.scatter(
+        found["field_x"] * 1e3, found["field_y"] * 1e3, c=found["field_residual"], s=160, marker="s", vmin=0
+    )
+    right.set(xlabel="field x (mm)", ylabel="field y (mm)", aspect="equal", title="Residual (rad RMS)")
+    right.invert_yaxis()  # +y down, as on the camera
+    figure.colorbar(shown, ax=right)
+    return figure
+
+
 def _corrections(made_at: Callable[[float], Correction], ratio: float | None) -> tuple[list[Correction], Correction]:
     """Corrections in the order of their ratios, and the best of them, or that at the given `ratio`."""
 
@@ -286,7 +221,7 @@ def wrapped(phase_rad: Floats) -> NDArray[np.uint8]:
     return np.asarray(np.rint(np.mod(phase_rad, 2 * math.pi) / (2 * math.pi) * _GREY) % _GREY, np.uint8)
 
 
-def find_shown_correctors(measurement: Measurement, origin: Origin, corrector: Corrector) -> xr.Dataset | str:
+def find_shown_correctors(measurement: Measurement, origin: layers.Origin, corrector: Corrector) -> xr.Dataset | str:
     """Compare correctors at every distance; return the problem if there are none."""
     calibration, wavefront = measurement.calibration, measurement.wavefront
     if calibration is None or wavefront is None:

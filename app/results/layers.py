@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import typer
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.cache import kept_while_alive
 from app.errors import InputError
 from app.progress import Progress
-from app.results.analysis import Analysis, Frame, From, Origin
 from app.results.result_file import about
 from app.results.sources import measured, measured_frame
 from reconstruction.arrays import Floats
@@ -35,95 +32,12 @@ if TYPE_CHECKING:
     from reconstruction.pipeline import Reconstructor
     from reconstruction.wavefront import Wavefront
 
-_MOST = 2  # layers
-
-
-@dataclass(frozen=True, kw_only=True)
-class Layers(Analysis):
-    """Find at which distance the aberration originates.
-
-    A thin layer shifts over the wavefront from one field position to the next, in proportion to its distance. The
-    displacements of one frame give the distance of a layer, its phase map with error bars, and whether one layer, or
-    two, explain them. A recording is more accurate than a results file, which no longer holds the reference. See
-    docs/layers.md.
-
-    Example: svwfs layers run1 --out layers.nc --plot layers.png
-
-    Example: svwfs layers run1 --layers 2 --from mask --out layers.nc
-    """
-
-    file_help: ClassVar = "NetCDF file for distances, phase maps and misfit."
-
-    count: Annotated[int, typer.Option("--layers", min=1, max=_MOST, help="Number of layers to look for.")] = 1
-    distance: Annotated[
-        list[float] | None, typer.Option(metavar="M", help="Known distance of a layer (m); repeat it for two layers.")
-    ] = None
-    origin: From = "lenslets"
-    frame: Frame = 0
-
-    def __post_init__(self) -> None:
-        given = self.distance or ()
-        if len(given) > _MOST:
-            raise InputError("give at most two distances")
-        if len(set(given)) < len(given):
-            raise InputError("two layers need two different distances")
-        if self.count == _MOST and len(given) == 1:
-            raise InputError("two layers need two distances, or none")
-
-    def compute(self, source: Path, progress: Progress) -> tuple[Bench, xr.Dataset]:
-        """Return distances, phase maps and what explains the displacements."""
-        progress("reconstructing the frame", 0.0)
-        bench, equations = measured_frame(source, self.frame)
-        ratios = tuple(ratio_at(distance_m, self.origin, bench) for distance_m in self.distance or ())
-        progress("finding the layers", 0.3)
-        return bench, layers_dataset(search_layers(equations, self.count, at=ratios), bench, self.origin)
-
-    def draw(self, found: xr.Dataset) -> Figure:
-        """Draw the misfit over the distance, and phase and error of each layer."""
-        from matplotlib.figure import Figure
-
-        from app.results.figures import draw_map
-
-        layers = found.sizes["layer"]
-        figure = Figure(figsize=(9.6, 3.2 + 3.6 * layers), layout="constrained")
-        (top,), (bottom,) = figure.subfigures(2, 1, squeeze=False, height_ratios=[1, 1.3 * layers])
-        _draw_curve(top.subplots(), found)
-        for layer, (phase, sigma) in enumerate(bottom.subplots(layers, 2, squeeze=False)):
-            of_layer = found.isel(layer=layer)
-            where = distance_in_words(float(of_layer["distance_m"]), np.nan, found.attrs["distances_from"])
-            values, limit = centred(of_layer["layer_phase"].values)
-            centred_phase = of_layer["layer_phase"].copy(data=values)
-            draw_map(phase, centred_phase, f"phase, {where}", "RdBu_r", (-limit, 0.0, limit))
-            phase.set(xlabel="x on the layer (mm)", ylabel="y (mm)")
-            sigmas = of_layer["layer_phase_sigma"]
-            draw_map(sigma, sigmas, "standard deviation", "viridis", (0.0, float(np.nanpercentile(sigmas, 98))))
-        return figure
-
-    def sentences(self, found: xr.Dataset) -> list[str]:
-        """Say the distances, and what explains the displacements."""
-        origin = found.attrs["distances_from"]
-        at = zip(found["distance_m"].values, found["distance_sigma_m"].values, strict=True)
-        lines = ["layer " + distance_in_words(*each, origin).replace("\N{PLUS-MINUS SIGN}", "+-") for each in at]
-        if found.attrs["verdict"].startswith("nothing"):
-            lines = []
-        shares = [float(f"{100 * misfit:.2g}") for misfit in found["model_misfit"].values]
-        chi_squares = found["model_chi_square"].values
-        for name, share, chi_square in zip(found["model"].values, shares, chi_squares, strict=True):
-            reduced = "below 0.01" if chi_square < 0.005 else f"{chi_square:.2f}"
-            is_smoothed = name == "any wavefront" and share > min(shares)
-            smoothed = "; layers leave less, because this fit is smoothed" * is_smoothed
-            unexplained = f"{share:g} % of the displacements unexplained"
-            lines.append(f"{name}: {unexplained}, reduced chi-square {reduced}{smoothed}")
-        lines.append("; but ".join(filter(None, (f"verdict: {found.attrs['verdict']}", found.attrs["doubt"]))))
-        return [f"frame {self.frame}: {lines[0]}", *lines[1:]]
+Origin = Literal["lenslets", "mask"]  # where distances are measured from
+COUNT = 1  # of layers to look for, unless another is chosen
 
 
 def find_layers(
-    reconstructor: BenchReconstructor,
-    wavefront: Wavefront,
-    count: int = Layers.count,
-    *,
-    distances_m: tuple[float, ...] = (),
+    reconstructor: BenchReconstructor, wavefront: Wavefront, count: int = COUNT, *, distances_m: tuple[float, ...] = ()
 ) -> xr.Dataset:
     """Find at which distance from the lenslets the aberration originates (docs/layers.md).
 
@@ -161,6 +75,44 @@ def find_layers(
     ratios = tuple(ratio_at(distance_m, "lenslets", reconstructor.bench) for distance_m in distances_m)
     found = search_layers(reconstructor.layers(measured(wavefront)), count, at=ratios)
     return layers_dataset(found, reconstructor.bench, "lenslets")
+
+
+def layers_of_frame(
+    source: Path,
+    frame: int,
+    *,
+    count: int = COUNT,
+    distances_m: Iterable[float] = (),
+    origin: Origin = "lenslets",
+    progress: Progress = lambda *_: None,
+) -> tuple[Bench, xr.Dataset]:
+    """Find layers in one frame, counted from 0, of a recording or a results file; see `find_layers`.
+
+    Distances, given ones included, are measured from the `origin`. Returns the bench, too.
+    """
+    progress("reconstructing the frame", 0.0)
+    bench, equations = measured_frame(source, frame)
+    ratios = tuple(ratio_at(distance_m, origin, bench) for distance_m in distances_m)
+    progress("finding the layers", 0.3)
+    return bench, layers_dataset(search_layers(equations, count, at=ratios), bench, origin)
+
+
+def layer_sentences(found: xr.Dataset) -> list[str]:
+    """Say the distances, and what explains the displacements."""
+    origin = found.attrs["distances_from"]
+    at = zip(found["distance_m"].values, found["distance_sigma_m"].values, strict=True)
+    lines = ["layer " + distance_in_words(*each, origin).replace("\N{PLUS-MINUS SIGN}", "+-") for each in at]
+    if found.attrs["verdict"].startswith("nothing"):
+        lines = []
+    shares = [float(f"{100 * misfit:.2g}") for misfit in found["model_misfit"].values]
+    chi_squares = found["model_chi_square"].values
+    for name, share, chi_square in zip(found["model"].values, shares, chi_squares, strict=True):
+        reduced = "below 0.01" if chi_square < 0.005 else f"{chi_square:.2f}"
+        is_smoothed = name == "any wavefront" and share > min(shares)
+        smoothed = "; layers leave less, because this fit is smoothed" * is_smoothed
+        unexplained = f"{share:g} % of the displacements unexplained"
+        lines.append(f"{name}: {unexplained}, reduced chi-square {reduced}{smoothed}")
+    return [*lines, "; but ".join(filter(None, (f"verdict: {found.attrs['verdict']}", found.attrs["doubt"])))]
 
 
 MAP_POINTS = 129  # of a phase map along its longer axis
@@ -332,6 +284,28 @@ def set_distance_axes(axes: Axes, found: xr.Dataset, found_m: Floats) -> None:
     origin = found.attrs["distances_from"]
     low_m, high_m = shown_range_m(found_m, found["distance"].values, origin)
     axes.set(xlim=(1e3 * low_m, 1e3 * high_m), ylim=(0, None), xlabel=axis_label(origin))
+
+
+def draw_layers(found: xr.Dataset) -> Figure:
+    """Draw the misfit over the distance, and phase and error of each layer."""
+    from matplotlib.figure import Figure
+
+    from app.results.figures import draw_map
+
+    layers = found.sizes["layer"]
+    figure = Figure(figsize=(9.6, 3.2 + 3.6 * layers), layout="constrained")
+    (top,), (bottom,) = figure.subfigures(2, 1, squeeze=False, height_ratios=[1, 1.3 * layers])
+    _draw_curve(top.subplots(), found)
+    for layer, (phase, sigma) in enumerate(bottom.subplots(layers, 2, squeeze=False)):
+        of_layer = found.isel(layer=layer)
+        where = distance_in_words(float(of_layer["distance_m"]), np.nan, found.attrs["distances_from"])
+        values, limit = centred(of_layer["layer_phase"].values)
+        centred_phase = of_layer["layer_phase"].copy(data=values)
+        draw_map(phase, centred_phase, f"phase, {where}", "RdBu_r", (-limit, 0.0, limit))
+        phase.set(xlabel="x on the layer (mm)", ylabel="y (mm)")
+        sigmas = of_layer["layer_phase_sigma"]
+        draw_map(sigma, sigmas, "standard deviation", "viridis", (0.0, float(np.nanpercentile(sigmas, 98))))
+    return figure
 
 
 def _draw_curve(axes: Axes, found: xr.Dataset) -> None:

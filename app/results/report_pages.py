@@ -16,10 +16,12 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from app.files import atomic_write
-from app.progress import Progress
+from app.progress import Progress, between, part
+from app.recording.reader import Recording
 from app.results.coefficients import MAP_ACROSS, coefficient_maps, draw_field, evenly_spread, strongest
 from app.results.figures import draw_curves, draw_maps, place_of_view, show_grey
-from app.results.report_summary import Fact, Residual, Statistics, Summary, facts
+from app.results.replay import change_of
+from app.results.report_summary import Fact, Residual, Statistics, Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
@@ -250,9 +252,31 @@ def draw_comparison(figure: FigureBase, residual: Residual) -> None:
 
 
 _PNG_DPI = 110
+_RECONSTRUCTED = 0.8  # share of the work that comes before the pages
 
 
-def write_pages(out: Path, summary: Summary, residual: Residual | None, progress: Progress) -> None:
+def write_report(
+    folder: Path,
+    out: Path,
+    *,
+    frames: str | None = None,
+    settings: tuple[str, ...] = (),
+    beside: Path | None = None,
+    progress: Progress = lambda *_: None,
+) -> tuple[Summary, Residual | None]:
+    """Write the report of a recording as PDF or PNG; return what is in it.
+
+    `frames` and changed `settings` are those of the first recording; `beside` is subtracted from it.
+    """
+    recordings = [Recording(each) for each in (folder, beside) if each is not None]
+    parts = [part(between(progress, 0, _RECONSTRUCTED), index, len(recordings)) for index in range(len(recordings))]
+    summary = summarise(recordings[0], frames, parts[0], change=change_of(None, settings))
+    residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, parts[1]))
+    _write_pages(out, summary, residual, between(progress, _RECONSTRUCTED, 1))
+    return summary, residual
+
+
+def _write_pages(out: Path, summary: Summary, residual: Residual | None, progress: Progress) -> None:
     """Write the pages as PDF, or one below the other as PNG (atomic)."""
     drawn: list[Page] = [partial(draw_overview, summary=summary)]
     if (stats := summary.statistics) is not None:

@@ -10,7 +10,7 @@ from app.gui.widgets.buttons import Choice
 from app.gui.widgets.distance_plot import DistancePlot, origin_choice
 from app.gui.widgets.layouts import column, row
 from app.gui.widgets.texts import ElidedLabel
-from app.results.corrector import BestCorrector, find_shown_correctors
+from app.results.corrector import DEFAULT, corrector_sentence, find_shown_correctors
 from reconstruction.layers.corrector import Corrector
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class CorrectorPanel(Panel):
         super().__init__(shown)
         choices = [(_name(one), one) for one in _CORRECTORS]
         self.corrector = Choice("Shapes that the corrector can take over its footprint", choices)
-        self.corrector.setCurrentIndex(_CORRECTORS.index(Corrector(BestCorrector.modes, BestCorrector.count)))
+        self.corrector.setCurrentIndex(_CORRECTORS.index(DEFAULT))
         self.origin = origin_choice()
         keys = (("best command", theme.ACCENT), ("best distance", theme.AMBER), ("no corrector", theme.DIM))
         about = (
@@ -68,7 +68,7 @@ class CorrectorPanel(Panel):
         distance_m, residual_rad = found["distance"].values, found["residual"].values
         self.plot.show_curve(distance_m, residual_rad, without_rad, at_m, found.attrs["distances_from"])
         self.plot.mark(at_m)
-        (text,) = BestCorrector().sentences(found)
+        text = corrector_sentence(found)
         self.sentence.setText(text[0].upper() + text[1:])
 
 

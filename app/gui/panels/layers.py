@@ -17,8 +17,8 @@ from app.gui.widgets.layouts import column, row
 from app.gui.widgets.presentation import AdaptiveScale, diverging, number, signed
 from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
-from app.results.analysis import Origin
 from app.results.layers import (
+    Origin,
     distance_in_words,
     distance_m,
     distance_range_m,

@@ -9,8 +9,7 @@ from PyQt6.QtGui import QColor
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice
 from app.gui.widgets.plot import Plot
-from app.results.analysis import Origin
-from app.results.layers import axis_label, shown_range_m
+from app.results.layers import Origin, axis_label, shown_range_m
 from reconstruction.arrays import Floats
 
 

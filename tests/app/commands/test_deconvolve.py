@@ -18,7 +18,7 @@ from app.errors import InputError, Interrupted
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
 from app.results.dataset import result_dataset, results_in_pieces
-from app.results.deconvolution import Deconvolution
+from app.results.deconvolution import write_corrected
 from app.results.result_file import open_results, write_results
 from app.results.sources import mean_wavefront, read_bench_of
 
@@ -48,8 +48,7 @@ def test_second_page_is_white_where_the_image_is_corrected(tmp_path: Path) -> No
     image, attributes = np.arange(6, dtype=np.float32).reshape(2, 3), {"iterations": 3, "chi_square": 1.1}
     pixels = ("row", "column")
     found = xr.Dataset({"image": (pixels, image), "inside": (pixels, inside)}, attrs=attributes)
-    chosen = Deconvolution(image=Path("cells.tif"))
-    chosen.write(found, load_bench("small_demo"), Path("result.nc"), tmp_path / "corrected.tif")
+    write_corrected(tmp_path / "corrected.tif", found, {})
     np.testing.assert_array_equal(tifffile.imread(tmp_path / "corrected.tif", key=0), image)
     np.testing.assert_array_equal(tifffile.imread(tmp_path / "corrected.tif", key=1), [[255, 255, 0], [0, 255, 0]])
 

@@ -22,8 +22,7 @@ from app.gui.shell.main_window import MainWindow
 from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement
-from app.results.analysis import Origin
-from app.results.layers import find_shown_layers
+from app.results.layers import Origin, find_shown_layers
 from simulated_devices.sample import make_sample
 
 DISTANCE_M = 0.195  # of the screen in small_demo

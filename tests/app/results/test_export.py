@@ -25,7 +25,7 @@ from app.images import write_stack
 from app.progress import Progress
 from app.recording.reader import Recording
 from app.results import dataset
-from app.results.export import Export, Format
+from app.results.export import Format, export_recording
 from app.results.point_spread import psf_grid, psf_reach, write_psf_grid
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import diffraction_rad
@@ -49,7 +49,7 @@ def zonal(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recordi
 def exported(
     recording: Recording, to: Format, out: Path, frames: str | None = None, progress: Progress = lambda *_: None
 ) -> Path:
-    Export(to=to, frames=frames).run(recording.folder, out, progress)
+    export_recording(recording.folder, to, out, frames, progress)
     return out
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import subprocess
 import sys
 from collections.abc import Callable
@@ -19,14 +18,15 @@ from app.bench.config import load_bench
 from app.errors import InputError
 from app.evaluation.frames import simulate
 from app.measurement.bench_reconstructor import BenchReconstructor
-from app.results.analysis import ANALYSES, Origin, load_analysis
-from app.results.corrector import BestCorrector, compare_correctors, wrapped, write_phase
+from app.results.corrector import compare_correctors, corrector_sentence, draw_corrector, wrapped, write_phase
 from app.results.layers import (
-    Layers,
+    Origin,
     centred,
     distance_m,
     distances_and_sigma_m,
+    draw_layers,
     layer_maps,
+    layer_sentences,
     layers_dataset,
     ratio_at,
     shown_range_m,
@@ -76,14 +76,14 @@ def test_layer_is_found(recording: Path, tmp_path: Path, monkeypatch: pytest.Mon
         assert found["distance_m"].values == pytest.approx([DISTANCE_M], rel=0.02)
         assert 1e-4 < found["distance_sigma_m"].item() < 0.01
         assert (found.attrs["verdict"], found.attrs["doubt"]) == ("one layer", "")
-        assert Layers().sentences(found)[-1] == "verdict: one layer"
-        tiny = Layers().sentences(found.assign(model_chi_square=0 * found["model_chi_square"] + 0.001))
+        assert layer_sentences(found)[-1] == "verdict: one layer"
+        tiny = layer_sentences(found.assign(model_chi_square=0 * found["model_chi_square"] + 0.001))
         assert "reduced chi-square below 0.01" in tiny[-2]
         for factor in (0.5, 2.0):
             misfits = found["model_misfit"].where(found["model"] == "any wavefront", factor * found["model_misfit"][-1])
-            line = Layers().sentences(found.assign(model_misfit=misfits))[-2]
+            line = layer_sentences(found.assign(model_misfit=misfits))[-2]
             assert line.endswith("; layers leave less, because this fit is smoothed") == (factor < 1)
-        doubtful = Layers().sentences(found.assign_attrs(doubt="nothing fits"))
+        doubtful = layer_sentences(found.assign_attrs(doubt="nothing fits"))
         assert doubtful[-1] == "verdict: one layer; but nothing fits"
         best_m = found["distance"][int(found["misfit"].argmin("distance"))]
         assert abs(best_m - DISTANCE_M) < 0.02
@@ -110,7 +110,7 @@ def test_distances_from_the_mask_and_given_ones(
         assert np.isnan(found["distance_sigma_m"].item())
         # s = u d / f1 + x (1 - d / f1)
         assert found.x.max().item() == pytest.approx(0.5 * 1.75e-3 + 0.5 * 0.6e-3)
-        figure = Layers().draw(found)
+        figure = draw_layers(found)
     assert len(figure.axes) == 5
 
 
@@ -147,12 +147,12 @@ def test_layer_behind_the_lenslets_has_no_distance_from_the_mask() -> None:
     found = layers_dataset(search_layers(reconstruct.layers(wavefront)), bench, "mask")
     assert found.attrs["distances_from"] == "lenslets"
     assert found["distance_m"].item() == pytest.approx(-0.1, rel=0.1)
-    assert Layers().sentences(found)[0].endswith(" mm behind the lenslets")
-    low_mm, high_mm = Layers().draw(found).axes[0].get_xlim()
+    assert layer_sentences(found)[0].endswith(" mm behind the lenslets")
+    low_mm, high_mm = draw_layers(found).axes[0].get_xlim()
     assert (low_mm, high_mm) == pytest.approx((-300, 150))
     corrector, _ = compare_correctors(wavefront.at, bench, Corrector("zernike", 45), at_m=None, origin="mask")
     assert corrector["corrector_distance_m"].item() == pytest.approx(-0.1, rel=0.2)
-    assert " mm behind the lenslets, " in BestCorrector().sentences(corrector)[0]
+    assert " mm behind the lenslets, " in corrector_sentence(corrector)
 
 
 def test_distance_axis_shows_what_was_found() -> None:
@@ -175,7 +175,7 @@ def test_best_corrector_lies_in_the_screen(recording: Path, tmp_path: Path, monk
         chosen = found["residual"].sel(distance=found["corrector_distance_m"].item())
         assert chosen.item() == found["corrector_residual"].item() == found["residual"].min().item()
         assert len(np.unique(found["distance"])) == found["distance"].size
-        curve, *lines = BestCorrector().draw(found).axes[0].lines
+        curve, *lines = draw_corrector(found).axes[0].lines
         assert {tuple(np.unique(line.get_ydata())) for line in lines} == {
             (found["corrector_residual"].item(),),
             (found["uncorrected"].item(),),
@@ -237,7 +237,7 @@ def test_corrector_at_the_pupil_is_that_at_no_distance() -> None:
     )
     pupil = "one corrector at the pupil leaves 0.3 of 0.9 rad RMS"
     sentence = f"{pupil}; 200.0 mm in front of the lenslets, 0.1 rad (Strehl 0.80)"
-    assert BestCorrector().sentences(found) == [sentence]
+    assert corrector_sentence(found) == sentence
 
 
 def test_maps_use_their_colours_although_a_corner_is_far_off() -> None:
@@ -372,8 +372,3 @@ def test_uncorrected_is_the_rms_over_field_and_pupil() -> None:
     found, _ = compare_correctors(wavefront, bench, Corrector("zernike", 3), at_m=0.0, origin="lenslets")
     growth = (found["field_x"] - 2 * found["field_y"]).values / bench.field.half_width_m
     assert found["uncorrected"].item() == pytest.approx(np.std(pupil) * np.sqrt(np.mean(growth**2)))
-
-
-def test_first_sentence_of_the_help_is_that_of_the_file() -> None:
-    for name, (_, sentence) in ANALYSES.items():
-        assert inspect.getdoc(load_analysis(name)).startswith(f"{sentence}\n\n")  # type: ignore[union-attr] # it has one

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -29,9 +28,8 @@ from support.recordings import edit_line, record, replace_pixels
 from app.errors import InputError
 from app.recording.folder import RUN
 from app.recording.reader import Recording
-from app.results.export import Export
+from app.results.export import export_recording
 from app.results.replay import change_of
-from app.results.report import Report
 from app.results.report_pages import (
     Page,
     draw_certainty,
@@ -40,6 +38,7 @@ from app.results.report_pages import (
     draw_overview,
     one_page,
     over_field,
+    write_report,
 )
 from app.results.report_summary import Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
@@ -68,11 +67,6 @@ def summary(recording: Recording) -> Summary:
 def mine(recording: Recording, tmp_path: Path) -> Recording:
     """A copy that a test may damage."""
     return Recording(shutil.copytree(recording.folder, tmp_path / "mine"))
-
-
-def reported(folder: Path, out: Path, **options: Any) -> tuple[Summary, object]:
-    _, summary, residual = Report(**options).run(folder, out, lambda *_: None)
-    return summary, residual
 
 
 def drawn(page: Page) -> Figure:
@@ -141,7 +135,7 @@ def beyond_limits(figure: Figure) -> list[Text]:
 @pytest.mark.slow
 @pytest.mark.long
 def test_statistics_equal_those_of_the_results(recording: Recording, summary: Summary, tmp_path: Path) -> None:
-    Export(to="netcdf").run(recording.folder, tmp_path / "r.nc", lambda *_: None)
+    export_recording(recording.folder, "netcdf", tmp_path / "r.nc")
     found = summary.statistics
     assert found is not None
     with xr.open_dataset(tmp_path / "r.nc") as results:
@@ -293,7 +287,7 @@ def test_many_frames_are_sampled(recording: Recording, monkeypatch: pytest.Monke
 def test_report_without_wavefronts_shows_images(mine: Recording, tmp_path: Path) -> None:
     for index in range(FRAMES):
         replace_pixels(mine, index, np.full_like(mine.pixels(0), 500))
-    summary, _ = reported(mine.folder, tmp_path / "r.pdf")
+    summary, _ = write_report(mine.folder, tmp_path / "r.pdf")
     assert summary.statistics is None
     figure = drawn(lambda onto: draw_overview(onto, summary))
     assert "no frame has a wavefront" in said(figure)
@@ -301,7 +295,7 @@ def test_report_without_wavefronts_shows_images(mine: Recording, tmp_path: Path)
     assert "frame 0: 500 ... 500 counts" in said(figure)
     assert_legible(figure)
     with pytest.raises(InputError, match="no frame has a wavefront"):
-        reported(mine.folder, tmp_path / "s.pdf", beside=mine.folder)
+        write_report(mine.folder, tmp_path / "s.pdf", beside=mine.folder)
     assert not (tmp_path / "s.pdf").exists()
 
 
@@ -313,12 +307,12 @@ def test_unfinished_and_single_frame_recordings_are_reported(mine: Recording, tm
     short = {key: whole[key] for key in ("format", "bench", "complete")} | {"complete": False}
     path.write_text(json.dumps(short))
     edit_line(mine, 4, calibration=None, start=None, problem="no reference yet", rms_rad=None)
-    summary, _ = reported(mine.folder, tmp_path / "r.png", frames="3:4")
+    summary, _ = write_report(mine.folder, tmp_path / "r.png", frames="3:4")
     found = dict(facts(summary))
     assert "not finished" in found["recorded"]
     assert found["frames"].startswith("3 ... 3 of 5 recorded; 0 lost")
     assert_drawn(tmp_path / "r.png")
-    summary, _ = reported(mine.folder, tmp_path / "s.pdf", frames="4:")
+    summary, _ = write_report(mine.folder, tmp_path / "s.pdf", frames="4:")
     assert dict(facts(summary))["reference"] == "none: these frames have no calibration"
 
 
@@ -329,7 +323,7 @@ def test_texts_of_any_length_leave_the_page_whole(mine: Recording, tmp_path: Pat
     edit_line(mine, 2, problem="W" * 70_000)
     run = json.loads((mine.folder / RUN).read_text())
     (mine.folder / RUN).write_text(json.dumps({**run, "note": "many words " * 7000}))
-    summary, _ = reported(mine.folder, tmp_path / "r.pdf")
+    summary, _ = write_report(mine.folder, tmp_path / "r.pdf")
     page = drawn(partial(draw_overview, summary=summary))
     shown = said(page)
     assert "1 of them: WWW" in shown.replace("\n", " ")
@@ -339,10 +333,10 @@ def test_texts_of_any_length_leave_the_page_whole(mine: Recording, tmp_path: Pat
 
 def test_folder_that_is_no_recording_is_refused(mine: Recording, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no recording"):
-        reported(tmp_path, tmp_path / "r.pdf")
+        write_report(tmp_path, tmp_path / "r.pdf")
     (mine.folder / "frames.jsonl").write_text("")
     with pytest.raises(InputError, match="holds no frame"):
-        reported(mine.folder, tmp_path / "r.pdf")
+        write_report(mine.folder, tmp_path / "r.pdf")
     assert not (tmp_path / "r.pdf").exists()
 
 
@@ -352,7 +346,7 @@ def test_report_is_written_atomically_and_replaces_only_on_request(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "new" / "r.PDF"
-    reported(recording.folder, out)
+    write_report(recording.folder, out)
     first = out.read_bytes()
     assert first.startswith(b"%PDF")
     assert first.count(b"/Type /Page ") == 3
