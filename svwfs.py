@@ -7,13 +7,16 @@
 >>> wavefront = reconstruct(images.frames[0])
 
 The examples of all functions go on from there. Arrays are NumPy arrays with `[row, column]`, row = y; vectors have (x, y) as
-their last axis; units are SI, wavefronts are in rad without piston. Importing this module loads nothing but this file;
-each function loads what it needs.
+their last axis; units are SI, wavefronts are in rad without piston. Importing this module loads nothing but this file
+and four empty packages; each function loads what it needs.
 """
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from importlib.machinery import PathFinder
+from importlib.util import module_from_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,9 +57,35 @@ __all__ += ["Measurement", "OpenedRecording", "Outcome", "SimulatedFrames", "Wav
 __all__ += ["BadValue", "Busy", "DeviceError", "DeviceTimeout", "Disconnected", "FrameLost", "InputError"]
 __all__ += ["Interrupted", "ReconstructionError", "RunError", "Unsupported", "WrongState"]
 
+_PACKAGES = ("app", "drivers", "reconstruction", "simulated_devices")
+
+
+def _bind_packages() -> None:
+    """Import the four packages from the folder of svwfs, whatever has their names in the working folder.
+
+    They lie beside this file in a checkout, beside its folder when installed, elsewhere in an editable install.
+    """
+    beside = [*Path(__file__).resolve().parents[:2], *map(Path, sys.path)]
+    whole = (each for each in beside if all((each / name / "__init__.py").is_file() for name in _PACKAGES))
+    folder = next(whole, beside[0]).resolve()
+    for name in _PACKAGES:
+        if (loaded := sys.modules.get(name)) is not None:
+            places = [*getattr(loaded, "__path__", [])]
+            if folder / name not in (Path(place).resolve() for place in places):
+                taken = getattr(loaded, "__file__", None) or places[0]
+                raise ImportError(f"svwfs has a package {name!r}, but {taken} was imported by this name: rename it")
+        elif (spec := PathFinder.find_spec(name, [str(folder)])) and spec.loader:
+            sys.modules[name] = module = module_from_spec(spec)
+            spec.loader.exec_module(module)
+
+
+_bind_packages()
+
 _ELSEWHERE = {
     "app.acquisition.session": "ConnectedBench LiveBench connect live",
     "app.bench.config": "Bench",
+    "app.cli": "main",  # of the command
+    "app.cli.window": "main_window",
     "app.errors": "InputError Interrupted RunError",
     "app.evaluation.frames": "SimulatedFrames simulate",
     "app.measurement.bench_reconstructor": "BenchReconstructor find_lattice reconstructor refine",

@@ -19,7 +19,7 @@ from app.timing import STAGES, StageTimes, TimedStage
 _LIBRARIES = ("svwfs", "numpy", "scipy", "numba", "opencv-python-headless", "PyQt6", "pyqtgraph")
 _CPU = Path("/proc/cpuinfo")
 _VERSION_PART = re.compile(r"\b\d{1,9}\b")
-_RUN = "import sys; from app.cli import main; sys.exit(main())"
+_RUN = "import svwfs; svwfs.main()"
 
 
 def now() -> str:

@@ -16,7 +16,6 @@ import pytest
 from support.paths import ROOT
 from support.patience import HANG_S
 
-pytestmark = pytest.mark.slow
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
 EXTRAS = {  # by what they make possible; hcipy is not installed here
     "batch": "bokeh, distributed",
@@ -33,12 +32,54 @@ from reconstruction.geometry import Lattice
 count: str = svwfs.load_bench("small_demo").sensor.lenslet_rows
 lattice: int = Lattice
 """
+OWN_FILES = ("app.py", "reconstruction.py", "drivers/__init__.py", "simulated_devices/own.py")
+BESIDE_OWN_FILES = """
+import svwfs
+
+if __name__ == "__main__":
+    import app, drivers.manual_light, simulated_devices
+    from app.acquisition.guarded_light import GuardedLight
+
+    try:
+        GuardedLight(drivers.manual_light.ManualLightSettings())
+    except svwfs.WrongState as error:  # from the other process: nobody has switched the light off
+        assert "confirm" in str(error)
+    print(svwfs.load_bench("small_demo").sensor.lenslet_rows)
+"""
+CHILDREN = """
+import multiprocessing, time
+
+import svwfs
+
+if __name__ == "__main__":
+    from app.acquisition.remote.own_instrument import OwnInstrument
+    from app.batch.workers import workers
+    from app.measurement.live_solver import FinderProcess
+
+    bench = svwfs.load_bench("small_demo")
+    images = svwfs.simulate(bench)
+    reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        one = pool.map(reconstruct, images.frames)[0]
+    with workers(1, None) as evaluate:
+        ((_, other),) = evaluate(reconstruct, images.frames)
+    assert (one.views == other.views).all()
+    finder = FinderProcess(reconstruct._prepared())
+    finder.prepare()
+    finder.close()
+    with OwnInstrument("beside") as own:
+        connection = own.connect(bench)
+        while connection.is_alive and not connection.is_reached:
+            time.sleep(0.05)
+        assert connection.is_alive, connection.loss
+    print("done")
+"""
 EXAMPLES = Path(__file__).parent / "support" / "python_examples.py"
 
 
-def run(*command: str | Path, cwd: Path) -> str:
-    """Run a command without the project's folder on Python's path; return its output."""
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+def run(*command: str | Path, cwd: Path, path: str = "") -> str:
+    """Run a command with this PYTHONPATH; return its output."""
+    environment = os.environ | {"PYTHONPATH": path}
     told = subprocess.run(  # noqa: S603 - our own
         command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=HANG_S, check=False
     )
@@ -76,6 +117,7 @@ def programs(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return scripts
 
 
+@pytest.mark.slow
 def test_wheel_has_what_it_needs_and_no_tests(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     needed = {
@@ -92,12 +134,14 @@ def test_wheel_has_what_it_needs_and_no_tests(wheel: Path) -> None:
     assert not [name for name in names if name.startswith("tests/")]
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_source_passes_tests(source: Path) -> None:
     tests = ("tests/app/bench", "tests/drivers/test_device_states.py", "tests/reconstruction/modes")
     assert " passed" in run(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests, cwd=source)
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_installed_programs_work(programs: Path, tmp_path: Path) -> None:
     assert run(programs / "svwfs", "--version", cwd=tmp_path) == f"svwfs {VERSION}\n"
@@ -106,6 +150,7 @@ def test_installed_programs_work(programs: Path, tmp_path: Path) -> None:
     run(programs / "python", EXAMPLES, cwd=tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_type_checker_sees_types_from_outside(programs: Path, tmp_path: Path) -> None:
     (tmp_path / "user.py").write_text(USER_CODE)
@@ -119,9 +164,56 @@ def test_type_checker_sees_types_from_outside(programs: Path, tmp_path: Path) ->
     assert "Found 2 errors in 1 file" in told, told
 
 
+@pytest.mark.slow
 def test_every_extra_can_be_imported(programs: Path, tmp_path: Path) -> None:
     assert set(EXTRAS) == set(
         tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
     )
     for modules in EXTRAS.values():
         run(programs / "python", "-c", f"import {modules}", cwd=tmp_path)
+
+
+@pytest.fixture(params=["checkout", "editable", pytest.param("wheel", marks=[pytest.mark.slow, pytest.mark.long])])
+def python(request: pytest.FixtureRequest) -> tuple[Path, str]:
+    """A Python with svwfs, and the PYTHONPATH that it needs."""
+    if request.param == "wheel":
+        return request.getfixturevalue("programs") / "python", ""
+    return Path(sys.executable), str(ROOT) if request.param == "checkout" else ""
+
+
+@pytest.fixture
+def own_files(tmp_path: Path) -> Path:
+    """A folder in which a user has modules with the names of our packages."""
+    for name in OWN_FILES:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("")
+    (tmp_path / "script.py").write_text(BESIDE_OWN_FILES)
+    return tmp_path
+
+
+def test_import_works_beside_own_modules_of_these_names(python: tuple[Path, str], own_files: Path) -> None:
+    program, path = python
+    assert run(program, "script.py", cwd=own_files, path=path) == "7\n"
+    assert run(program, "-c", BESIDE_OWN_FILES, cwd=own_files, path=path) == "7\n"  # as in a notebook
+
+
+def test_error_names_an_own_module_that_was_imported_first(python: tuple[Path, str], own_files: Path) -> None:
+    program, path = python
+    asks = "try: import {}, svwfs\nexcept ImportError as error: print(error)"
+    for module, file in (
+        ("app", "app.py"),
+        ("reconstruction", "reconstruction.py"),
+        ("drivers", "drivers/__init__.py"),
+    ):
+        found = run(program, "-c", asks.format(module), cwd=own_files, path=path)
+        assert f"a package '{module}', but {own_files / file} was" in found
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_child_processes_work_beside_own_modules(python: tuple[Path, str], own_files: Path) -> None:
+    program, path = python
+    (own_files / "children.py").write_text(CHILDREN)
+    assert run(program, "children.py", cwd=own_files, path=path) == "done\n"
+    shared = os.pathsep.join(filter(None, [str(own_files), path]))
+    assert run(program.with_name("svwfs"), "--version", cwd=own_files, path=shared) == f"svwfs {VERSION}\n"

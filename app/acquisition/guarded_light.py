@@ -115,7 +115,8 @@ class _Guardian:
         self._has_pulse = False
         # In a session of its own: what the terminal sends to this process, such as Ctrl-C, does not reach it.
         self.process = subprocess.Popen(  # noqa: S603 - this interpreter
-            [sys.executable, "-P", "-m", guardian.__name__],
+            # svwfs first: the folder of the user's script may have modules with the names of our packages
+            [sys.executable, "-P", "-c", f"import svwfs; from {guardian.__name__} import main; main()"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},

@@ -158,19 +158,19 @@ def switch_off(settings: dict[str, Any]) -> None:
             return
 
 
-def main() -> int:
+def main() -> None:
     """Hold the light until the instrument closes it or ends."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the instrument decides
     pipe = _Pipe()
     settings = json.loads(pipe.next(PULSE_S * 40) or "{}")
     if not settings:
-        return 0
+        return
     try:
         light = open_light(settings)
     except DeviceError as error:
         pipe.send({"error": type(error).__name__, "text": str(error)})
-        return 0
+        return
     try:
         pipe.send({"value": light.name})
         _serve(light, pipe)
@@ -186,8 +186,3 @@ def main() -> int:
         finally:
             if pipe.has_ended:
                 clear_abandoned(timeout_s=DYING_S)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -6,7 +6,7 @@ import traceback
 from contextlib import redirect_stderr, redirect_stdout
 from typing import TextIO
 
-from app.cli import main as run_command
+from app.cli import main
 from app.commands.display import use_display
 from app.errors import SHOWN, Interrupted
 
@@ -24,7 +24,7 @@ class _Copied(io.StringIO):
         return super().write(text)
 
 
-def main() -> None:
+def main_window() -> None:
     """Run `svwfs live` without a terminal: a dialog shows the error message."""
     sys.argv[1:1] = ["live"]
     status: str | int | None = 0
@@ -32,7 +32,7 @@ def main() -> None:
     # Windows starts the program without any stream
     with redirect_stderr(_Copied(sys.stderr)) as errors, redirect_stdout(sys.stdout or _Copied(None)):
         try:
-            run_command()
+            main()
         except SystemExit as leaving:
             status, cause = leaving.code, leaving.__cause__
         except Exception as error:  # noqa: BLE001 - the traceback of a fault would be lost

@@ -161,6 +161,8 @@ class BenchReconstructor:
     It is prepared with the first frame that is reconstructed, unless `prepare` was called before.
     """
 
+    __module__ = "svwfs"  # so that another process imports svwfs first, which knows the place of all else
+
     def __init__(
         self,
         bench: Bench,

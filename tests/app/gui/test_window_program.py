@@ -11,7 +11,7 @@ import pytest
 from PyQt6.QtCore import QTimer
 from PyQt6.QtWidgets import QApplication, QLabel, QMessageBox
 
-from app.cli.window import main
+from app.cli.window import main_window
 from app.gui.shell.benches import BenchDialog
 from app.gui.shell.main_window import MainWindow
 
@@ -30,7 +30,7 @@ def display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def start(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
     monkeypatch.setattr(sys, "argv", ["svwfs-window", *map(str, arguments)])
     with pytest.raises(SystemExit) as leaving:
-        main()
+        main_window()
     assert isinstance(leaving.value.code, int)
     return leaving.value.code
 
