@@ -230,14 +230,6 @@ def test_methods_of_the_documents_can_be_made_part_of_svwfs(small_bench: SmallBe
     names["test_tilt_is_recovered"](small_bench)
 
 
-def test_program_that_needs_hardware_is_left_out(tmp_path: Path) -> None:
-    block = "```python\n{}\n```\n"
-    (tmp_path / "d.md").write_text(
-        f"a\n{block.format('b')}\n<!-- needs hardware -->\n{block.format('c')}\n{block.format('d')}"
-    )
-    assert python_blocks(tmp_path / "d.md") == "b\n\nd\n"
-
-
 @pytest.mark.parametrize("document", [path for path in DOCUMENTS if named_commands(path)], ids=lambda path: path.stem)
 def test_named_commands_and_options_exist(document: Path) -> None:
     known: Any = typer.main.get_command(cli)

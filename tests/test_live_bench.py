@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -94,23 +93,6 @@ def test_iteration_ends_with_the_block(bench: Bench) -> None:
         measurements = iter(live)
         next(measurements)
     assert list(measurements) == []
-
-
-def test_frame_passed_over_is_not_yielded(bench: Bench) -> None:
-    with svwfs.live(bench, average=2) as live:
-
-        def has_passed_over() -> bool:
-            live._acquisition.submit(lambda _: time.sleep(0.3))  # frames wait in the camera meanwhile
-            assert all(next(iter(live)).wavefront is not None for _ in range(5))
-            counts = live._acquisition.counts
-            return counts.acquired > counts.reconstructed + 1  # one may be on its way
-
-        wait_until(has_passed_over)
-
-
-def test_recording_needs_a_frame(bench: Bench, tmp_path: Path) -> None:
-    with svwfs.live(bench, average=2) as live, pytest.raises(svwfs.InputError, match="at least 1"):
-        live.record(tmp_path / "run", frames=0)
 
 
 @pytest.mark.slow

@@ -3,36 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_args
 
 import numpy as np
 import pytest
-import xarray
 from numpy.polynomial.legendre import poly2leg
-from pytestqt.qtbot import QtBot
 from support.command_line import run
 from support.optics import sensor_of
 
 import svwfs
-from app.commands.field import field
 from app.evaluation.frames import SimulatedFrames
-from app.gui.panels.coefficients import CoefficientsPanel
-from app.gui.panels.panel import Shown
-from reconstruction.displacement import Displacement, RegistrationMethod
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Sensor
-from reconstruction.modes.field_modes import orthogonal_modes
 from reconstruction.modes.polynomials import legendre_products, zernike_products
 from reconstruction.modes.pupil_modes import BASES, PupilModes, polynomial_modes, pupil_modes
-from reconstruction.pipeline import OwnRegistration
 from reconstruction.registration import prepare_registration
 from reconstruction.registration.correlation import Correlation
-from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import PupilBasis, RegistrationSettings
-from reconstruction.wavefront import Wavefront
 
 FIXED = svwfs.load_bench("small_demo", "reconstruction.pupil_modes=10", "registration.warp=affine")  # no prior
 
@@ -77,34 +66,6 @@ def test_own_registration_is_used_for_frame_and_refinement(images: SimulatedFram
     np.testing.assert_array_equal(own(images.frames[0]).views, usual(images.frames[0]).views)
     of_own, of_usual = (svwfs.refine(each, images.frames[0], 1).views for each in (own, usual))
     np.testing.assert_array_equal(of_own, of_usual)
-
-
-class WrappedWarps:
-    """A method of another type that does what Gauss-Newton does."""
-
-    def __init__(self, reference: ReferenceSubimages, field: Field) -> None:
-        modes = orthogonal_modes(field, 3)
-        self._inner = GaussNewton(reference, modes, conserve_flux=False, may_rotate=False)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._inner, name)
-
-    def __call__(self, *light: Any, **more: Any) -> Displacement:
-        return self._inner(*light, **more)
-
-
-@pytest.mark.slow
-def test_response_of_any_method_that_fits_warps_is_used(images: SimulatedFrames) -> None:
-    def found(method: OwnRegistration) -> Wavefront:
-        made = svwfs.reconstructor(FIXED, images.reference, dark=images.dark, registration=method)
-        return made(images.frames[0])
-
-    def without_response(reference: ReferenceSubimages, field: Field) -> RegistrationMethod:
-        return partial(WrappedWarps(reference, field))
-
-    wrapped = found(WrappedWarps)
-    np.testing.assert_array_equal(wrapped.views, found(lambda *given: WrappedWarps(*given)._inner).views)
-    assert np.abs(wrapped.views - found(without_response).views).max() > 0.1
 
 
 WRONG: list[tuple[dict[str, Any], str]] = [
@@ -169,14 +130,3 @@ def test_unknown_names_are_refused(images: SimulatedFrames) -> None:
         prepare_registration(
             reconstruct._prepared().reconstructor.subimages, RegistrationSettings(method=unknown), FIXED.field
         )
-
-
-def test_every_list_of_bases_is_the_same(qtbot: QtBot) -> None:
-    panel = CoefficientsPanel(Shown())
-    qtbot.addWidget(panel)
-    shown = [panel.basis.itemData(index) for index in range(panel.basis.count())]
-    given = get_type_hints(field, include_extras=True)["basis"].__args__[0]
-    names_there = {**vars(svwfs), "Wavefront": object, "xr": xarray, "PupilBasis": PupilBasis}
-    of_python = get_type_hints(svwfs.field_coefficients, names_there)["basis"]
-    for names in (get_args(PupilBasis), get_args(given), get_args(of_python), shown):
-        assert set(names) == set(BASES)

@@ -70,11 +70,6 @@ def test_every_name_exists_and_is_documented(name: str) -> None:
     assert name in dir(svwfs)
 
 
-def test_unknown_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'wavefront'"):
-        svwfs.wavefront  # noqa: B018 - the access is the test
-
-
 @pytest.mark.slow
 @pytest.mark.long
 def test_refinement_reduces_the_error(bench: Bench) -> None:
@@ -197,15 +192,6 @@ def test_full_scale_is_positive(bench: Bench, images: SimulatedFrames) -> None:
             svwfs.reconstructor(bench, images.reference, full_scale=full_scale)  # type: ignore[arg-type] # refused
     unlimited = svwfs.reconstructor(bench, images.reference, dark=images.dark, full_scale=np.inf)
     assert unlimited(images.frames[0]).displacement.valid.all()
-
-
-@pytest.mark.slow
-def test_refine_counts_its_rounds(bench: Bench, images: SimulatedFrames) -> None:
-    reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
-    once = reconstruct(images.frames[0])
-    assert np.array_equal(svwfs.refine(reconstruct, images.frames[0], rounds=0).views, once.views)
-    with pytest.raises(svwfs.InputError, match="-1 rounds"):
-        svwfs.refine(reconstruct, images.frames[0], rounds=-1)
 
 
 @pytest.mark.slow

@@ -68,7 +68,8 @@ class _Pipe:
         """Return the next line, or an empty one if none came in time or there are no more."""
         with suppress(queue.Empty):
             return self._lines.get(timeout=timeout_s)
-        self.has_ended |= os.getppid() != self._parent  # a process forked from it may hold the pipe open
+        if os.getppid() != self._parent:  # a process forked from it may hold the pipe open
+            self.has_ended = True  # never False again: `_read` may have set it meanwhile
         return ""
 
     def _read(self) -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import errno
 import math
 import os
 import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import pytest
@@ -17,7 +15,7 @@ from support.patience import HANG_S, wait_until
 from support.simulated_scene import DRIFTING, LATTICE, STILL, current_state, open_bench, states_rendered
 
 from simulated_devices.bench import SimulatedBench, played_state
-from simulated_devices.rendering import ImageCache, render_missing, rendering_ahead
+from simulated_devices.rendering import rendering_ahead
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation, Source
 
 
@@ -75,24 +73,6 @@ def test_closing_kills_rendering_ahead(tmp_path: Path) -> None:
     assert process.process.returncode == -signal.SIGKILL
 
 
-def test_ctrl_c_of_the_terminal_does_not_reach_rendering_ahead(bench: SimulatedBench, tmp_path: Path) -> None:
-    """It would end with a traceback while it starts."""
-    process = rendering_ahead(replace(bench._scene, simulation=DRIFTING), "square", tmp_path)
-    assert os.getpgid(process.process.pid) != os.getpgid(0)
-    process.close()
-
-
-@pytest.mark.slow
-def test_rendering_ahead_ends_quietly(bench: SimulatedBench, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    scene = replace(bench._scene, simulation=DRIFTING)
-    process = rendering_ahead(scene, "square", tmp_path)
-    assert process.process.wait(HANG_S) == 0
-    process.close()
-    assert capfd.readouterr().err == ""
-    cache = ImageCache(tmp_path, scene)
-    assert all(cache.load("square", state) is not None for state in range(4))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("search_path", ["", os.pathsep])
 def test_rendering_ahead_imports_nothing_from_working_directory(
@@ -123,24 +103,6 @@ def test_bench_works_without_writable_cache(tmp_path: Path, capfd: pytest.Captur
     assert capfd.readouterr().err == ""
 
 
-def test_full_disk_leaves_no_partial_file(
-    bench: SimulatedBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def write_some(file: BinaryIO, _: object) -> None:
-        file.write(b"\x93NUMPY")
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    cache = ImageCache(tmp_path, bench._scene)
-    image = bench.references["square"]
-    with monkeypatch.context() as patch:
-        patch.setattr(np, "save", write_some)
-        with pytest.raises(OSError, match="No space left"):
-            cache.save("square", 0, image)
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
-    cache.save("square", 0, image)
-    np.testing.assert_array_equal(cache.load("square", 0), image)
-
-
 def test_progress_covers_reference_and_first_state(tmp_path: Path) -> None:
     heard: list[float] = []
     open_bench(tmp_path, progress=heard.append).close()
@@ -168,19 +130,6 @@ def test_damaged_file_is_rendered_again(tmp_path: Path) -> None:
     again.clock.sleep(1.0)
     np.testing.assert_allclose(again.expose(0.0, 1.0).photons, good, rtol=1e-4)
     assert np.load(file).shape == (100, 140)
-
-
-def test_damaged_file_is_rendered_again_ahead(tmp_path: Path) -> None:
-    bench = open_bench(tmp_path, DRIFTING)
-    bench.close()
-    scene = bench._scene
-    render_missing(iter([(scene, "stars", tmp_path)]))
-    cache = ImageCache(tmp_path, scene)
-    good = cache.load("stars", 2)
-    cache.path("stars", 2).write_bytes(b"\x93NUMPY damaged")
-    assert cache.load("stars", 2) is None
-    render_missing(iter([(scene, "stars", tmp_path)]))
-    np.testing.assert_array_equal(cache.load("stars", 2), good)
 
 
 def test_every_parameter_changes_the_fingerprint(bench: SimulatedBench) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from support.camera_contract import CameraFaultContract
 from support.light_contract import LightFaultContract
-from support.simulated_faults import stall
 from support.simulated_scene import CAMERA, STILL, SimulatedCameraFaults, SimulatedLightFaults, open_bench
 from support.stage_contract import StageContract
 
@@ -99,11 +98,6 @@ def test_timeout_lasts_the_requested_time(bench: SimulatedBench, camera: Simulat
     assert bench.clock.now() == pytest.approx(0.3, abs=1e-3)
 
 
-def test_exposure_is_rounded_to_ten_microseconds(camera: SimulatedCamera) -> None:
-    assert camera.exposure_s == 0.01429
-    assert camera.set_exposure(0.0200049) == 0.02
-
-
 def test_exposure_limits_match_the_property_sheet(bench: SimulatedBench, camera: SimulatedCamera) -> None:
     assert (camera.capabilities.exposure_range_s.minimum, camera.capabilities.exposure_range_s.maximum) == (0.0139, 1.0)
     with pytest.raises(BadValue):
@@ -178,16 +172,6 @@ def test_change_during_exposure_counts_in_proportion(
     assert abs(mixed - expected).max() < 8 * math.sqrt(sample.max() / 5.8 * 2 + 100)
 
 
-def test_stalled_camera_times_out_until_restart(camera: SimulatedCamera) -> None:
-    camera.start()
-    stall(camera)
-    with pytest.raises(DeviceTimeout):
-        camera.read(1.0)
-    camera.stop()
-    camera.start()
-    assert camera.read(1.0).index == 0
-
-
 def test_both_paper_exposures_reach_70_percent_of_full_scale(tmp_path: Path) -> None:
     simulation = replace(STILL, object_samples=37, pupil_samples=20)
     settings = replace(CAMERA, readout_speed=2, exposure_s=0.15)
@@ -201,22 +185,6 @@ def test_both_paper_exposures_reach_70_percent_of_full_scale(tmp_path: Path) -> 
             assert lowest < camera.read(10.0).pixels.max() / 65535 < highest
             camera.stop()
     bench.close()
-
-
-def test_live_frames_use_the_scale_with_em_gain(tmp_path: Path) -> None:
-    bench = open_bench(tmp_path, replace(STILL, object_samples=19, pupil_samples=12))
-    with SimulatedCamera(bench) as camera, SimulatedLight(bench) as light:
-        light.set_current(1.0)
-        camera.set_em_gain(4.0)
-        light.set_on(True)
-        camera.start()
-        assert 0.5 < camera.read(1.0).pixels.max() / 65535 < 0.8
-
-
-def test_opening_switches_the_light_off(bench: SimulatedBench) -> None:
-    bench.change(is_light_on=True)
-    with SimulatedLight(bench):
-        assert not bench.condition.is_light_on
 
 
 def test_readout_speed_sets_exposure_range_and_noise(camera: SimulatedCamera) -> None:

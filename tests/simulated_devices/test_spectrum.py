@@ -93,14 +93,6 @@ def test_files_of_screens_are_phases_at_the_nominal_wavelength(bench: Bench, tmp
     np.testing.assert_allclose(read, made, atol=1e-5 * made.max())
 
 
-def test_progress_runs_once_over_all_lines(bench: Bench) -> None:
-    seen: list[float] = []
-    Renderer(scene_of(broad(bench))).reference("square", seen.append)
-    assert seen == sorted(seen)
-    assert seen[-1] == pytest.approx(1.0)
-    assert min(seen) < 0.5
-
-
 def test_simulated_devices_see_the_spectrum(bench: Bench) -> None:
     live = simulated_bench(broad(bench), lambda _: None, ManualClock())
     try:

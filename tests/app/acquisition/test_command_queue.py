@@ -9,7 +9,7 @@ import pytest
 
 from app.acquisition.command_queue import CommandQueue
 from app.acquisition.instrument import Instrument
-from drivers.interface import BadValue, Disconnected, WrongState
+from drivers.interface import BadValue, Disconnected
 
 INSTRUMENT = cast("Instrument", object())  # only passed on by the queue
 
@@ -43,13 +43,3 @@ def test_fatal_error_reaches_waiting_future(fails: str) -> None:
     with pytest.raises(Disconnected):
         execute(INSTRUMENT)
     assert future.exception(0) is gone
-
-
-def test_closed_queue_refuses_commands() -> None:
-    commands = CommandQueue(lambda _: None)
-    waiting = commands.submit(lambda _: 7)
-    commands.close("the acquisition has ended")
-    for future in (waiting, commands.submit(lambda _: 8)):
-        with pytest.raises(WrongState, match="has ended"):
-            future.result(0)
-    assert commands.is_empty

@@ -144,15 +144,6 @@ def test_silence_of_the_worker_switches_the_light_off_and_the_status_says_so(ben
     assert acquisition.failure == ""
 
 
-def test_software_trigger_yields_frames(bench: Bench) -> None:
-    """Only reading fires the trigger."""
-    acquisition = started(parse_bench(write_bench(bench), "real.toml", ("camera.trigger=software",)))
-    seen = acquisition.counts.acquired
-    wait_until(lambda: acquisition.counts.acquired >= seen + 5)
-    acquisition.close()
-    assert acquisition.failure == ""
-
-
 def test_unplugged_camera_ends_recording_that_stays_readable(
     bench: Bench, camera: StandIn, lamp: DC4100Wire, tmp_path: Path
 ) -> None:

@@ -131,17 +131,6 @@ def test_file_that_is_shown_is_never_part_of_a_recording(acquisition: Acquisitio
         shown.result(HANG_S)
 
 
-def test_stop_does_not_hold_for_a_later_recording(acquisition: Acquisition, tmp_path: Path) -> None:
-    with busy(acquisition):
-        acquisition.stop_recording()
-        start = acquisition.start_recording(tmp_path / "later", limit=RecordingLimit(frames=3))
-    start.result(HANG_S)
-    wait_until(lambda: acquisition.recording is not None and acquisition.recording.is_over)
-    assert len(Recording(tmp_path / "later")) == 3
-    acquisition.close()
-    assert acquisition.stop_recording().result(HANG_S) is None  # nothing is left to stop
-
-
 @pytest.mark.slow
 @pytest.mark.long
 def test_recorded_frames_are_reproduced_bit_by_bit(make_live: Callable[..., Live], tmp_path: Path) -> None:
@@ -212,31 +201,6 @@ def test_gaps_and_skipped_frames_are_recorded(
     assert np.diff(camera_index).tolist() == [line.lost + 1 for line in lines[1:]]
     assert_made_again(recording)
     assert all(made.wavefront is not None for made in reprocess(recording))  # skipped ones, too
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_skipped_frames_keep_previous_refinement(
-    make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    live = make_live("camera.exposure_s=0.0139", "reconstruction.refine=true")
-    wait_until(lambda: any(each.assumed.refinement.stage == "applied" for each in live.measurements))
-    measure_slowly(monkeypatch)
-    live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
-    wait_until(lambda: live.recording.frames > 50)
-    live.stop()
-    recording = Recording(tmp_path / "r")
-    lines = [recording.line(index) for index in range(len(recording))]
-    assert sum(line.problem == SKIPPED for line in lines) > 20
-    before = lines[0]
-    for line, made in zip(lines[1:], list(reprocess(recording))[1:], strict=True):
-        if line.problem == SKIPPED:
-            assert (line.bias, made.assumed.refinement.bias is not None) == (before.bias, before.bias is not None)
-            if line.bias_age_s is not None and before.bias_age_s is not None:
-                later_s = line.camera_time_s - before.camera_time_s
-                assert line.bias_age_s == pytest.approx(before.bias_age_s + later_s)
-        else:
-            before = line
 
 
 def test_lost_camera_leaves_readable_recording(make_live: Callable[..., Live], tmp_path: Path) -> None:

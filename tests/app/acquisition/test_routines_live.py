@@ -10,24 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.optics import SmallBench, at_views
 from support.patience import HANG_S, wait_until
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument, Status
-from app.acquisition.kept_averages import KeptAverages
 from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.measurement.auto_exposure import AutoExposure, auto_expose
-from app.measurement.averages import Average
-from app.measurement.routines import Cancelled, Circumstances, RoutineError
+from app.measurement.routines import Cancelled, RoutineError
 from app.measurement.sensor_region import SensorArea
-from drivers.interface import BadValue, Devices, DeviceTimeout, Region
-from reconstruction.frame.noise import CameraNoise, KnownNoise
-from reconstruction.frame.pixels import KnownCamera
-from reconstruction.settings import ReconstructionSettings, RegistrationSettings
-from simulated_devices.camera import SimulatedCamera
+from drivers.interface import BadValue, Devices, Region
 
 
 class Live:
@@ -85,18 +78,6 @@ def test_auto_expose_command_reaches_target_and_restores_state(live: Live, monke
     assert (status.dark.validity, status.reference.validity) == ("doubtful", "doubtful")
 
 
-def test_failed_auto_exposure_keeps_loop_running(quick_toml: Path) -> None:
-    dim = Live(quick_toml, "light.maximum_current_a=1e-6", "light.current_a=0.0")
-    try:
-        with pytest.raises(RoutineError, match="check the lamp"):
-            dim.acquisition.submit(Instrument.auto_expose).result(HANG_S)
-        status = dim.status
-        assert (status.is_light_on, status.current_a, status.exposure_s) == (False, 0.0, 0.02)
-        assert dim.acquisition.is_alive
-    finally:
-        dim.acquisition.close()
-
-
 def test_auto_exposure_can_be_cancelled(quick_toml: Path) -> None:
     live = Live(quick_toml, "camera.readout_speed=2", "camera.exposure_s=9.0")
     try:
@@ -109,26 +90,6 @@ def test_auto_exposure_can_be_cancelled(quick_toml: Path) -> None:
         assert (live.status.exposure_s, live.status.is_light_on) == (9.0, False)
     finally:
         live.acquisition.close()
-
-
-def test_camera_stalled_in_auto_exposure_ends_loop_dark(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.measurement.routines._MARGIN_S", 0.2)
-    started(live)
-    assert live.devices is not None
-    camera, light = live.devices.camera, live.devices.light
-    assert isinstance(camera, SimulatedCamera)
-    was_off: list[bool] = []
-    monkeypatch.setattr(light, "close", lambda: was_off.append(not light.is_on))
-    live.do(lambda instrument: instrument.devices.camera.stop())  # or the acquisition itself would miss the frames
-    monkeypatch.setattr(camera, "read", _no_frame)
-    with pytest.raises(DeviceTimeout):
-        live.acquisition.submit(Instrument.auto_expose).result(HANG_S)
-    live.acquisition.close()
-    assert was_off == [True]
-
-
-def _no_frame(_timeout_s: float) -> None:
-    raise DeviceTimeout("no frame came")
 
 
 def test_background_check_command_needs_a_matching_dark(live: Live) -> None:
@@ -208,42 +169,6 @@ def test_changes_make_dark_and_reference_stale(
     assert bool(warning) is bool(status.warning)
 
 
-@pytest.mark.parametrize("level", [0.03, 0.5, 2.0])
-def test_reference_is_valid_at_any_brightness(paper_bench: SmallBench, level: float) -> None:
-    """A changed current therefore does not make it stale."""
-    frame, truth_px = paper_bench.tilted(4000.0, 1500.0)
-    reconstructor = paper_bench.reconstructor(registration=RegistrationSettings(warp="quadratic"))
-    as_taken, brighter = (reconstructor.register((frame * each).astype(np.float32)) for each in (1.0, level))
-    assert brighter.valid.all()
-    np.testing.assert_allclose(brighter.coefficients, as_taken.coefficients, atol=1e-4)
-    assert np.abs(at_views(brighter) - truth_px).max() < 0.05
-
-
-@pytest.mark.slow
-def test_reference_noise_enters_covariance(small_bench: SmallBench) -> None:
-    """With independent noise in frames and references, displacements scatter as their covariance predicts."""
-    random = np.random.default_rng(8)
-    per_electron = float(small_bench.reference.max()) / 4000
-    noise = CameraNoise(per_electron, 8 * per_electron)
-
-    def noisy(frames: int) -> np.ndarray:
-        scatter = np.sqrt(noise.variance(small_bench.reference) / frames)
-        return (small_bench.reference + scatter * random.standard_normal(scatter.shape)).astype(np.float32)
-
-    for frames in (1, 4):
-        errors, variances = [], []
-        for _ in range(6):
-            displacement = small_bench.reconstructor(
-                reference=noisy(frames),
-                registration=RegistrationSettings(warp="affine"),
-                reconstruction=ReconstructionSettings(),
-                camera=KnownCamera(noise=KnownNoise(noise, frames)),
-            ).register(noisy(1))
-            errors.append(displacement.coefficients[displacement.valid])
-            variances.append(displacement.variance[displacement.valid])
-        assert np.mean(np.square(errors)) / np.mean(variances) == pytest.approx(1.0, abs=0.2)
-
-
 @pytest.mark.slow
 @pytest.mark.long
 def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
@@ -269,16 +194,6 @@ def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
     assert "4 frames" in live.status.dark.note
 
 
-@pytest.mark.slow
-def test_reference_of_a_mask_is_stale_at_another_exposure(live: Live) -> None:
-    started(live)
-    live.do(lambda instrument: instrument.change_settings((), "circle"))
-    live.do(lambda instrument: instrument.devices.camera.set_exposure(0.05))
-    live.do(lambda instrument: instrument.change_settings((), "square"))
-    assert live.status.reference.validity == "doubtful"
-    assert "at 20.0 ms" in live.status.warning
-
-
 def test_refused_mask_leaves_the_settings(live: Live) -> None:
     started(live)
     before = live.status.bench
@@ -286,39 +201,6 @@ def test_refused_mask_leaves_the_settings(live: Live) -> None:
     with pytest.raises(BadValue, match="there is no mask 'no mask'"):
         change.result(HANG_S)
     assert live.status.bench == before
-
-
-AVERAGE = Average(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.float32), 1, 0.02, 1.0, "em")
-IN_REGIONS = [Circumstances(0.02, "em", 1.0, 3, 1, Region(0, 0, 8, 8 + index), "square") for index in range(12)]
-
-
-def test_dark_of_a_region_is_kept_for_every_mask() -> None:
-    kept = KeptAverages("dark", is_lit=False)
-    for now in IN_REGIONS[:2]:
-        kept.keep(AVERAGE, now)
-    now = replace(IN_REGIONS[0], mask="circle")
-    kept.choose(now)
-    assert not kept.doubt(now)
-
-
-def test_reference_taken_again_is_no_longer_the_oldest() -> None:
-    kept = KeptAverages("reference", is_lit=True)
-    for index in (*range(8), 0, 8):  # one more than are kept
-        kept.keep(AVERAGE, IN_REGIONS[index])
-    kept.choose(IN_REGIONS[0])
-    assert not kept.doubt(IN_REGIONS[0])
-    kept.choose(IN_REGIONS[1])
-    assert kept.doubt(IN_REGIONS[1])
-
-
-def test_only_the_newest_references_are_kept() -> None:
-    kept, taken = KeptAverages("reference", is_lit=True), IN_REGIONS
-    for now in taken:
-        kept.keep(AVERAGE, now)
-    kept.choose(taken[3])
-    assert kept.doubt(taken[3])  # forgotten: the newest stays in use
-    kept.choose(taken[4])
-    assert not kept.doubt(taken[4])
 
 
 def test_recorded_dark_and_reference_are_used(live: Live) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import threading
 import time
 from pathlib import Path
 
@@ -12,10 +10,10 @@ import pytest
 from support.patience import HANG_S, wait_until
 from support.running import Running, is_dark
 
-from app.acquisition.instrument import Instrument, Status
+from app.acquisition.instrument import Instrument
 from app.bench.config import load_bench
 from app.measurement.measurement import SKIPPED, Measurement
-from drivers.interface import DeviceTimeout, Frame
+from drivers.interface import Frame
 from simulated_devices.bench import SimulatedLight
 
 
@@ -90,53 +88,3 @@ def test_slow_skipping_still_measures_and_stops(quick_toml: Path, monkeypatch: p
     finally:
         running.acquisition.close(HANG_S)
     assert not running.acquisition.is_alive
-
-
-@pytest.mark.slow
-def test_slow_devices_are_polled_less_often(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    status, asked_s, answered_s = Instrument.status, [], []
-
-    def slowly(instrument: Instrument) -> Status:
-        asked_s.append(time.monotonic())
-        time.sleep(0.2)
-        answered_s.append(time.monotonic())
-        return status(instrument)
-
-    running.begin()
-    monkeypatch.setattr("app.acquisition.worker._STATUS_INTERVAL_S", 0.01)
-    monkeypatch.setattr(Instrument, "status", slowly)
-    wait_until(lambda: len(asked_s) > 2)
-    assert min(asked - answered for asked, answered in zip(asked_s[1:], answered_s, strict=False)) >= 1.8
-
-
-def test_light_timeout_while_skipping_is_not_the_cameras(quick_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    skip, status = Instrument.skip, Instrument.status
-    has_skipped = threading.Event()
-
-    def skip_before(instrument: Instrument, frame: Frame) -> Measurement:
-        has_skipped.set()
-        return skip(instrument, frame)
-
-    def silent_once(instrument: Instrument) -> Status:
-        if has_skipped.is_set():
-            monkeypatch.setattr(Instrument, "status", status)
-            raise DeviceTimeout("the light did not answer")
-        return status(instrument)
-
-    def measure_slowly(_: Instrument, frame: Frame) -> Measurement:
-        time.sleep(0.4)
-        return Measurement(frame, None, "slow")
-
-    running = Running(load_bench(quick_toml, ("camera.exposure_s=0.0139",)))
-    try:
-        running.begin()
-        monkeypatch.setattr("app.acquisition.worker._STATUS_INTERVAL_S", 0.0)
-        monkeypatch.setattr("app.acquisition.worker._STATUS_SHARE", math.inf)
-        running.acquisition.submit(is_dark).result(HANG_S)  # from here on the status is always due
-        monkeypatch.setattr(Instrument, "status", silent_once)
-        monkeypatch.setattr(Instrument, "skip", skip_before)
-        monkeypatch.setattr(Instrument, "measure", measure_slowly)
-        wait_until(lambda: not running.acquisition.is_alive)
-    finally:
-        running.acquisition.close(HANG_S)
-    assert running.acquisition.failure == "the light did not answer"

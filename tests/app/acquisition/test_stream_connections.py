@@ -6,14 +6,13 @@ import socket
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import zmq
 from support.patience import wait_until
 from support.streams import Subscriber, until_heard
 
-from app.acquisition.streams.guard import BURST_BYTES, CONNECTIONS, TOPIC_BYTES
+from app.acquisition.streams.guard import CONNECTIONS, TOPIC_BYTES
 from app.acquisition.streams.publisher import Publisher, stream_sinks
 from app.bench.config import Bench, StreamSettings
 from app.errors import RunError
@@ -89,70 +88,6 @@ def test_flood_of_subscriptions_closes_its_connection(
             wait_until(lambda: publisher._guard._addresses["127.0.0.1"].open_from_s > 0)  # the flood was noticed
             wait_until(lambda: publisher._subscriptions == {b"views"})  # and its connection closed
             until_heard(publisher, subscriber, measurement)  # the other one stays connected
-
-
-def test_subscriber_hears_all_while_another_floods_and_reconnects(
-    publisher: Publisher, port: int, measurement: Measurement
-) -> None:
-    """Each of its connections stays below what one may send."""
-    topics = [f"{number}".ljust(TOPIC_BYTES, "x") for number in range(300)]
-    assert sum(map(len, topics)) < BURST_BYTES
-    with closing(Subscriber(port, "views")) as subscriber:
-        last = until_heard(publisher, subscriber, measurement)
-        kept = set[int]()
-        for _ in range(40):
-            with closing(Subscriber(port, *topics)), closing(Subscriber(port, *topics)):
-                publisher.take(measurement)
-                assert subscriber.hears()[1]["sequence"] == last + 1
-                last += 1
-                kept.add(len(publisher._subscriptions))
-        assert max(kept) < BURST_BYTES / TOPIC_BYTES + 100
-        wait_until(lambda: publisher._subscriptions == {b"views"})
-
-
-def test_no_connection_is_accepted_for_5_s_after_a_flood(
-    publisher: Publisher, port: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Only from the address that flooded; otherwise it floods on with new connections."""
-    guard, clock = publisher._guard, SimpleNamespace(monotonic=lambda: 1e6)
-    monkeypatch.setattr("app.acquisition.streams.guard.time", clock)
-
-    def is_kept(address: str = "127.0.0.1") -> bool:
-        wait_until(lambda: not guard._received)
-        with socket.create_connection(("127.0.0.1", port), source_address=(address, 0)) as connection:
-            connection.setblocking(False)
-
-            def has_ended() -> bool:
-                try:
-                    return not connection.recv(1000)
-                except BlockingIOError:
-                    return False
-                except ConnectionResetError:
-                    return True
-
-            wait_until(lambda: guard._received or has_ended())
-            return bool(guard._received)
-
-    assert is_kept()
-    assert not guard._addresses["127.0.0.1"].spend(BURST_BYTES)
-    assert not is_kept()
-    assert is_kept("127.0.0.9")
-    clock.monotonic = lambda: 1e6 + 4.99
-    assert not is_kept()
-    clock.monotonic = lambda: 1e6 + 5.01
-    assert is_kept()
-
-
-def test_addresses_share_an_allowance(publisher: Publisher, port: int) -> None:
-    """A computer has 16 million addresses of its own."""
-    guard = publisher._guard
-    for number in range(1, 250):
-        with socket.create_connection(("127.0.0.1", port), source_address=(f"127.0.1.{number}", 0)):
-            wait_until(lambda number=number: len(guard._addresses) == number)  # type: ignore[misc] # called now
-        if guard._together.open_from_s:
-            break
-    assert 100 < number < 249
-    assert all(each.open_from_s == 0 for each in guard._addresses.values())
 
 
 @pytest.mark.parametrize(("address", "is_warned"), [("127.0.0.1", False), ("127.8.9.1", False), ("0.0.0.0", True)])  # noqa: S104 - it is warned of

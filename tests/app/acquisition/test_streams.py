@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections import deque
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -21,11 +20,11 @@ from numpy.typing import NDArray
 from support.command_line import run
 from support.optics import SmallBench
 from support.paths import DOCS
-from support.patience import HANG_S, wait_until
+from support.patience import HANG_S
 from support.streams import Subscriber, measured, until_heard
 
 from app.acquisition.streams.publisher import Publisher
-from app.bench.config import Bench, StreamSettings, load_bench, parse_bench, write_bench
+from app.bench.config import Bench, StreamSettings, load_bench
 from app.errors import InputError
 from app.measurement.measurement import Measurement
 from app.recording.reader import Recording
@@ -177,34 +176,6 @@ def test_close_sends_waiting_messages(stream_bench: Bench, port: int, measuremen
         free.bind(("127.0.0.1", port))
 
 
-class LastMoment(deque[tuple[int, Measurement]]):
-    """A queue that is found empty just before a measurement comes and the publisher is closed."""
-
-    def __init__(self, publisher: Publisher, measurement: Measurement) -> None:
-        super().__init__()
-        self._publisher, self._measurement = publisher, measurement
-        self.closing = threading.Thread(target=publisher.close, name="closing")
-
-    def __bool__(self) -> bool:
-        is_filled = len(self) > 0
-        if not is_filled and not self._publisher._closing.is_set():
-            self._publisher.take(self._measurement)
-            self.closing.start()
-            wait_until(self._publisher._closing.is_set)
-        return is_filled
-
-
-@pytest.mark.usefixtures("lingers")
-def test_measurement_at_the_last_moment_is_sent(stream_bench: Bench, port: int, measurement: Measurement) -> None:
-    publisher = Publisher(replace(stream_bench, streams=StreamSettings(port=port)))
-    with closing(Subscriber(port, "slopes")) as subscriber:
-        before = until_heard(publisher, subscriber, measurement)
-        publisher._waiting = last = LastMoment(publisher, measurement)
-        publisher._wake.notify()
-        assert subscriber.hears()[1]["sequence"] == before + 1
-        last.closing.join(HANG_S)
-
-
 @pytest.mark.parametrize(
     ("setting", "sentence"),
     [
@@ -221,12 +192,6 @@ def test_invalid_settings_are_one_line(setting: str, sentence: str, small_toml: 
     with pytest.raises(InputError, match=re.escape(sentence)) as error:
         load_bench(small_toml, (f"streams.{setting}",))
     assert "\n" not in str(error.value)
-
-
-def test_streams_section_survives_write_and_read(small_toml: Path) -> None:
-    bench = load_bench(small_toml, ("streams.port=5560", "streams.address=0.0.0.0"))
-    assert parse_bench(write_bench(bench), "again") == bench
-    assert load_bench(small_toml).streams.port is None
 
 
 @pytest.mark.slow

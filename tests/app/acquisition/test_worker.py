@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,16 +13,13 @@ from support.patience import HANG_S, own_time, wait_until
 from support.running import Running, is_dark
 from support.simulated_faults import lose_frames, stall, unplug
 
-from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument, Status
-from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import SKIPPED, Measurement
 from app.measurement.routines import Cancelled
-from drivers.interface import BadValue, Disconnected, WrongState
-from reconstruction.pipeline import Reconstructor
+from drivers.interface import Disconnected, WrongState
 from reconstruction.quality.verdict import Fault
 from simulated_devices.bench import SimulatedLight
 
@@ -87,26 +83,6 @@ def test_command_runs_between_frames_and_returns_result(running: Running) -> Non
     wait_until(lambda: running.measurements[-1].frame.exposure_s == set_to)
 
 
-def test_refused_setting_keeps_loop_running(running: Running) -> None:
-    running.begin()
-    with pytest.raises(BadValue, match=r"exposure_s = 99 is outside 0.0139 ... 1"):
-        running.acquisition.submit(lambda instrument: instrument.devices.camera.set_exposure(99.0)).result(HANG_S)
-    before = len(running.measurements)
-    wait_until(lambda: len(running.measurements) > before + 2)
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_routines_restore_devices(running: Running) -> None:
-    running.begin()
-    running.acquisition.submit(Instrument.take_dark, 3).result(HANG_S)
-    running.acquisition.submit(Instrument.take_reference, 3).result(HANG_S)
-    status = running.acquisition.status
-    assert status is not None
-    assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, True)
-    assert (status.dark.validity, status.reference.validity, status.warning) == ("good", "good", "")
-
-
 def test_cancelled_routine_restores_devices(running: Running) -> None:
     running.begin()
     long = running.acquisition.submit(Instrument.take_dark, 10_000)
@@ -121,31 +97,6 @@ def test_cancelled_routine_restores_devices(running: Running) -> None:
         long.result(HANG_S)
     assert not running.acquisition.submit(is_dark).result(HANG_S)
     assert running.acquisition.activity.text == ""
-
-
-def test_dark_ends_with_the_status_of_the_light(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    running.begin()
-    seen = set[tuple[str, bool]]()
-
-    def note(acquisition: Acquisition, name: str, value: object) -> None:
-        object.__setattr__(acquisition, name, value)
-        assert acquisition.status is not None
-        seen.add((acquisition.activity.text, acquisition.status.is_light_on))
-
-    monkeypatch.setattr(Acquisition, "__setattr__", note)
-    running.acquisition.submit(Instrument.take_dark, 3).result(HANG_S)
-    assert ("taking the dark, 3 frames", False) in seen
-    assert ("", False) not in seen  # the window would ask for the light
-
-
-def test_cancel_affects_only_running_routine(running: Running) -> None:
-    running.begin()
-    first, second = (running.acquisition.submit(Instrument.take_dark, frames) for frames in (10_000, 2))
-    wait_until(lambda: "dark" in running.acquisition.activity.text)
-    running.acquisition.cancel()
-    with pytest.raises(Cancelled):
-        first.result(HANG_S)
-    second.result(HANG_S)
 
 
 def test_darkis_dark_and_reference_lit(running: Running) -> None:
@@ -214,23 +165,6 @@ def test_reference_without_light_is_a_warning(running: Running) -> None:
     wait_until(lambda: "no light" in running.measurements[-1].problem)
 
 
-@pytest.mark.parametrize(
-    ("change", "warning"),
-    [
-        (lambda instrument: instrument.devices.camera.set_exposure(0.05), "20.0 ms: take it again"),
-        (lambda instrument: instrument.devices.camera.set_em_gain(2.0), "another amplifier or gain"),
-        (lambda instrument: instrument.devices.stage.set_mask("stars"), "taken with the mask square"),
-    ],
-)
-def test_stale_dark_or_reference_is_a_warning(
-    running: Running, change: Callable[[Instrument], object], warning: str
-) -> None:
-    running.begin()
-    running.acquisition.submit(change).result(HANG_S)
-    assert running.acquisition.status is not None
-    assert warning in running.acquisition.status.warning
-
-
 def test_lost_frames_are_counted(running: Running) -> None:
     running.begin()
     running.acquisition.submit(lambda _: lose_frames(running.camera, 5)).result(HANG_S)  # not while a frame is read
@@ -267,23 +201,6 @@ def test_impossible_bench_is_input_error(quick_toml: Path) -> None:
     wait_until(lambda: not running.acquisition.is_alive)
     assert isinstance(running.acquisition.error, InputError)
     assert "screen.npy" in running.acquisition.failure
-
-
-def test_settings_change_while_running(running: Running) -> None:
-    running.begin()
-    running.acquisition.submit(Instrument.change_settings, [("registration.warp", "affine")]).result(HANG_S)
-    wait_until(
-        lambda: (
-            (wavefront := running.measurements[-1].wavefront) is not None
-            and wavefront.displacement.coefficients.shape[2] == 3
-        )
-    )
-
-
-def test_close_works_before_start_and_twice(quick_toml: Path) -> None:
-    acquisition = Acquisition(load_bench(quick_toml), open_devices)
-    acquisition.close()
-    acquisition.close()
 
 
 def test_light_switched_off_by_hand_is_detected(running: Running) -> None:
@@ -325,31 +242,6 @@ def test_camera_that_repeats_a_frame_is_reported(quick_toml: Path) -> None:
         running.acquisition.close()
     assert frozen.quality.faults == after_skipped.quality.faults == Fault.FROZEN
     assert back.quality.faults == Fault.CLOCK
-
-
-def test_worker_that_was_given_up_ends_silently(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    """At the exit of the interpreter the pools refuse work; nothing that waits is begun after the request to end."""
-    running.begin()
-    entered, release = threading.Event(), threading.Event()
-    begun = list[Calibration]()
-
-    def prepare_too_late(calibration: Calibration) -> Reconstructor:
-        begun.append(calibration)
-        entered.set()
-        release.wait(HANG_S)
-        raise RuntimeError("cannot schedule new futures after shutdown")
-
-    monkeypatch.setattr(Calibration, "reconstructor", prepare_too_late)
-    change = running.acquisition.submit(lambda instrument: instrument.change_settings(()))
-    waiting = running.acquisition.submit(lambda instrument: instrument.change_settings(()))
-    assert entered.wait(HANG_S)
-    running.acquisition.begin_close()
-    release.set()
-    running.acquisition.close(HANG_S)
-    assert not running.acquisition.is_alive
-    assert isinstance(change.exception(HANG_S), RuntimeError)
-    assert isinstance(waiting.exception(HANG_S), WrongState)
-    assert len(begun) == 1
 
 
 def test_preparation_is_not_begun_after_the_request_to_end(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,21 +14,13 @@ from hypothesis import strategies as st
 
 from app.acquisition.devices import simulated_bench
 from app.bench.config import load_bench
-from app.measurement.auto_exposure import AutoExposure, Brightness, Reach, Shot, auto_expose, brightness, next_light
+from app.measurement.auto_exposure import AutoExposure, auto_expose
 from app.measurement.routines import UNWATCHED, Cancelled, RoutineError, Watch
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Range
 from simulated_devices.bench import SimulatedLight, SimulatedStage
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
-from simulated_devices.exposure_bench import (
-    PITCH_PX,
-    SIDE_PX,
-    LampScene,
-    ManyFramesCamera,
-    exposure_bench,
-    spots,
-    squares,
-)
+from simulated_devices.exposure_bench import PITCH_PX, LampScene, ManyFramesCamera, exposure_bench, spots, squares
 
 FULL_SCALE = 65535
 C9100 = {  # the property sheet's exposures: EM amplifier at speed 3 and 2, normal amplifier
@@ -90,14 +82,6 @@ def test_exposure_is_found_within_six_frames(
     assert not camera.is_running
 
 
-def test_correct_exposure_is_kept_after_one_frame() -> None:
-    scene = LampScene(counts_per_a_s=44_000 / (0.35 * 0.15), exposure_range_s=C9100["em3"])
-    devices, *_ = exposure_bench(scene, exposure_s=0.15)
-    found = expose(devices)
-    assert found.exposure_s == pytest.approx(0.15)
-    assert (found.current_a, found.frames) == (0.35, 1)
-
-
 def test_full_scale_may_follow_from_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """A camera with 12 bits in Mono16 shows with its first frame that 4095 is the most."""
     known = ManyFramesCamera.capabilities
@@ -127,13 +111,6 @@ def test_current_changes_only_if_exposure_is_not_enough() -> None:
     assert found.current_a == pytest.approx(0.7, rel=0.1)
 
 
-def test_current_compensates_exposure_step() -> None:
-    scene = LampScene(counts_per_a_s=45_000 / 1.4e-5, exposure_range_s=WIDEST)  # at full current, steps of 10 us
-    found = expose(exposure_bench(scene, exposure_s=1e-5, current_a=1.0)[0])
-    assert found.exposure_s == pytest.approx(2e-5)
-    assert found.current_a == pytest.approx(0.7, rel=0.05)
-
-
 def test_auto_exposure_succeeds_with_drooping_or_flickering_light() -> None:
     for scene in (
         LampScene(counts_per_a_s=45_000 / 0.001, exposure_range_s=C9100["em3"], droop=0.8),
@@ -146,12 +123,6 @@ def test_hot_pixels_in_ten_percent_of_lenslets_are_ignored() -> None:
     for seed in range(8):
         scene = LampScene(counts_per_a_s=45_000 / 0.05, exposure_range_s=C9100["em3"], hot_pixels=10, seed=seed)
         assert true_fill(scene, expose(exposure_bench(scene, exposure_s=1.0)[0])) == pytest.approx(0.7, abs=0.06)
-
-
-def test_large_offset_is_no_light() -> None:
-    for begin_s in (0.0139, 1.0):
-        scene = LampScene(counts_per_a_s=39_000 / 0.2, exposure_range_s=C9100["em3"], offset_counts=6000.0)
-        assert true_fill(scene, expose(exposure_bench(scene, exposure_s=begin_s)[0])) == pytest.approx(0.7, abs=0.06)
 
 
 def test_light_without_subimages_raises() -> None:
@@ -175,7 +146,7 @@ def test_auto_exposure_succeeds_with_8_bits() -> None:
         assert expose(exposure_bench(eight, exposure_s=begin_s)[0]).frames <= 6
 
 
-@pytest.mark.parametrize("begin_s", [0.0139, 0.1, 1.0])
+@pytest.mark.parametrize("begin_s", [0.0139, 1.0])
 @pytest.mark.parametrize("is_on", [True, False])
 @pytest.mark.parametrize(
     ("scene", "sentence"),
@@ -224,37 +195,9 @@ def test_fill_must_be_within_tolerances(fill: float) -> None:
     assert not camera.exposed_s
 
 
-def test_shorter_exposures_are_tried_before_lower_currents() -> None:
-    """The first saturated frame leaves little of them, the second one even less."""
-    reach = Reach(lowest=1e-3, lowest_by_exposure=1.0, highest=1e3)
-    saturated = [Shot(light, Brightness(FULL_SCALE, 500.0, 6.0), is_saturated=True) for light in (5.0, 4.0)]
-    first, second = (
-        next_light(saturated[:count], 0.7 * FULL_SCALE, full_scale=FULL_SCALE, reach=reach) / reach.lowest_by_exposure
-        for count in (1, 2)
-    )
-    assert first >= 1 > second
-
-
 def test_fill_is_adjustable() -> None:
     scene = LampScene(counts_per_a_s=1e6, exposure_range_s=C9100["em3"])
     assert expose(exposure_bench(scene, exposure_s=0.0139)[0], 0.4).fill == pytest.approx(0.4, abs=0.05)
-
-
-def test_level_is_that_of_brightest_lenslets() -> None:
-    random = np.random.default_rng(1)
-    row = np.linspace(-1, 1, SIDE_PX)
-    uneven = np.exp(-2 * (row[:, None] ** 2 + row**2))  # a beam as wide as the array
-    for image in IMAGES.values():
-        dark = 500 + 6 * random.standard_normal(image.shape)
-        seen = brightness(np.rint(dark + 40_000 * image).astype(np.uint16), PITCH_PX)
-        assert seen.level == pytest.approx(500 + 40_000 * image.max(), rel=0.01)
-        seen = brightness(np.rint(dark + 40_000 * image * uneven).astype(np.uint16), PITCH_PX)
-        assert seen.level == pytest.approx(500 + 40_000 * np.max(image * uneven), rel=0.1)
-        few = np.where(row[:, None] ** 2 + row**2 < 0.25**2, image, 0)  # 8 of 100 lenslets are lit
-        seen = brightness(np.rint(dark + 40_000 * few).astype(np.uint16), PITCH_PX)
-        assert seen.level == pytest.approx(500 + 40_000 * few.max(), rel=0.1)
-        assert seen.background == pytest.approx(500, abs=3)
-        assert seen.noise == pytest.approx(6, rel=0.2)
 
 
 @pytest.fixture
@@ -268,8 +211,8 @@ def simulated(small_toml: Path) -> Iterator[tuple[Devices, ManualClock]]:
 
 
 @pytest.mark.parametrize("begin_s", [0.02713, 0.3, 7200.0])
-@pytest.mark.parametrize("em_gain", [1.0, 8.0, 200.0])
-@pytest.mark.parametrize("current_a", [0.0, 0.35, 1.0])
+@pytest.mark.parametrize("em_gain", [1.0, 200.0])
+@pytest.mark.parametrize("current_a", [0.0, 0.35])
 def test_auto_exposure_succeeds_on_simulated_bench(
     simulated: tuple[Devices, ManualClock], begin_s: float, em_gain: float, current_a: float
 ) -> None:

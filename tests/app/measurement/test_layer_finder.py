@@ -11,16 +11,15 @@ from numpy.typing import NDArray
 from support.estimators import estimator_with
 from support.optics import SmallBench
 from support.patience import HANG_S, wait_until
-from test_live_solver import bench_of, solve_until, solver_of, until
+from test_live_solver import bench_of, solver_of, until
 
 from app.measurement.estimator import Estimator
-from app.measurement.live_solver import Finder, FinderProcess, Found, LiveSolver, Solved
+from app.measurement.live_solver import Finder, FinderProcess, LiveSolver, Solved
 from app.measurement.live_solver import _are_alike as are_alike
 from app.measurement.measurement import Assumptions, RefinementState
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.pipeline import Reconstructor
-from reconstruction.refinement import Bias, Refinement
 from reconstruction.wavefront import Wavefront
 
 
@@ -76,65 +75,6 @@ def test_layers_found_in_the_background_serve_later_frames(
         until_ratio(solver, layered.register(behind_layer(paper_bench, 0.5)), 0.5)  # searches go on
     finally:
         solver.close()
-
-
-@pytest.mark.slow
-def test_bias_is_found_with_the_sample_of_the_frames(
-    paper_bench: SmallBench, layered: Reconstructor, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen: list[tuple[AssumedSample, Bias]] = []
-    original = Refinement.bias
-
-    def noted(self: Refinement, wavefront: Wavefront) -> Bias:
-        bias = original(self, wavefront)
-        seen.append((wavefront.sample, bias))
-        return bias
-
-    monkeypatch.setattr("app.measurement.estimator.Refinement.bias", noted)
-    solver = solver_of(paper_bench, layered)
-    try:
-        displacement = layered.register(behind_layer(paper_bench, -0.8))
-        applied: list[Assumptions] = []
-        deadline_s = time.monotonic() + HANG_S
-        while len({id(each.sample) for each in applied}) < 2:  # two searches
-            assert time.monotonic() < deadline_s
-            _, assumed = solver.solve(displacement, time.monotonic())
-            applied += [assumed] if assumed.refinement.bias is not None else []
-            time.sleep(0.02)
-        for sample, refinement in applied:
-            assert any(sample is of and refinement.bias is bias.displacement for of, bias in seen)
-    finally:
-        solver.close()
-
-
-def test_search_that_finds_the_same_again_rests_for_longer(
-    paper_bench: SmallBench, layered: Reconstructor, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It takes a processor from the frames."""
-    took_s, began_s = 0.05, list[float]()
-
-    def search(_: Reconstructor, __: Displacement) -> AssumedSample:
-        began_s.append(time.monotonic())
-        time.sleep(took_s)
-        return AssumedSample((-0.8 + 0.004 * (len(began_s) % 2),), np.array([[0.002**2]]))
-
-    asked = list[Solved]()
-    find = Finder.find
-
-    def noted(finder: Finder, newest: Solved) -> Found:
-        asked.append(newest)
-        return find(finder, newest)
-
-    monkeypatch.setattr(Reconstructor, "find_sample", search)
-    monkeypatch.setattr(Finder, "find", noted)
-    solver = solver_of(paper_bench, layered, refine=False)
-    displacement = layered.register(behind_layer(paper_bench, -0.8))
-    try:
-        solve_until(solver, displacement, lambda: len(began_s) >= 3)
-    finally:
-        solver.close()
-    assert len(asked) == len(began_s)  # not for every frame: each goes to another process
-    assert began_s[2] - began_s[1] >= 10 * took_s
 
 
 @pytest.mark.parametrize(

@@ -26,9 +26,7 @@ from drivers.manual_light import ManualLight
 from reconstruction.arrays import Floats
 from reconstruction.frame.linearity import Linearity
 from reconstruction.frame.linearity_fit import MeasuredLinearity
-from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Lattice
-from reconstruction.quality import frame_quality
 from reconstruction.quality.verdict import Fault
 from simulated_devices.exposure_bench import PITCH_PX, LampScene, exposure_bench
 
@@ -191,26 +189,6 @@ def test_dimmer_frames_have_the_light_of_the_reference(bench: Bench) -> None:
     assert misfits[1] < 0.25 * misfits[0]
 
 
-@pytest.mark.slow
-def test_frames_are_judged_by_their_light(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lenslets of different brightness lose different shares of their light; that is no change since the reference."""
-    light = np.asarray(NoiseFreeFrames(bench).reference(), np.float64)
-    light *= np.linspace(0.3, 1, light.shape[1]) * 38_000 / light.max()
-    reference, frame = (each - LOST_PER_COUNT * 1.5 * each**2 for each in (light, light / 2))
-    curve = Linearity(quadratic=0.0963, cubic=0.0320, highest_counts=float(reference.max()))
-    seen: list[Floats] = []
-
-    def note(*given: Any, **_: Any) -> list[Any]:
-        seen.append(given[2])
-        return []
-
-    monkeypatch.setattr(frame_quality, "propagation_faults", note)
-    for each in (bench, replace(bench, linearity=curve)):
-        made = reconstructor(each, reference, dark=np.zeros_like(light), full_scale=np.inf)
-        made.quality(frame, made(frame))
-    assert np.ptp(seen[1]) < 0.3 * np.ptp(seen[0])
-
-
 def test_other_amplifier_or_gain_than_measured_is_a_fault(bench: Bench) -> None:
     dark, reference = photographs(np.full((200, 240), 1000.0), 4, 2)
     calibration = Calibration(
@@ -269,21 +247,3 @@ def test_results_of_files_say_that_they_are_corrected(
     assert run(monkeypatch, "reconstruct", paths[1], "--reference", paths[0], "--bench", toml, "--out", out) == 0
     with xr.open_dataset(out) as results:
         assert results.attrs["linearity"] == f"corrected: {CURVE.sentence}"
-
-
-@pytest.mark.slow
-def test_noise_of_single_images_is_that_of_the_light(bench: Bench) -> None:
-    """Offline, the noise comes from one image: that of the corrected light."""
-    light = np.asarray(NoiseFreeFrames(bench).reference(), np.float64)
-    light *= 36_000 / light.max()
-    noises = []
-    for each, lost in ((bench, 0.0), (replace(bench, linearity=CURVE), LOST_PER_COUNT), (bench, LOST_PER_COUNT)):
-        dark, reference = photographs(light, 1, 5, lost)
-        _, frame = photographs(light, 1, 6, lost)
-        made = reconstructor(each, reference.mean, dark=dark.mean, frame=frame.mean, full_scale=np.inf)
-        known = made._prepared().reconstructor.noise
-        assert isinstance(known, CameraNoise)
-        noises.append(known.counts_per_electron)
-    linear, corrected, plain = noises
-    assert corrected == pytest.approx(linear, rel=0.02)
-    assert plain < 0.93 * linear

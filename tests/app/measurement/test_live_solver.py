@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from support.estimators import estimator_with
 from support.optics import FIELD, SmallBench
-from support.patience import HANG_S, wait_until
+from support.patience import HANG_S
 
 from app.bench.config import Bench
 from app.measurement.live_solver import LiveSolver, Solved
@@ -105,32 +105,6 @@ def test_nearly_flat_wavefront_keeps_bias(paper_bench: SmallBench, reconstructor
     solver.close()
 
 
-@pytest.mark.slow
-def test_refinement_thread_ends(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
-    solver = solver_of(paper_bench, reconstructor)
-    until(solver, reconstructor, paper_bench.reference, "applied")
-    solver.close()
-    wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
-
-
-@pytest.mark.parametrize("closes", [True, False])
-def test_round_cut_short_by_exit_is_no_error(
-    paper_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch, *, closes: bool
-) -> None:
-    def cut_short(*_: object) -> None:
-        if closes:
-            solver.close()
-        raise RuntimeError("cannot schedule new futures after shutdown")
-
-    raised: list[object] = []
-    monkeypatch.setattr(threading, "excepthook", raised.append)
-    monkeypatch.setattr("app.measurement.estimator.Refinement.bias", cut_short)
-    solver = solver_of(paper_bench, reconstructor)
-    solver.solve(reconstructor.register(paper_bench.reference), 0.0)
-    wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
-    assert len(raised) == (0 if closes else 1)
-
-
 def test_impossible_model_is_reported(
     paper_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -141,12 +115,6 @@ def test_impossible_model_is_reported(
     solver = solver_of(paper_bench, reconstructor)
     until(solver, reconstructor, paper_bench.reference, "failed")
     assert solver.solve(reconstructor.register(paper_bench.reference), 0.0)[1].refinement.problem == "no such source"
-
-
-def test_refinement_is_off_by_default() -> None:
-    state = RefinementState()
-    assert state.stage == "off"
-    assert math.isnan(state.age_s)
 
 
 @pytest.mark.slow
@@ -208,29 +176,6 @@ def test_helpful_bias_in_noise_is_kept(paper_bench: SmallBench, reconstructor: R
             time.sleep(0.05)
     finally:
         solver.close()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("strength", "rests"), [(1.0, True), (-1.0, False)], ids=["applied", "moved"])
-def test_refinement_rests_unless_frames_lack_a_correction(
-    paper_bench: SmallBench, reconstructor: Reconstructor, *, strength: float, rests: bool
-) -> None:
-    solver, waits_s = solver_of(paper_bench, reconstructor), list[float]()
-    wait = solver._closing.wait
-
-    def noted(timeout_s: float) -> bool:
-        waits_s.append(timeout_s)
-        return wait(timeout_s)
-
-    try:
-        first = reconstructor.register(bowl(paper_bench, 1.0))
-        solve_until(solver, first, lambda: solver.solve(first, 0.0)[1].refinement.stage == "applied")
-        solver.solve(reconstructor.register(bowl(paper_bench, strength)), 0.0)
-        solver._closing.wait = noted  # type: ignore[method-assign,assignment] # sees the rests
-        solver._rest(0.1)
-    finally:
-        solver.close()
-    assert bool(waits_s) == rests
 
 
 def solve_until(solver: LiveSolver, displacement: Displacement, is_done: Callable[[], bool]) -> None:

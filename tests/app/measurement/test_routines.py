@@ -13,7 +13,6 @@ from scipy import special
 
 from app.acquisition.devices import simulated_bench
 from app.bench.config import load_bench
-from app.measurement import routines
 from app.measurement.auto_exposure import auto_expose
 from app.measurement.averages import (
     Average,
@@ -24,7 +23,7 @@ from app.measurement.averages import (
     take_dark,
     take_reference,
 )
-from app.measurement.routines import UNWATCHED, Cancelled, RoutineError, Watch, next_frame
+from app.measurement.routines import UNWATCHED, Cancelled, RoutineError, Watch
 from drivers.interface import (
     BadValue,
     Camera,
@@ -34,7 +33,6 @@ from drivers.interface import (
     DeviceTimeout,
     Disconnected,
     Frame,
-    FrameLost,
     LightSource,
     Stage,
     WrongState,
@@ -213,51 +211,6 @@ def test_cancelling_at_any_call_restores_devices(devices: Devices, name: str, st
     assert cancelled > calls / 3  # the others came after the last frame
 
 
-def test_wait_for_a_frame_looks_for_commands_often(devices: Devices, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A command begins within 10 ms, however long the exposure is."""
-    waits_s = list[float]()
-
-    def read(timeout_s: float) -> Frame:
-        waits_s.append(timeout_s)
-        raise DeviceTimeout("no frame")
-
-    monkeypatch.setattr(devices.camera, "read", read)
-    with pytest.raises(Cancelled):
-        next_frame(devices.camera, lambda: len(waits_s) == 3)
-    assert len(waits_s) == 3
-    assert 0 < max(waits_s) <= 0.01
-
-
-class Clock:
-    """Monotonic clock that the test moves."""
-
-    now_s = 0.0
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-
-@pytest.mark.parametrize("error", [DeviceTimeout, FrameLost])
-def test_wait_for_a_frame_ends_but_a_stop_of_the_process_does_not_count(
-    devices: Devices, monkeypatch: pytest.MonkeyPatch, error: type[DeviceError]
-) -> None:
-    clock, stops = Clock(), [1, 1000]
-    reads = 0
-
-    def read(timeout_s: float) -> Frame:
-        nonlocal reads
-        reads += 1
-        clock.now_s += 60.0 if reads in stops else timeout_s
-        raise error("no frame")
-
-    monkeypatch.setattr(routines, "time", clock)
-    monkeypatch.setattr(devices.camera, "read", read)
-    with pytest.raises(DeviceTimeout):
-        next_frame(devices.camera, never)
-    waited_s = clock.now_s - 60.0 * sum(stop <= reads for stop in stops)
-    assert devices.camera.exposure_s + 2.5 < waited_s < devices.camera.exposure_s + 3.5
-
-
 @pytest.mark.parametrize("name", ["reference", "exposure"])
 def test_light_that_goes_off_amid_a_routine_ends_it(
     devices: Devices, monkeypatch: pytest.MonkeyPatch, name: str
@@ -311,23 +264,6 @@ def test_refusal_at_any_call_restores_devices_or_darkens(
         restored += (left := State.of(devices)) == LIVE
         assert left == LIVE or not left.is_light_on
     assert restored > calls / 4  # a refusal during the restoration leaves them dark
-
-
-@pytest.mark.parametrize("name", ROUTINES)
-def test_failing_progress_callback_restores_devices(devices: Devices, name: str) -> None:
-    def fail(_frame: Frame, _fraction: float) -> None:
-        raise KeyError("a window that is gone")
-
-    LIVE.set(devices)
-    with_progress: dict[str, Callable[[], object]] = {
-        "dark": lambda: take_dark(devices, 2, Watch(fail)),
-        "reference": lambda: take_reference(devices, 2, Watch(fail)),
-        "exposure": lambda: auto_expose(devices, PITCH_PX, Watch(fail)),
-        "background": lambda: check_background(devices, BEFORE, 2, Watch(fail)),
-    }
-    with pytest.raises(KeyError):
-        with_progress[name]()
-    assert State.of(devices) == LIVE
 
 
 @pytest.mark.parametrize("frames", [0, -1])
@@ -439,12 +375,3 @@ def test_new_hot_and_cooled_pixels_are_counted() -> None:
     check = compared(before, now)
     assert (check.hot_pixels, check.cooled_pixels, check.is_good) == (2, 1, False)
     assert "2 new hot pixels, 1 no longer hot" in check.verdict
-
-
-def test_simulated_background_matches_its_dark(devices: Devices) -> None:
-    AT_REST.set(devices)
-    before = take_dark(devices, 12, UNWATCHED)
-    check = check_background(devices, before, 6, UNWATCHED)
-    assert check.is_good
-    assert check.frames == 6
-    assert check.noise_counts == pytest.approx(25 / 5.8, rel=0.05)

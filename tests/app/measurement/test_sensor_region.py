@@ -34,7 +34,7 @@ from app.measurement.sensor_region import (
 )
 from app.recording.reader import Recording
 from drivers.dcam import DcamSettings
-from drivers.interface import BadValue, CameraCapabilities, Disconnected, Region, WrongState
+from drivers.interface import BadValue, CameraCapabilities, Region, WrongState
 from drivers.serial_lights import CoolLEDSettings
 from reconstruction.geometry import Lattice
 from simulated_devices.settings import SimulatedCameraSettings
@@ -65,11 +65,6 @@ def test_regions_grow_to_whole_steps_on_sensor(region: Region, step_px: int) -> 
         assert wanted <= set(range(start, end))
         if got != SENSOR and wanted:
             assert end - start < len(wanted) + 2 * step_px  # nor too large
-
-
-def test_whole_sensor_is_available_with_any_steps() -> None:
-    assert in_steps(Region(-3, 0, 600, 700), SENSOR, 128) == SENSOR
-    assert in_steps(Region(0, 0, 500, 699), SENSOR, 128) == Region(0, 0, 384, 640)
 
 
 @pytest.mark.parametrize("binning", [1, 2])
@@ -177,25 +172,6 @@ def test_camera_gets_regions_in_whole_steps() -> None:
     assert set_area(camera, SensorArea(Region(0, 0, 480, 640), 2)) == SensorArea(Region(0, 0, 480, 640), 2)
 
 
-def test_region_need_not_fit_steps_of_other_binning() -> None:
-    camera = Binning()
-    set_area(camera, SensorArea(Region(16, 16, 112, 112), 1))
-    assert set_area(camera, SensorArea(Region(32, 32, 64, 64), 2)) == SensorArea(Region(32, 32, 64, 64), 2)
-
-
-def test_unplugged_camera_gets_no_more_calls(monkeypatch: pytest.MonkeyPatch) -> None:
-    camera, asked = Binning(), []
-
-    def unplugged(region: Region) -> Region:
-        asked.append(region)
-        raise Disconnected("the camera was unplugged")
-
-    monkeypatch.setattr(camera, "_set_region", unplugged)
-    with pytest.raises(Disconnected):
-        set_area(camera, SensorArea(Region(32, 32, 64, 64), 1))
-    assert asked == [Region(32, 32, 64, 64)]
-
-
 def test_refused_area_restores_previous_one() -> None:
     camera = Binning()
     before = set_area(camera, SensorArea(Region(32, 32, 64, 64), 1))
@@ -286,31 +262,6 @@ def test_smaller_area_shows_same_lenslets_after_recalibration(
 
     acquisition.set_area(whole).result(HANG_S)
     assert acquisition.submit(lambda instrument: instrument.bench).result(HANG_S) == acquisition.bench
-
-
-def test_restored_area_makes_dark_and_reference_valid_again(live_small: tuple[Acquisition, list[Measurement]]) -> None:
-    acquisition, measurements = live_small
-    whole = acquisition.submit(lambda instrument: SensorArea.of(instrument.devices.camera)).result(HANG_S)
-    acquisition.set_area(SensorArea(Region(0, 0, 160, 160), 1)).result(HANG_S)
-    wait_until(lambda: measurements[-1].frame.pixels.shape == (160, 160))
-    acquisition.set_area(whole).result(HANG_S)
-    assert acquisition.status is not None
-    assert acquisition.status.warning == ""
-    newest(measurements, len(measurements), has_wavefront)
-
-
-def test_camera_area_is_restored_if_bench_rejects_it(
-    live_small: tuple[Acquisition, list[Measurement]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object) -> None:
-        raise BadValue("too few pixels are left")
-
-    acquisition, measurements = live_small
-    monkeypatch.setattr("app.acquisition.instrument.moved_bench", refuse)
-    with pytest.raises(BadValue, match="too few"):
-        acquisition.set_area(SensorArea(Region(0, 0, 160, 160), 1)).result(HANG_S)
-    seen = len(measurements)
-    assert newest(measurements, seen + 1, lambda each: not each.problem).frame.pixels.shape == (172, 240)
 
 
 def test_lattice_outside_frame_is_reported(live_small: tuple[Acquisition, list[Measurement]]) -> None:

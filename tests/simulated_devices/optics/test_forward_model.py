@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.optics import FIELD, sensor_of
-from support.patience import HANG_S
 
 from reconstruction.arrays import Floats, PointField
 from reconstruction.geometry import Arrangement, Lattice
@@ -256,43 +255,7 @@ def test_progress_rises_to_one() -> None:
     assert heard[-1] == 1.0
 
 
-@pytest.fixture
-def told(monkeypatch: pytest.MonkeyPatch) -> list[threading.Event]:
-    """The events by which renderings tell their threads to end, the newest last."""
-    made: list[threading.Event] = []
-
-    class Kept(threading.Event):
-        def __init__(self) -> None:
-            super().__init__()
-            made.append(self)
-
-    monkeypatch.setattr("simulated_devices.optics.forward_model.Event", Kept)
-    return made
-
-
-class SlowField:
-    """No screen at all, but 5 ms a point; from the `last` one on, each waits until the threads are told to end."""
-
-    def __init__(self, told: list[threading.Event], cause: Callable[[], object], last: float = 3) -> None:
-        self.points = 0
-        self._told, self._cause, self._last = told, cause, last
-        self._numbers = itertools.count(1)  # safe in threads
-        self._field = np.ones((len(model().sample_y_m), len(model().sample_x_m)), np.complex64)
-
-    def __call__(self, _x_m: float, _y_m: float) -> NDArray[np.complex64]:
-        self.points = number = next(self._numbers)
-        if number == self._last:
-            self._cause()
-        if number >= self._last:
-            assert self._told[-1].wait(HANG_S)
-        time.sleep(5e-3)
-        return self._field
-
-    def end(self, _: float) -> None:
-        """End the rendering at once; as a callback of its progress."""
-        if self._last:
-            self._last = 0
-            self._cause()
+MANY = source.source_points("square", Source(), object_samples=31)
 
 
 def fail() -> None:
@@ -303,26 +266,23 @@ def interrupt() -> None:
     signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
-MANY = source.source_points("square", Source(), object_samples=31)
-
-
 @pytest.mark.usefixtures("default_signals")
 @pytest.mark.parametrize(("end", "error"), [(fail, ArithmeticError), (interrupt, KeyboardInterrupt)])
+@pytest.mark.parametrize("of_points", [False, True])
 def test_exception_or_ctrl_c_ends_all_threads(
-    told: list[threading.Event], end: Callable[[], object], error: type[BaseException]
+    end: Callable[[], object], error: type[BaseException], *, of_points: bool
 ) -> None:
-    slow = SlowField(told, end)
-    with pytest.raises(error):
-        model().irradiance(MANY, slow)
-    assert slow.points <= 4
-    slow = SlowField(told, end)
-    with pytest.raises(error):
-        model().point_irradiances(MANY.position_m[:64], slow)
-    assert slow.points <= 4
+    rendering, numbers = model(), itertools.count(1)  # safe in threads
+    still = np.ones((len(rendering.sample_y_m), len(rendering.sample_x_m)), np.complex64)
 
+    def field(_x_m: float, _y_m: float) -> NDArray[np.complex64]:
+        if next(numbers) == 3:
+            end()
+        time.sleep(5e-3)
+        return still
 
-def test_exception_in_progress_ends_rendering(told: list[threading.Event]) -> None:
-    slow = SlowField(told, fail, last=math.inf)
-    with pytest.raises(ArithmeticError):
-        model().irradiance(MANY, slow, progress=slow.end)  # heard after one column of 31 points
-    assert slow.points <= 2 * 31
+    with pytest.raises(error):
+        _ = rendering.point_irradiances(MANY.position_m, field) if of_points else rendering.irradiance(MANY, field)
+    begun = next(numbers)
+    time.sleep(0.05)
+    assert next(numbers) == begun + 1 < 900  # of 961

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import zarr
 from support.optics import FIELD, sensor_of
 
 from reconstruction.arrays import PointField
@@ -106,22 +105,6 @@ def test_matrix_replaces_only_a_matrix(tmp_path: Path, model: ForwardModel, fiel
     assert (tmp_path / "letters" / "dear.txt").exists()
 
 
-def test_exception_in_progress_leaves_nothing(tmp_path: Path, model: ForwardModel) -> None:
-    heard: list[float] = []
-
-    def progress(part: float) -> None:
-        heard.append(part)
-        if part > 0.5:
-            raise InterruptedError
-
-    with pytest.raises(InterruptedError):
-        MeasurementMatrix.write(tmp_path / "a.zarr", model, GRID.position_m, progress=progress)
-    assert heard == sorted(heard)
-    assert 0 < heard[0] < 0.2
-    assert 0.5 < heard[-1] < 0.7
-    assert not list(tmp_path.iterdir())
-
-
 def chunk_files(path: Path) -> list[Path]:
     return sorted(item for item in (path / "c").rglob("*") if item.is_file())
 
@@ -151,32 +134,3 @@ def test_damaged_matrix_is_refused(tmp_path: Path, stored: MeasurementMatrix) ->
     for path in (headless, tmp_path / "absent", tmp_path):
         with pytest.raises(ValueError, match="is not a measurement matrix"):
             MeasurementMatrix(path)
-
-
-def test_object_of_wrong_size_is_refused(stored: MeasurementMatrix) -> None:
-    with pytest.raises(ValueError, match="for each of the 169 points"):
-        stored.multiply(np.ones(168))
-    with pytest.raises(ValueError, match="must be finite"):
-        stored.multiply(np.full(169, np.nan))
-
-
-def test_dark_block_is_stored(tmp_path: Path) -> None:
-    beside = Lattice(center_x_px=900.0, center_y_px=68.9, pitch_px=31.25)
-    dark = ForwardModel(
-        SENSOR, beside, FIELD, shape=(140, 170), pupil_samples=12, pixel_fill_factor=1.0, border_lenslets=0
-    )
-    assert not write(tmp_path / "dark.zarr", dark, None).multiply(GRID.area_m2).any()
-
-
-def test_missing_block_is_an_error(tmp_path: Path, model: ForwardModel, field: PointField) -> None:
-    matrix = write(tmp_path / "a.zarr", model, field)
-    next(path for path in (tmp_path / "a.zarr" / "c").rglob("*") if path.is_file()).unlink()
-    with pytest.raises(ValueError, match="is damaged: a block has gone"):
-        matrix.multiply(GRID.area_m2)
-
-
-def test_other_zarr_store_is_left_alone(tmp_path: Path, model: ForwardModel) -> None:
-    zarr.create_array(str(tmp_path / "a.zarr"), shape=(3,), dtype="f4")
-    with pytest.raises(ValueError, match="left alone"):
-        write(tmp_path / "a.zarr", model, None)
-    assert zarr.open_array(str(tmp_path / "a.zarr"), mode="r").shape == (3,)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from itertools import islice
 from pathlib import Path
 
@@ -12,16 +10,13 @@ from support.gui_bench import BENCH, FakeCamera
 from support.patience import HANG_S, wait_until
 from support.served import connected, newest, served
 
-from app.acquisition.instrument import Instrument
 from app.acquisition.remote.server import Server
 from app.acquisition.session import ConnectedBench, connect
 from app.commands.measure import measure_attached
 from app.errors import Interrupted, RunError
-from app.measurement.calibration import Calibration
 from app.recording.reader import Recording
 from app.results.frame_tallies import Measured
 from drivers.interface import WrongState
-from reconstruction.pipeline import Reconstructor
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder")]  # each prepares a reference
 
@@ -91,43 +86,6 @@ def test_every_measurement_comes_once_and_those_missed_are_counted(fake_camera: 
         bench.every()
 
 
-def test_every_measurement_from_the_call_on_comes_though_the_first_needs_an_estimator(
-    server: Server, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    prepare = Calibration.reconstructor
-
-    def slowly(calibration: Calibration) -> Reconstructor:
-        time.sleep(0.5)  # longer than eight frames
-        return prepare(calibration)
-
-    wait_until(lambda: server.acquisition.newest is not None and server.acquisition.newest.wavefront is not None)
-    with connect() as bench:
-        monkeypatch.setattr(Calibration, "reconstructor", slowly)
-        seen = [measurement.counts.acquired for measurement in islice(bench.every(), 10)]
-    assert seen == list(range(seen[0], seen[0] + 10))
-
-
-def test_new_reference_costs_no_frame(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    prepare = Calibration.reconstructor
-
-    def slowly(calibration: Calibration) -> Reconstructor:
-        if threading.current_thread().name != "acquisition":  # in the client
-            time.sleep(0.5)  # longer than eight frames
-        return prepare(calibration)
-
-    with connect() as bench:
-        newest(bench._connection)
-        every = bench.every()
-        first = next(every)
-        monkeypatch.setattr(Calibration, "reconstructor", slowly)
-        server.acquisition.submit(Instrument.take_reference, 2)
-        made = next(each for each in every if each.calibration is not first.calibration)
-        seen = [made.counts.acquired, *(each.counts.acquired for each in islice(every, 20))]
-        assert made.wavefront is not None
-        assert seen == list(range(seen[0], seen[0] + 21))
-        assert not bench.overtaken
-
-
 def measured_attached(out: Path) -> Measured:
     return measure_attached("instrument", out, frames=4, progress=lambda *_: None)
 
@@ -150,24 +108,3 @@ def test_measure_tells_of_a_missing_reference_before_it_records(fake_camera: Fak
     ):
         measured_attached(tmp_path / "run")
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.usefixtures("server")
-def test_a_measurement_after_a_command_was_taken_after_it(
-    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    set_exposure, set_s = fake_camera._set_exposure, list[float]()
-
-    def note_time(exposure_s: float) -> float:
-        set_s.append(time.perf_counter())
-        return set_exposure(exposure_s)
-
-    monkeypatch.setattr(fake_camera, "_set_exposure", note_time)
-    with connect() as bench:
-        for measurement in bench:
-            if measurement.wavefront is not None:
-                break
-        for exposure_s in (0.03, 0.04, 0.045):
-            bench.set_exposure(exposure_s)
-            assert next(iter(bench)).frame.host_time_s > set_s[-1]
-        assert len(set_s) == 3

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,11 +19,9 @@ from support.served import connected, newest, served
 
 from app.acquisition.address import taken_address
 from app.acquisition.instrument import Instrument
-from app.acquisition.light_switch import LightSwitch
-from app.acquisition.remote.connection import Connection, reach
+from app.acquisition.remote.connection import reach
 from app.acquisition.remote.messages import Command
 from app.acquisition.remote.server import Server
-from app.acquisition.start_up import start_up
 from app.errors import InputError, RunError
 from app.measurement.measurement import Assumptions, Measurement, RefinementState
 from app.recording.reader import Recording
@@ -114,75 +111,6 @@ def test_one_client_has_control_and_the_others_watch(fake_camera: FakeCamera) ->
             first._send("cancel").result(HANG_S)
 
 
-def test_command_that_waits_cannot_light_after_the_light_was_switched_off(
-    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """An instrument whose devices are open executes the first before it reads the second."""
-    may_reach, tried = threading.Event(), threading.Event()
-    reach_it, switch_off = Connection._reach, LightSwitch.switch_off
-    set_on = fake_camera.light.set_on
-
-    def note_try(on: bool) -> None:
-        try:
-            set_on(on)
-        finally:
-            tried.set()
-
-    monkeypatch.setattr(Connection, "_reach", lambda self: may_reach.wait(HANG_S) and reach_it(self))
-    monkeypatch.setattr(LightSwitch, "switch_off", lambda self: tried.wait(HANG_S) and switch_off(self))
-    monkeypatch.setattr(fake_camera.light, "set_on", note_try)
-    with served(fake_camera, begin=lambda _: None) as server:
-        wait_until(lambda: server.acquisition.status is not None)
-        with closing(Connection("test", server.address)) as connection:
-            lighting, darkening = connection.submit(Instrument.set, "is_light_on", True), connection.switch_light_off()
-            may_reach.set()
-            with pytest.raises(WrongState, match="switched off meanwhile"):
-                lighting.result(HANG_S)
-            darkening.result(HANG_S)
-            assert fake_camera.light.log.lightings == 0
-            connection.submit(Instrument.set, "is_light_on", True).result(HANG_S)
-            assert fake_camera.light.shines
-
-
-@pytest.mark.parametrize("off_comes", ["while it is stopped", "as it goes on"])
-def test_light_does_not_flash_if_on_and_off_wait_for_a_stopped_instrument(
-    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch, off_comes: str
-) -> None:
-    """On a busy computer, the worker begins the first command before the second one is executed."""
-    goes_on, darkening = threading.Event(), list[Future[None]]()
-    turn, arrived, execute = Server._turn, Server._arrived, Server._execute
-
-    def note_arrived(server: Server, before: list[tuple[bytes, Any]]) -> list[tuple[bytes, Any]]:
-        messages = arrived(server, before)
-        if not darkening and any(isinstance(message, Command) for _, message in messages):
-            darkening.append(second.switch_light_off())
-        return messages
-
-    def execute_slowly(server: Server, identity: bytes, command: Command) -> None:
-        execute(server, identity, command)
-        time.sleep(0.2)
-
-    monkeypatch.setattr("app.acquisition.remote.server._GATHERING_S", 1.0)
-    monkeypatch.setattr(Server, "_execute", execute_slowly)
-    monkeypatch.setattr(Server, "_arrived", note_arrived)
-    with served(fake_camera, begin=lambda _: None), connected("first") as first, connected("second") as second:
-        wait_until(lambda: first.status is not None)
-        monkeypatch.setattr(Server, "_turn", lambda server: goes_on.wait(HANG_S) and turn(server))
-        time.sleep(0.6)
-        lighting = first.submit(Instrument.set, "is_light_on", True)
-        time.sleep(0.2)
-        if off_comes == "while it is stopped":
-            darkening.append(second.switch_light_off())
-            time.sleep(0.2)
-        goes_on.set()
-        with pytest.raises(WrongState, match="switched off meanwhile"):
-            lighting.result(HANG_S)
-        darkening[0].result(HANG_S)
-        assert fake_camera.light.log.lightings == 0
-        first.submit(Instrument.set, "is_light_on", True).result(HANG_S)
-        assert fake_camera.light.shines
-
-
 def test_light_does_not_flash_if_on_waited_for_the_worker_when_the_instrument_was_stopped(
     fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -262,14 +190,6 @@ def test_control_is_free_when_its_client_leaves_or_falls_silent(monkeypatch: pyt
             assert not other.controller
             with pytest.raises(WrongState, match="nobody has control"):
                 silent.submit(Instrument.take_dark, 3).result(HANG_S)
-
-
-@pytest.mark.usefixtures("server")
-def test_connections_of_one_process_are_told_apart() -> None:
-    with connected("notebook") as first, connected("notebook") as second:
-        assert first.name != second.name
-        assert first.has_control
-        assert not second.has_control
 
 
 @pytest.mark.usefixtures("server")
@@ -369,11 +289,3 @@ def test_an_instrument_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyP
         with pytest.raises(RunError, match=f"process {address.process} does not answer"):
             reach("test")
     assert not [each for each in threading.enumerate() if each.name.startswith("connection")]
-
-
-def test_commands_sent_at_start_up_are_those_of_any_instrument(fake_camera: FakeCamera) -> None:
-    with served(fake_camera, begin=lambda _: None), connected() as connection:
-        wait_until(lambda: connection.status is not None)
-        for step in start_up(connection, 3):
-            step.result(HANG_S)
-        assert newest(connection).wavefront is not None

@@ -226,18 +226,6 @@ def is_finished(connection: Connection) -> bool:
     return connection.recording is not None and connection.recording.stage == "finished"
 
 
-def test_a_frozen_client_that_wakes_up_only_watches(small_toml: Path, tmp_path: Path) -> None:
-    with instrument(small_toml), connected("first") as first:
-        wait_for_wavefront(first)
-        with recording_client(tmp_path) as client:
-            client.send_signal(signal.SIGSTOP)
-            wait_until(lambda: first.clients == (first.name,))
-            client.send_signal(signal.SIGCONT)
-            wait_until(lambda: len(first.clients) == 2)
-            wait_for_more(first)
-            assert first.has_control
-
-
 def test_ctrl_c_ends_the_instrument_in_order(small_toml: Path, tmp_path: Path) -> None:
     with instrument(small_toml) as running, connected() as connection:
         wait_for_wavefront(connection)

@@ -2,54 +2,21 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.gui_bench import make_frame
-from support.patience import HANG_S, wait_until
+from support.patience import wait_until
 
-from app.acquisition.remote.frames import RemoteFrames, _Follower
-from app.acquisition.remote.messages import Notice, RingRecord
-from app.acquisition.remote.ring import RingReader, RingWriter
-from app.acquisition.remote.wire import Packed
-from app.errors import RunError
-from app.measurement.measurement import Measurement
-
-ONE_THREAD = """
-import time
-import scipy.linalg
-from threadpoolctl import threadpool_info
 from app.acquisition.remote.frames import RemoteFrames
-
-def threads():
-    return max(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas")
-
-before = threads()
-frames = RemoteFrames(lambda _: None, (), 0.0)
-while threads() == before:
-    time.sleep(0.01)
-during = threads()
-frames.close()
-frames.join()
-print(before, during, threads())
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="BLAS has as many threads as processors at most")
-def test_client_keeps_to_one_thread_of_blas() -> None:
-    """Others would wait busily: the client would take seven times the processor time, of the instrument, too."""
-    environment, command = os.environ | {"OPENBLAS_NUM_THREADS": "2"}, [sys.executable, "-c", ONE_THREAD]
-    said = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, timeout=HANG_S, check=True)  # noqa: S603 - our own program
-    assert said.stdout == "2 1 2\n"
+from app.acquisition.remote.messages import Notice, RingRecord
+from app.acquisition.remote.ring import RingWriter
+from app.acquisition.remote.wire import Packed
+from app.measurement.measurement import Measurement
 
 
 def test_frames_measured_before_a_command_are_shown_but_no_longer_passed_on(tmp_path: Path) -> None:
@@ -132,21 +99,6 @@ def test_frame_that_two_readers_miss_is_counted_once(frames: RemoteFrames, tmp_p
         assert frames.overtaken == 4
 
 
-def test_newest_frame_that_is_overtaken_while_it_is_copied_is_counted(
-    frames: RemoteFrames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    read = RingReader.read
-    monkeypatch.setattr(RingReader, "read", lambda ring, count: None if count == 2 else read(ring, count))
-    with closing(RingWriter(10_000, tmp_path / "ring")) as ring:
-        publish(ring, frames, 1)
-        wait_until(lambda: frames.newest)
-        publish(ring, frames, 2)
-        wait_until(lambda: frames.overtaken == 1)
-        publish(ring, frames, 3)
-        wait_until(lambda: frames.newest is not None and frames.newest.frame.index == 3)
-        assert frames.overtaken == 1
-
-
 def test_memory_that_cannot_be_opened_is_told(frames: RemoteFrames, monkeypatch: pytest.MonkeyPatch) -> None:
     """As from another container."""
     monkeypatch.setattr("app.acquisition.remote.frames._REPLACED_S", 0.0)
@@ -154,12 +106,3 @@ def test_memory_that_cannot_be_opened_is_told(frames: RemoteFrames, monkeypatch:
     wait_until(lambda: frames.error)
     assert "cannot be opened from here ([Errno 2] No such file or directory" in str(frames.error)
     assert "start it where the instrument runs" in str(frames.error)
-
-
-def test_memory_that_was_replaced_may_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    times_s, follower = iter((0.0, 2.9, 3.1, 6.0, 6.2)), _Follower(lambda _: None)
-    monkeypatch.setattr("app.acquisition.remote.frames.time", SimpleNamespace(monotonic=lambda: next(times_s)))
-    for name in ("3#replaced", "3#replaced", "4#missing", "4#missing"):
-        assert follower.next(f"/proc/0/fd/{name}") is None
-    with pytest.raises(RunError, match="cannot be opened"):
-        follower.next("/proc/0/fd/4#missing")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
 import sys
 import threading
 from collections.abc import Iterator
@@ -12,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.patience import wait_until
 
 from app.acquisition.remote.ring import RingReader, RingWriter
 from app.acquisition.remote.wire import Packed, unpacked
@@ -48,22 +45,11 @@ def test_records_arrive_until_they_are_overwritten(ring: RingWriter) -> None:
             assert (array == number).all()
 
 
-def test_larger_records_do_not_fit(ring: RingWriter) -> None:
-    assert not ring.has_room_for(Packed(np.zeros(3000)))
-
-
 def test_counts_go_on_in_the_next_ring(tmp_path: Path) -> None:
     with closing(RingWriter(20_000, tmp_path / "ring", count=41)) as ring, closing(RingReader(ring.name)) as reader:
         assert ring.write(record(42)) == 42
         assert reader.read(42) is not None
         assert reader.read(41) is None
-
-
-def test_counts_that_are_left_out_take_no_slot(ring: RingWriter) -> None:
-    with closing(RingReader(ring.name)) as reader:
-        for count in range(1, 41, 4):
-            assert ring.write(record(count), count) == reader.count == count
-        assert [count for count in range(50) if reader.read(count) is not None] == [25, 29, 33, 37]
 
 
 def test_a_record_being_written_is_not_returned(ring: RingWriter) -> None:
@@ -82,34 +68,6 @@ def test_a_record_being_written_is_not_returned(ring: RingWriter) -> None:
         ring.write(Slow((5, np.zeros(3))))
         assert seen == [None, None, None]
         assert reader.read(5) is not None
-
-
-def test_records_overwritten_while_they_are_copied_are_refused(
-    ring: RingWriter, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with closing(RingReader(ring.name)) as reader:
-        ring.write(record(1))
-
-        class Overtaken:
-            def __init__(self, memory: object) -> None:
-                self.memory = memory
-
-            def __getitem__(self, part: slice) -> bytes:
-                for number in (2, 3, 4, 5):  # while the reader copies
-                    ring.write(record(number))
-                return bytes(self.memory[part])  # type: ignore[index] # of a mapped file
-
-            def __buffer__(self, flags: int) -> memoryview:  # pragma: no cover - newer Pythons
-                return memoryview(self.memory)  # type: ignore[arg-type] # the same
-
-        memory = reader._memory
-        unpack_from = __import__("struct").unpack_from
-        monkeypatch.setattr(
-            "app.acquisition.remote.ring.struct.unpack_from", lambda form, _, start: unpack_from(form, memory, start)
-        )
-        monkeypatch.setattr(reader, "_memory", Overtaken(memory))
-        assert reader.read(1) is None
-        monkeypatch.setattr(reader, "_memory", memory)
 
 
 def test_a_busy_writer_never_gives_a_torn_record(ring: RingWriter) -> None:
@@ -136,35 +94,6 @@ def test_a_busy_writer_never_gives_a_torn_record(ring: RingWriter) -> None:
         thread.join()
 
 
-OWNER = """
-import sys, time
-from pathlib import Path
-from app.acquisition.remote.ring import RingWriter
-from app.acquisition.remote.wire import Packed
-ring = RingWriter(1000, Path(sys.argv[1], "ring"))
-ring.write(Packed("whole"))
-print(ring.name, flush=True)
-time.sleep(600)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the ring is a file")
-def test_nothing_stays_of_a_killed_writer_and_readers_keep_what_they_have(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", OWNER, str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as owner:  # noqa: S603 - this interpreter
-        assert owner.stdout is not None
-        name = owner.stdout.readline().strip()
-        with closing(RingReader(name)) as reader:
-            owner.send_signal(signal.SIGKILL)
-            owner.wait()
-            wait_until(lambda: not Path(name.partition("#")[0]).exists())
-            body = reader.read(1)
-            assert body is not None
-            assert unpacked(body) == "whole"
-    assert not list(tmp_path.iterdir())
-
-
 def test_another_file_is_no_ring(tmp_path: Path) -> None:
     other = tmp_path / "other"
     other.write_bytes(b"x" * 1000)
@@ -172,9 +101,3 @@ def test_another_file_is_no_ring(tmp_path: Path) -> None:
         RingReader(f"{other}#1234")
     with pytest.raises(OSError, match="nothing"):
         RingReader(str(tmp_path / "nothing#1234"))
-
-
-def test_ring_of_another_process_at_the_same_place_is_refused(ring: RingWriter) -> None:
-    """As in another container, where a process may have the same number."""
-    with pytest.raises(ValueError, match="no ring"):
-        RingReader(f"{ring.name.partition('#')[0]}#another")

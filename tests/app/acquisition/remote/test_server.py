@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from dataclasses import replace
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,24 +15,10 @@ from support.patience import HANG_S, wait_until
 from support.served import connected, newest, served
 
 from app.acquisition.address import file_of
-from app.acquisition.instrument import Instrument
-from app.acquisition.remote.connection import reach
-from app.acquisition.remote.messages import (
-    MOST_BYTES,
-    Accepted,
-    Answer,
-    Command,
-    Hello,
-    Notice,
-    SharedObject,
-    Sign,
-    State,
-)
-from app.acquisition.remote.ring import RingReader
+from app.acquisition.remote.messages import Answer, Command, Hello, Notice, SharedObject, Sign
 from app.acquisition.remote.server import Server
 from app.acquisition.remote.wire import Packed, unpacked
 from app.measurement.measurement import Measurement
-from drivers.interface import BadValue
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder")]  # each prepares a reference
 
@@ -110,27 +94,6 @@ def test_an_answer_reaches_a_client_that_did_not_read_for_long(server: Server, m
         assert next(each.number for each in read_all(socket) if isinstance(each, Answer)) == 7
 
 
-@pytest.mark.parametrize("reads_news", [True, False])
-def test_an_answer_follows_the_state_after_its_command_unless_that_is_known(
-    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch, *, reads_news: bool
-) -> None:
-    """A state takes longer to send than the answer."""
-    monkeypatch.setattr("app.acquisition.remote.server._PULSE_S", 60.0)
-    monkeypatch.setattr("app.acquisition.remote.server._BEHIND_S", 60.0 if reads_news else -1.0)
-    with served(fake_camera, begin=lambda _: None) as server:
-        wait_until(lambda: server.acquisition.status is not None)
-        with silent_client(server) as socket:
-            for number in (1, 2):
-                say(socket, server, Command(number, "set", ("exposure_s", 0.03)))
-            told = [each for each in read_all(socket) if isinstance(each, Answer | State)]
-    first, second = (told.index(each) for each in told if isinstance(each, Answer))
-    state = told[first - 1]
-    assert isinstance(state, State)
-    assert state.status is not None
-    assert state.status.exposure_s == 0.03
-    assert isinstance(told[second - 1], Answer if reads_news else State)
-
-
 def test_a_client_that_does_not_read_gets_no_news_until_it_does(
     server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -159,46 +122,6 @@ def test_objects_are_sent_once_to_each_client(server: Server) -> None:
     assert told == sorted(set(told))
 
 
-@pytest.mark.parametrize("is_every_frame_read", [False, True])
-def test_frames_are_passed_on_as_often_as_they_are_read(server: Server, is_every_frame_read: bool) -> None:
-    sinks = (lambda _: None,) if is_every_frame_read else ()
-    with closing(reach("client", sinks=sinks)) as connection:
-        newest(connection)
-        connection.submit(Instrument.set, "is_running", False).result(HANG_S)
-        assert server._ring is not None
-        frame, began_s = make_frame(np.zeros((3, 4), np.uint16)), time.monotonic()
-        published, before = server._published, server._ring._written
-        for number in range(100):
-            time.sleep(0.002)
-            server._publish(Measurement(frame, None, str(number)), is_shown_only=False)
-        written, seconds = server._ring._written - before, time.monotonic() - began_s
-        assert written == 100 if is_every_frame_read else 0 < written <= seconds / 0.02 + 1
-        newest(connection, lambda made: made.problem == "99")
-        assert server._ring.count == published + 100  # who reads every one misses the others with a count
-
-
-def test_a_disk_that_does_not_answer_holds_up_nobody(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    answers = threading.Event()
-    monkeypatch.setattr(server.acquisition._recorder, "free_minutes", lambda _: answers.wait(HANG_S) and 7.0)
-    with connected() as connection:
-        asked = connection.free_minutes(Path.cwd())
-        connection.take_control().result(HANG_S)
-        assert not asked.done()
-        answers.set()
-        assert asked.result(HANG_S) == 7.0
-
-
-def test_messages_that_are_too_large_are_not_heard(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    large = Command(1, "use", (np.zeros(2**20),))
-    with connected(takes_control=False) as watching, silent_client(server) as socket:
-        monkeypatch.setattr("app.acquisition.remote.outbox.MOST_BYTES", 2**10)
-        with pytest.raises(BadValue, match="too large"):
-            watching._send("use", *large.arguments).result(HANG_S)
-        assert server._socket.getsockopt(zmq.MAXMSGSIZE) == MOST_BYTES
-        say(socket, server, large)
-        assert any(isinstance(each, Accepted) for each in read_all(socket))  # this one may come
-
-
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # the worker ends loudly
 @pytest.mark.parametrize("where", ["_publish", "_answer"])
 def test_a_fault_of_the_instruments_end_switches_the_light_off_and_is_told(
@@ -224,24 +147,6 @@ def test_a_fault_of_the_instruments_end_switches_the_light_off_and_is_told(
     assert str(faults[0]) == "no memory is left"
 
 
-def test_everything_is_closed_though_one_step_fails(fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise OSError("no state")
-
-    faults = list[Exception]()
-    with served(fake_camera, faults=faults) as server:
-        with connected() as connection:
-            newest(connection)
-        monkeypatch.setattr(server, "_tell_state", fail)
-        wait_until(lambda: faults)
-        assert not server.acquisition.is_alive
-        assert not fake_camera.light.shines
-        assert server._socket.closed
-        assert server._ring is not None
-        with pytest.raises(FileNotFoundError):
-            RingReader(server._ring.name)
-
-
 def test_log_of_a_library_that_prints_at_every_frame_stays_small(server: Server) -> None:
     with file_of(server.address.name, "log").open("ab") as log:
         for line in (b"a frame\n" * 200_000, b"a crash\n"):
@@ -249,16 +154,3 @@ def test_log_of_a_library_that_prints_at_every_frame_stays_small(server: Server)
             log.flush()
             wait_until(lambda: Path(log.name).stat().st_size < 1000)
     assert Path(log.name).read_bytes() == b"a crash\n"
-
-
-def test_larger_frames_get_a_larger_ring(server: Server) -> None:
-    with closing(reach("client", sinks=(lambda _: None,))) as connection:  # else it might be left out
-        found = newest(connection)
-        before = server._ring
-        assert before is not None
-        assert connection.status is not None
-        assert found.frame.pixels.nbytes < before._stride
-        larger = replace(found.frame, pixels=np.zeros((900, 900), np.uint16))
-        server._publish(Measurement(larger, None, "large"), is_shown_only=True)
-        wait_until(lambda: server._ring is not before)
-        newest(connection)  # goes on in the new one
