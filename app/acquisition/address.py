@@ -17,7 +17,6 @@ from app.errors import InputError, RunError
 
 NAME = "instrument"
 DYING_S = 0.5  # for a killed process to give its files back
-_VARIABLE = "SVWFS_INSTRUMENT"  # names the instrument to processes that it starts
 _FOLDER = "SVWFS_RUNTIME_DIR"
 _LASTING = "lock", "log"  # endings of what stays when an instrument has ended
 _LOG_BYTES = 1_000_000  # a vendor's library may print at every frame
@@ -74,18 +73,15 @@ def taken_address(name: str = NAME) -> Iterator[Address]:
     with _lock(name, _TIMEOUT_S), _spared_by_cleaners():
         _clear(name)
         endpoint = f"ipc://{file_of(name, 'socket')}" if os.name == "posix" else "tcp://127.0.0.1:*"
-        os.environ[_VARIABLE] = name  # for the guardian of the light, which this process may start
         try:
             yield Address(name, os.getpid(), endpoint, secrets.token_hex(16))
         finally:
-            os.environ.pop(_VARIABLE, None)
             _clear(name)
 
 
-def clear_abandoned(name: str | None = None, *, timeout_s: float = 0.0) -> None:
-    """Remove the files of a killed instrument; by default of the one that started this process."""
-    name = os.environ.get(_VARIABLE) if name is None else name
-    if name is not None and _left(name):
+def clear_abandoned(name: str, *, timeout_s: float = 0.0) -> None:
+    """Remove the files of a killed instrument."""
+    if _left(name):
         with suppress(RunError), _lock(name, timeout_s):  # held while one runs
             _clear(name)
 

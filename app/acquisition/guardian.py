@@ -18,10 +18,9 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, TextIO
 
-from app.acquisition.address import DYING_S, clear_abandoned
-from app.acquisition.process_state import stat_of
 from app.bench.device_kinds import DRIVERS
 from drivers.errors import DeviceError
 from drivers.light_source import MAY_BE_ON, LightSource
@@ -44,6 +43,13 @@ _CALLS: dict[str, Callable[..., Any]] = {
     "off_reason": lambda light: light.off_reason,
     "close": lambda light: light.close(),
 }
+
+
+def stat_of(process: int) -> list[str]:
+    """Return what Linux tells of a process, from its state on; else nothing."""
+    with suppress(OSError):
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return []
 
 
 class _Pipe:
@@ -69,7 +75,7 @@ class _Pipe:
         with suppress(queue.Empty):
             return self._lines.get(timeout=timeout_s)
         if os.getppid() != self._parent:  # a process forked from it may hold the pipe open
-            self.has_ended = True  # never False again: `_read` may have set it meanwhile
+            self.has_ended = True  # not False again: `_read` may have set it meanwhile
         return ""
 
     def _read(self) -> None:
@@ -184,6 +190,3 @@ def main() -> None:
                 switch_off(settings)
             except Exception as error:  # noqa: BLE001 - it is printed
                 sys.exit(f"svwfs: {error}; {MAY_BE_ON}")
-        finally:
-            if pipe.has_ended:
-                clear_abandoned(timeout_s=DYING_S)

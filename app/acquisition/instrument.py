@@ -6,15 +6,16 @@ take and return plain data; other threads see its frozen `Status`.
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Callable, Iterable
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, Self, TypeAlias
 
 from app.acquisition.guarded_light import GuardedLight
+from app.acquisition.guardian import stat_of
 from app.acquisition.kept_averages import AverageState, KeptAverages
-from app.acquisition.process_state import ProcessState
 from app.bench.config import Bench, changes_in_words, with_known
 from app.measurement.auto_exposure import AutoExposure, auto_expose
 from app.measurement.averages import (
@@ -49,6 +50,23 @@ _BACKGROUND_FRAMES = 8  # averaged to check the background
 DeviceSetting = Literal[
     "is_running", "exposure_s", "em_gain", "amplifier", "readout_speed", "current_a", "is_light_on", "is_sample_in"
 ]
+
+Condition: TypeAlias = Literal["alive", "frozen", "gone"]
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessState:
+    """A process of an instrument, by its name and id."""
+
+    name: Literal["instrument", "guardian", "finder"]
+    pid: int
+    condition: Condition
+
+    @classmethod
+    def of(cls, name: Literal["guardian", "finder"], process: subprocess.Popen[bytes]) -> Self:
+        """Look at a process that this one has started; only Linux tells that it was stopped."""
+        is_gone, is_stopped = process.poll() is not None, stat_of(process.pid)[:1] in (["T"], ["t"])
+        return cls(name, process.pid, "gone" if is_gone else "frozen" if is_stopped else "alive")
 
 
 @dataclass(frozen=True, slots=True)

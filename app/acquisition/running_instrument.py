@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
-from app.acquisition.instrument import Instrument, Status
-from app.acquisition.process_state import ProcessState
+from app.acquisition.instrument import Instrument, ProcessState, Status
 from app.bench.config import Bench
 from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.sensor_region import SensorArea

@@ -15,8 +15,7 @@ from app.acquisition.address import NAME
 from app.acquisition.instrument import DeviceSetting, Instrument, Status
 from app.acquisition.remote.connection import reach
 from app.acquisition.running_instrument import RunningInstrument
-from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, knows_sample, start_up, without_sample
-from app.acquisition.unattended_run import UnattendedRun
+from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, UnattendedRun, knows_sample, start_up, without_sample
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
 from app.errors import RunError

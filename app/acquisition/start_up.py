@@ -1,6 +1,7 @@
-"""Start of a bench: the commands that calibrate it, also step by step with a person."""
+"""Start of a bench: the commands that calibrate it, also step by step with a person, and runs without a user."""
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
@@ -10,10 +11,14 @@ import numpy as np
 from app.acquisition.instrument import DeviceSetting, Instrument, Status
 from app.acquisition.running_instrument import RunningInstrument
 from app.bench.config import Bench
+from app.errors import InputError, RunError
 from app.measurement.auto_exposure import FILL
 from app.measurement.averages import FRAMES
+from app.measurement.routines import Cancelled
+from app.progress import Progress
 from reconstruction.geometry import Lattice
 
+_HOPELESS_FRAMES = 20  # without a wavefront, when the bench is calibrated
 _SAME_LATTICE = 0.05  # of the pitch; frames are doubted beyond
 
 
@@ -53,37 +58,33 @@ class CalibrationStep:
     title: str
     explanation: str
     is_lit: bool  # whether its frames need the light
-    request: Callable[..., Any]  # of the instrument
-    takes_frames: bool = False  # whether the request takes the number of averaged frames
-
-    def begin(self, acquisition: RunningInstrument, frames: int) -> Future[Any]:
-        """Send the request."""
-        return acquisition.submit(self.request, *([frames] if self.takes_frames else []))
+    begin: Callable[[RunningInstrument, int], Future[Any]]  # sends it, with the number of averaged frames
 
 
 LATTICE = CalibrationStep(
-    "Lattice", "Finds the lenslets in a few frames without the sample", is_lit=True, request=Instrument.find_lattice
+    "Lattice",
+    "Finds the lenslets in a few frames without the sample",
+    is_lit=True,
+    begin=lambda to, _: to.submit(Instrument.find_lattice),
 )
 EXPOSURE = CalibrationStep(
     "Exposure",
     "Sets the exposure, and if needed the light's current, so that the brightest lenslets fill"
     f" {100 * FILL:.0f} % of the range",
     is_lit=True,
-    request=Instrument.expose_without_sample,
+    begin=lambda to, _: to.submit(Instrument.expose_without_sample),
 )
 DARK = CalibrationStep(
     "Dark",
     "Averages frames with the light off: the background of all frames",
     is_lit=False,
-    request=Instrument.take_dark,
-    takes_frames=True,
+    begin=lambda to, frames: to.submit(Instrument.take_dark, frames),
 )
 REFERENCE = CalibrationStep(
     "Reference",
     "Averages frames with the light on and without the sample: the zero point of the displacements",
     is_lit=True,
-    request=Instrument.take_reference,
-    takes_frames=True,
+    begin=lambda to, frames: to.submit(Instrument.take_reference, frames),
 )
 STEPS = (LATTICE, EXPOSURE, DARK, REFERENCE)
 
@@ -112,3 +113,69 @@ def has_moved(found: Lattice, status: Status) -> bool:
     shape = sensor.lenslet_rows, sensor.lenslet_columns
     moved_px = found.lenslet_centers_px(*shape) - before.lenslet_centers_px(*shape)
     return bool(np.linalg.norm(moved_px, axis=-1).max() > _SAME_LATTICE * before.pitch_px)
+
+
+class UnattendedRun:
+    """Steps of one instrument, made some times a second; one raises `RunError` or `InputError` if it cannot go on.
+
+    `progress` receives what they wait for.
+    """
+
+    def __init__(self, acquisition: RunningInstrument, progress: Progress = lambda *_: None) -> None:
+        self.acquisition, self._progress = acquisition, progress
+        self._expected: tuple[Future[Any], ...] = ()  # commands that must succeed
+
+    def send(
+        self, commands: Callable[[RunningInstrument], tuple[Future[Any], ...]] = start_up
+    ) -> tuple[Future[Any], ...]:
+        """Send commands that must succeed, such as those that calibrate the bench and turn to the sample."""
+        sent = commands(self.acquisition)
+        self._expected += sent
+        return sent
+
+    def first_wavefront(self, within_s: float) -> Generator[None, None, float]:
+        """Wait for the first wavefront after all commands; return when it came, by time.perf_counter().
+
+        `RunError` if it does not come in that time, or in some frames.
+        """
+        acquisition, seen, failed, problem = self.acquisition, None, 0, ""
+        end_s = time.perf_counter() + within_s
+        while True:
+            self._check()
+            newest = acquisition.newest
+            if newest is not None and newest is not seen and all(step.done() for step in self._expected):
+                if newest.wavefront is not None:
+                    return time.perf_counter()
+                if not newest.is_skipped:
+                    failed, problem = failed + 1, newest.problem
+            seen = newest
+            if failed >= _HOPELESS_FRAMES:
+                raise RunError(f"no wavefront in the first {failed} frames: {problem}")
+            if time.perf_counter() > end_s:
+                raise RunError(f"no wavefront within {within_s:g} s: {problem or 'no frame came'}")
+            self._progress(acquisition.activity.text or "waiting for the first wavefront", 0.0)
+            yield
+
+    def until(
+        self, is_over: Callable[[], bool], *, text: str = "", fraction: Callable[[], float] = lambda: 0.0
+    ) -> Iterator[None]:
+        """Wait, a `fraction` of it done, until it is over."""
+        while not is_over():
+            self._check()
+            self._progress(text, fraction())
+            yield
+
+    def is_recorded(self) -> bool:
+        """True if the recording is over, or there is none."""
+        state = self.acquisition.recording
+        return state is None or state.is_over
+
+    def _check(self) -> None:
+        errors = (self.acquisition.error, *(step.exception() for step in self._expected if step.done()))
+        # A command is cancelled by someone who goes on, or closes.
+        error = next((each for each in errors if each is not None and not isinstance(each, Cancelled)), None)
+        if error is None:
+            return
+        if isinstance(error, InputError | RunError):
+            raise error
+        raise RunError(self.acquisition.failure or str(error) or type(error).__name__) from error

@@ -18,9 +18,8 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 from app.acquisition import devices as bench_devices
 from app.acquisition.command_queue import CommandQueue, done
 from app.acquisition.frame_path import FramePath, read_frame
-from app.acquisition.instrument import Instrument, Status
+from app.acquisition.instrument import Instrument, ProcessState, Status
 from app.acquisition.light_switch import LightSwitch
-from app.acquisition.process_state import ProcessState
 from app.acquisition.running_instrument import WINDOW, Activity
 from app.acquisition.streams.publisher import stream_sinks
 from app.bench.config import Bench, write_bench

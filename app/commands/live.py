@@ -193,7 +193,7 @@ def unattended_window(bench: Bench, access: Access, *, seconds: float | None, ou
     if (out / FRAME_LINES).exists():
         raise InputError(f"{out}: holds a recording; choose another folder with --out")
     options.check_files(picture, results, run, reads=bench.files, overwrite=overwrite)
-    from app.acquisition.unattended_run import UnattendedRun
+    from app.acquisition.start_up import UnattendedRun
     from app.gui.application import run_window, unattended_steps
 
     def finish(acquisition: RunningInstrument, measurement: Measurement) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 
 from app.acquisition.running_instrument import CLOSING_S, RunningInstrument
-from app.acquisition.unattended_run import UnattendedRun
+from app.acquisition.start_up import UnattendedRun
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError, ended_by

@@ -18,8 +18,7 @@ import zmq
 from zmq.utils.monitor import recv_monitor_message
 
 from app.acquisition.address import DYING_S, NAME, Address, clear_abandoned
-from app.acquisition.instrument import Instrument, Status
-from app.acquisition.process_state import Condition, ProcessState
+from app.acquisition.instrument import Condition, Instrument, ProcessState, Status
 from app.acquisition.remote.frames import RemoteFrames
 from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Hello, Notice, SharedObject, Sign, State
 from app.acquisition.remote.outbox import ANSWER_S, Outbox

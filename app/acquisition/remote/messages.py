@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
-from app.acquisition.instrument import Status
-from app.acquisition.process_state import ProcessState
+from app.acquisition.instrument import ProcessState, Status
 from app.acquisition.remote.wire import Absent
 from app.acquisition.running_instrument import Activity
 from app.bench.config import Bench

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from app.acquisition.remote.own_instrument import OwnConnection
-from app.acquisition.unattended_run import UnattendedRun
+from app.acquisition.start_up import UnattendedRun
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError, ended_by
 from app.measurement.measurement import FrameTotals

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from PyQt6.QtWidgets import QMessageBox, QWidget
 
-from app.acquisition.process_state import ProcessState
+from app.acquisition.instrument import ProcessState
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.messages import watching
 from app.acquisition.remote.own_instrument import OwnConnection

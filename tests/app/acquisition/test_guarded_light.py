@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from support.guarded_instrument import children, is_gone
+from support.gui_bench import BENCH, FakeCamera
 from support.light_contract import LightContract
 from support.patience import HANG_S, own_time, wait_until
 from support.wires.dc4100 import DC4100Wire
@@ -21,9 +22,10 @@ from support.wires.serial import LineFault
 
 from app.acquisition.guarded_light import GuardedLight
 from app.acquisition.guardian import switch_off
+from app.acquisition.instrument import Condition, Instrument, ProcessState
 from app.progress import run_in_thread
 from drivers.errors import BadValue, Busy, DeviceError, Disconnected, WrongState
-from drivers.interface import LightSource
+from drivers.interface import Devices, LightSource
 from drivers.serial_lights import DC4100Settings
 
 
@@ -116,15 +118,18 @@ def test_guardian_ends_if_its_pipe_closes_while_it_asks_for_its_parent(
 ) -> None:
     """As on Windows, where the number of the parent stays after its death."""
     (tmp_path / "sitecustomize.py").write_text(
-        "import os, time\nparent = os.getppid()\nos.getppid = lambda: time.sleep(0.5) or parent\n"
+        "import os, time\nparent = os.getppid()\nos.getppid = lambda: time.sleep(1) or parent\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(WrongState, match="closed"), GuardedLight(DC4100Settings(port=lamp_port.port)) as light:
-        light.set_on(True)
-        assert light.guardian.stdin is not None
-        light.guardian.stdin.close()
-        assert light.guardian.wait(HANG_S) == 0
+    light = GuardedLight(DC4100Settings(port=lamp_port.port))
+    light.set_on(True)
+    assert light.guardian.stdin is not None
+    time.sleep(0.5)  # now it asks
+    light.guardian.stdin.close()
+    assert light.guardian.wait(HANG_S) == 0
     assert not lamp.is_lit
+    with pytest.raises(WrongState, match="closed"):
+        light.close()
 
 
 def test_errors_of_the_light_come_through(light: LightSource, lamp: DC4100Wire, lamp_port: PtyServer) -> None:
@@ -294,3 +299,28 @@ def test_late_answer_to_a_call_that_ctrl_c_ended_is_passed_over(light: GuardedLi
     assert light.current_a == 0.25
     assert not light.is_on
     assert light.properties()["firmware"] == "1.8.4"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nobody tells that a process was stopped")
+def test_process_is_alive_frozen_or_gone() -> None:
+    with subprocess.Popen(["sleep", "600"]) as process:  # noqa: S607 - of every system
+
+        def has(condition: Condition) -> bool:
+            return ProcessState.of("finder", process) == ProcessState("finder", process.pid, condition)
+
+        assert has("alive")
+        process.send_signal(signal.SIGSTOP)
+        wait_until(lambda: has("frozen"))
+        process.send_signal(signal.SIGCONT)
+        wait_until(lambda: has("alive"))
+        process.kill()
+        wait_until(lambda: has("gone"))
+
+
+def test_instrument_knows_the_guardian_of_its_light(light: GuardedLight) -> None:
+    camera = FakeCamera()
+    instrument = Instrument(Devices(camera, light, camera.stage), BENCH)
+    (guardian,) = instrument.processes()
+    assert guardian == ProcessState("guardian", light.guardian.pid, "alive")
+    light.guardian.kill()
+    wait_until(lambda: instrument.processes()[0].condition == "gone")

@@ -25,21 +25,18 @@ GONE = "the guardian of the light has ended; the light was switched off: open th
 HOLDER = """
 import sys, time
 from app.acquisition.guarded_light import GuardedLight
-from app.acquisition.address import taken_address
 from drivers.serial_lights import DC4100Settings
 
-with taken_address() as address:
-    address.announce()
-    light = GuardedLight(DC4100Settings(port=sys.argv[1]))
-    light.keep_alive(1000)  # as before long work
-    light.set_on(True)
-    print("holds", flush=True)
-    sys.stdin.readline()
-    begin_s = time.monotonic()
-    sum(range(10**6))
-    sum(range(int(3.0 / (time.monotonic() - begin_s)) * 10**6))  # no other thread runs meanwhile
-    print("has computed", flush=True)
-    time.sleep(600)
+light = GuardedLight(DC4100Settings(port=sys.argv[1]))
+light.keep_alive(1000)  # as before long work
+light.set_on(True)
+print("holds", flush=True)
+sys.stdin.readline()
+begin_s = time.monotonic()
+sum(range(10**6))
+sum(range(int(3.0 / (time.monotonic() - begin_s)) * 10**6))  # no other thread runs meanwhile
+print("has computed", flush=True)
+time.sleep(600)
 """
 
 
@@ -121,13 +118,3 @@ def test_light_stays_on_while_one_thread_lets_no_other_run(lamp_port: PtyServer,
         program.stdin.flush()
         assert program.stdout.readline() == "has computed\n"
         assert lamp.is_lit
-
-
-def test_guardian_removes_the_address_of_an_instrument_that_was_killed(
-    lamp_port: PtyServer, runtime_folder: Path
-) -> None:
-    with holder(lamp_port) as program:
-        files = next(runtime_folder.iterdir())
-        assert (files / "instrument.json").exists()
-        program.kill()
-    wait_until(lambda: [each.name for each in files.iterdir()] == ["instrument.lock"])

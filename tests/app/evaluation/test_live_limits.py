@@ -20,7 +20,7 @@ from support.gui_bench import BENCH, make_measurement
 import app.commands.benchmark
 from app import cli
 from app.acquisition.running_instrument import Activity, RunningInstrument
-from app.acquisition.unattended_run import UnattendedRun
+from app.acquisition.start_up import UnattendedRun
 from app.bench.config import load_bench
 from app.bench.device_kinds import RecordingSettings
 from app.commands.benchmark import print_figures

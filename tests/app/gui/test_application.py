@@ -20,7 +20,7 @@ from support.patience import HANG_S, wait_until
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.running_instrument import RunningInstrument
-from app.acquisition.unattended_run import UnattendedRun
+from app.acquisition.start_up import UnattendedRun
 from app.acquisition.worker import Acquisition
 from app.errors import Interrupted, RunError
 from app.gui.application import run_window, unattended_steps

@@ -52,7 +52,7 @@ time.sleep(600)
 WINDOW = """
 import sys
 from pathlib import Path
-from app.acquisition.unattended_run import UnattendedRun
+from app.acquisition.start_up import UnattendedRun
 from app.acquisition.remote.connection import reach
 from app.gui.application import run_window, unattended_steps
 from app.gui.shell.access import Access
