@@ -65,17 +65,9 @@ def _commands() -> Iterator[str]:
     group = typer.main.get_command(cli)
     context = group.make_context("svwfs", [], resilient_parsing=True)
     for name in group.list_commands(context):
-        command = group.get_command(context, name)
-        yield f"## svwfs {name}\n"
-        yield from _help(command, context, name)
-        for part in getattr(command, "commands", {}):
-            yield f"### svwfs {name} {part}\n"
-            yield from _help(command.commands[part], command.context_class(command, context, name), part)
-
-
-def _help(command, parent, name) -> Iterator[str]:
-    context = command.context_class(command, parent, name, max_content_width=110, terminal_width=110)
-    yield f"```text\n{command.get_help(context)}\n```\n"
+        command = group.resolve_command(context, [name])[1]  # imported
+        own = command.context_class(command, context, name, max_content_width=110, terminal_width=110)
+        yield f"## svwfs {name}\n\n```text\n{command.get_help(own)}\n```\n"
 
 
 def _names() -> Iterator[str]:

@@ -233,12 +233,11 @@ def test_methods_of_the_documents_can_be_made_part_of_svwfs(small_bench: SmallBe
 @pytest.mark.parametrize("document", [path for path in DOCUMENTS if named_commands(path)], ids=lambda path: path.stem)
 def test_named_commands_and_options_exist(document: Path) -> None:
     known: Any = typer.main.get_command(cli)
+    context = known.make_context("svwfs", [], resilient_parsing=True)
     for text in named_commands(document):
         words = [word.rstrip(",;:") for word in text.split()]
-        command = known if words[0].startswith("-") else known.commands.get(words[0])
-        assert command is not None or text in {"COMMAND --help", "recording 1"}, text  # one is the format of recordings
-        parts = getattr(command, "commands", {}).values()
-        options = {option for one in (command, *parts) if one for each in one.params for option in each.opts} | {
-            "--help"
-        }
+        is_known = words[0].startswith("-") or words[0] in known.commands
+        assert is_known or text in {"COMMAND --help", "recording 1"}, text  # one is the format of recordings
+        command = known.resolve_command(context, words[:1])[1] if words[0] in known.commands else known
+        options = {option for each in command.params for option in each.opts} | {"--help"}
         assert {word.strip("[]") for word in words if word.strip("[").startswith("--")} <= options, text

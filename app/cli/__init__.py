@@ -5,7 +5,6 @@ import sys
 from contextlib import suppress
 from typing import NoReturn
 
-from app.commands.terminal import printable, shortened
 from app.errors import InputError, Interrupted, RunError, ended_by
 from drivers.errors import DeviceError
 
@@ -62,6 +61,8 @@ def _drop_output() -> None:
 
 
 def _exit(error: BaseException, status: int) -> NoReturn:
+    from app.commands.terminal import printable, shortened
+
     with suppress(OSError):  # a full disk: the exit status remains
         if sys.stderr is not None:
             sys.stderr.write(f"svwfs: {shortened(printable(str(error)))}\n")

@@ -1,35 +1,66 @@
 """The commands of `svwfs`.
 
-Each command imports what it needs when it runs, so that `--help` is fast.
+Each is imported when it is named, and imports what it needs when it runs, so that `--help` is fast.
 """
 
+import re
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command_from_info
 from typer.models import CommandInfo
 
-from app.commands.batch import batch
-from app.commands.benchmark import benchmark
-from app.commands.calibrate import calibrate
-from app.commands.desktop import desktop
-from app.commands.devices import devices
-from app.commands.light_off import light_off
-from app.commands.live import live
-from app.commands.mask import mask
-from app.commands.measure import measure
-from app.commands.options import OnceCommand
-from app.commands.paper import paper
-from app.commands.reconstruct import reconstruct
-from app.commands.recover import recover
-from app.commands.replay import replay
-from app.commands.selftest import selftest
-from app.commands.serve import serve
-from app.commands.simulate import simulate
-from app.commands.study import study
+import app.commands
+
+# In the order of the help. `light-off` is the function `light_off` in app/commands/light_off.py; the first line of its
+# docstring is what the list of all commands says.
+_NAMES = (
+    *("live", "measure", "serve", "recover", "replay", "batch"),
+    *("export", "report", "layers", "corrector", "field", "deconvolve"),
+    *("calibrate", "simulate", "mask", "devices", "light-off", "desktop"),
+    *("selftest", "study", "paper", "benchmark", "reconstruct"),
+)
+
+
+class _NotImported(TyperCommand):
+    """A command of which only the name and a line of help are known."""
+
+    def imported(self) -> Any:
+        """Import the command."""
+        from app.commands.options import OnceCommand
+
+        name = str(self.name).replace("-", "_")
+        function = getattr(import_module(f"app.commands.{name}"), name)
+        info = CommandInfo(self.name, cls=OnceCommand, callback=function)
+        return get_command_from_info(info, pretty_exceptions_short=False, rich_markup_mode=None)
+
+    def get_short_help_str(self, limit: int = 45) -> str:
+        """Read the first line of the docstring."""
+        name = str(self.name).replace("-", "_")
+        source = Path(app.commands.__path__[0], f"{name}.py").read_text("utf-8")
+        found = re.search(rf'^def {name}\(.*?^    """(.*?)$', source, re.DOTALL | re.MULTILINE)
+        self.help = found and found[1].removesuffix('"""')
+        return super().get_short_help_str(limit)
+
+
+class _Commands(TyperGroup):
+    """The group of all commands; it imports those that are used."""
+
+    def __init__(self, **given: Any) -> None:
+        super().__init__(**given)
+        self.commands = {name: _NotImported(name=name) for name in _NAMES} | dict(self.commands)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        """Return the name, the command and the other arguments."""
+        name, command, others = super().resolve_command(ctx, args)
+        return name, command.imported() if isinstance(command, _NotImported) else command, others
+
 
 cli = typer.Typer(
+    cls=_Commands,
     help="Live space-variant Shack-Hartmann wavefront sensing: the wavefront at every position of the field.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -47,40 +78,3 @@ def _common(
 
         typer.echo(f"svwfs {version('svwfs')}")
         raise typer.Exit
-
-
-_ANALYSES = {  # commands whose files are loaded when they run, with the first sentence of their help
-    "export": "Convert a recording for other programs.",
-    "report": "Summarise a recording on three pages.",
-    "layers": "Find at which distance the aberration originates.",
-    "corrector": "Tell what one corrector could do, over its distance.",
-    "field": "Map the coefficients of a wavefront over the field, with errors.",
-    "deconvolve": "Deconvolve an image by the measured aberration of each field position.",
-}
-
-
-class _LazyCommand(OnceCommand):
-    """Command whose file is loaded when more than its first sentence is needed."""
-
-    def __init__(self, **known: Any) -> None:
-        super().__init__(**known)
-        del self.params, self.callback
-
-    def __getattr__(self, name: str) -> Any:
-        if name not in {"params", "callback"}:
-            raise AttributeError(name)
-        function = getattr(import_module(f"app.commands.{self.name}"), str(self.name))
-        made = get_command_from_info(
-            CommandInfo(callback=function), pretty_exceptions_short=False, rich_markup_mode=None
-        )
-        self.params, self.callback, self.help = made.params, made.callback, made.help
-        return getattr(made, name)
-
-
-# in the order of the help
-for command in (live, measure, serve, recover, replay, batch):
-    cli.command(cls=OnceCommand)(command)
-for name, sentence in _ANALYSES.items():
-    cli.command(name, cls=_LazyCommand, help=sentence)(lambda: None)
-for other in (calibrate, simulate, mask, devices, light_off, desktop, selftest, study, paper, benchmark, reconstruct):
-    cli.command(cls=OnceCommand)(other)
