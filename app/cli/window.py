@@ -41,7 +41,7 @@ def main_window() -> None:
     lines = errors.getvalue().strip().splitlines()
     is_told = isinstance(cause, Interrupted) or SHOWN in getattr(cause, "__notes__", ())
     if status and lines and not is_told and use_display():
-        from app.gui.splash import show_ending
+        from app.gui.widgets.theme import show_ending
 
         show_ending(lines[-1].removeprefix("svwfs: "), "\n".join(lines[:-1]))
     raise SystemExit(status)

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from app.bench.config import Bench
     from app.gui.shell.access import Access
     from app.gui.shell.main_window import MainWindow
-    from app.gui.splash import Splash
     from app.measurement.measurement import Measurement
 
 _LIVE_OUT = Path("svwfs-output")
@@ -75,11 +74,6 @@ def live(
     elif replay is None and is_attended:
         offers_last = bench is None and not setting
         raise typer.Exit(bench_window(bench or DEFAULT, overrides, name, trust=trust_library, offers_last=offers_last))
-    splash = None
-    if is_attended:
-        from app.gui.splash import Splash
-
-        splash = Splash()  # before the rest is loaded
     from app.gui.shell.access import Access
 
     if attach:
@@ -95,11 +89,11 @@ def live(
 
         player = Player(replay, bench=bench, settings=overrides, frames=frames)
         loaded, access = player.bench, Access(player.acquisition, player.begin, player)
-    if splash is not None:
+    if is_attended:
         from app.acquisition.remote.own_instrument import OwnInstrument
 
         with OwnInstrument(name) as own:  # for a bench that is opened in the window
-            status = _run(lambda window: window.open(access), splash, own)
+            status = _run(lambda window: window.open(access), own)
         raise typer.Exit(status)
     raise typer.Exit(unattended_window(loaded, access, seconds=seconds, out=out, overwrite=overwrite))
 
@@ -120,16 +114,13 @@ def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: b
         except InputError:
             if overrides and _is_sound(source):
                 raise  # what --set says is wrong; of a file, the window tells more
-        from app.gui.splash import Splash
-
-        splash = Splash()  # before the rest is loaded
 
         def open_first(window: MainWindow) -> None:
             window.benches.open(source, overrides, is_trusted=trust)
             if offers_last:
                 window.benches.offer_last()
 
-        return _run(open_first, splash, own)
+        return _run(open_first, own)
 
 
 def _is_sound(source: str) -> bool:
@@ -141,21 +132,17 @@ def _is_sound(source: str) -> bool:
     return True
 
 
-def _run(open_first: Callable[[MainWindow], object], splash: Splash, own: OwnInstrument) -> int:
+def _run(open_first: Callable[[MainWindow], object], own: OwnInstrument) -> int:
     """Run a window that opens benches in a process of its own; remind of a manual light."""
-    from app.gui.application import run_window  # while the splash is seen
+    from app.gui.application import run_window
 
     opened: list[OwnConnection] = []
-
-    def begin(window: MainWindow) -> None:
-        splash.finish(window)
-        open_first(window)
 
     def make_for(bench: Bench) -> RunningInstrument:
         opened.append(own.connect(bench))
         return opened[-1]
 
-    status = run_window(begin, make_for=make_for)
+    status = run_window(open_first, make_for=make_for)
     if opened and opened[-1].goes_on:
         place = opened[-1].address
         terminal.print_sentence(

@@ -68,8 +68,6 @@ def run_window(
             window.show()
             if saved is None:
                 window.resize(WINDOW_SIZE)  # the screen of Qt's offscreen platform is small
-            else:
-                window.offer_tour()
             open_first(window)
             status = application.exec()
         finally:

@@ -25,7 +25,6 @@ from app.acquisition.devices import open_devices
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.gui.shell.access import Access
-from app.gui.shell.help import Tour
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.theme import apply_theme
 from app.results.player import Player
@@ -173,12 +172,6 @@ class Photographer:
                 _pause(200)
                 self._save(f"menu_{menu.text().replace('&', '').lower()}", shown, settle_ms=0)
                 shown.close()
-        window.show_tour()
-        tour = window.findChild(Tour)
-        for step in range(1, 6):
-            if tour is not None:
-                self._save(f"tour_{step}", window, settle_ms=100)
-                tour.next.click()
 
     def _show_messages(self, window: MainWindow) -> None:
         window.controls.lattice.click()

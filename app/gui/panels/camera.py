@@ -58,11 +58,6 @@ class CameraPanel(Panel):
     """Shows frames as the camera sees them: +x to the right, +y down."""
 
     title, dock_area, has_own_thread = "Camera", "left", True
-    about = (
-        "Its picture with the lattice of the lenslets (G) and their mean displacement (A). The wheel zooms,"
-        " a double click shows the whole picture, a click on a lenslet inspects it. The tools below it measure and"
-        " exclude."
-    )
     lenslet_clicked = pyqtSignal(int, int)  # row and column
 
     def __init__(self, shown: Shown) -> None:

@@ -53,11 +53,6 @@ class ControlsPanel(Panel):
     """Emits the user's requests and shows the status of the instrument."""
 
     title, dock_area = "Controls", "strip"
-    about = (
-        "Calibrate (Ctrl+K) finds lattice and exposure, takes dark and reference, and explains each step;"
-        " X, D and R do single ones. The lamps on Dark and Reference, and their tooltips, tell whether both"
-        " still fit the frames."
-    )
     requested = pyqtSignal(str, object)  # name of a setting or routine, and the wanted value
 
     def __init__(self, shown: Shown) -> None:
@@ -115,7 +110,7 @@ class ControlsPanel(Panel):
         self.light = _LightButton("Light off", "Switch the light (L)", self._ask("light"))
         self.light.setProperty("role", "light")
         self.light.setIconSize(QSize(20, 20))
-        self.light.setMinimumWidth(96)
+        self.light.setMinimumWidth(7 * self.fontMetrics().height())
         self.light.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
         self.sample = Toggle("Sample out", "Move the sample into or out of the beam (S)", self._ask("is_sample_in"))
 

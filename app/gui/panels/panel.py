@@ -97,7 +97,6 @@ class Panel(QWidget):
 
     title: ClassVar[str]
     dock_area: ClassVar[Literal["left", "right", "tab", "strip"]] = "tab"  # of the default layout
-    about: ClassVar[str] = ""  # a sentence or two for the tour
     has_own_thread: ClassVar[bool] = False  # for results that take seconds, or that no other may delay
 
     warned = pyqtSignal(str)  # why something was not done

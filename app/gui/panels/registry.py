@@ -17,7 +17,7 @@ from app.gui.panels.wavefronts import WavefrontPanel
 
 
 class Panels(NamedTuple):
-    """The panels in the order of tabs, menus and tour."""
+    """The panels in the order of tabs and menus."""
 
     camera: CameraPanel
     wavefronts: WavefrontPanel

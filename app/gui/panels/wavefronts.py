@@ -47,10 +47,6 @@ class WavefrontPanel(Panel):
     """Shows the chosen quantity, or that there is no wavefront."""
 
     title, dock_area = "Wavefronts", "right"
-    about = (
-        "One map for each position of the field, all on one colour scale. Keys 1 to 6 choose what is shown,"
-        " V enlarges the selected view."
-    )
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)

@@ -2,19 +2,19 @@
 
 from collections.abc import Iterable
 
-from PyQt6.QtCore import QByteArray, QSize, Qt
+from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabBar, QTabWidget, QToolButton, QWidget
 
 from app.gui.panels.panel import Panel
 from app.gui.widgets.buttons import Slot
-from app.gui.widgets.layouts import column, row, within_screen
+from app.gui.widgets.layouts import column, row
 from app.gui.widgets.texts import label
 from app.gui.widgets.timers import timer
 
 _OPTIONS = QMainWindow.DockOption
 _MARGIN_PX = 8  # between the contents of a panel and its edge
 _BUTTON_PX = 18
-_LOW_LINES = 40  # 560 px with the usual font: in lower windows camera and plots take turns
+_LOW_PX = 600  # on lower screens the camera is one of the tabs
 _SIDES = {Qt.DockWidgetArea.LeftDockWidgetArea, Qt.DockWidgetArea.RightDockWidgetArea}
 
 
@@ -82,7 +82,6 @@ class PanelDocks:
         self._closed: list[Dock] = []  # by `toggle_tabs`
         window.setDockOptions(_OPTIONS.AllowNestedDocks | _OPTIONS.AllowTabbedDocks | _OPTIONS.GroupedDragging)
         window.setTabPosition(Qt.DockWidgetArea.AllDockWidgetAreas, QTabWidget.TabPosition.North)
-        self._tall: QByteArray | None = None  # the layout of the window before it became low
         self.settle = timer(window, 0, self._arrange, is_single=True)  # after all the signals of a change
         self._hint = label("All panels are closed or float: View > Restore default layout docks them", "dim")
         self._hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
@@ -107,13 +106,17 @@ class PanelDocks:
         return next(dock for dock in self.docks if dock.panel.dock_area == dock_area)
 
     def restore_default(self) -> None:
-        """Camera above the tabs, wavefronts beside them, controls below; all are open."""
-        left, right, first = self._at("left"), self._at("right"), self._tabs[0]
-        self._tall = None
-        self._window.restoreState(self._default)
+        """Camera above the tabs, or among them on a low screen; wavefronts beside them, controls below; all open."""
+        window, left, first = self._window, self._at("left"), self._tabs[0]
+        window.restoreState(self._default)
         first.raise_()
-        self._window.resizeDocks([left, right], [1000, 1000], Qt.Orientation.Horizontal)
-        self._window.resizeDocks([left, first], [1000, 600], Qt.Orientation.Vertical)
+        screen = window.screen()
+        if screen is not None and screen.availableGeometry().height() < _LOW_PX:
+            for dock in self._tabs:
+                window.tabifyDockWidget(left, dock)
+            left.raise_()
+        window.resizeDocks([left, self._at("right")], [1000, 1000], Qt.Orientation.Horizontal)
+        window.resizeDocks([left, first], [1000, 600], Qt.Orientation.Vertical)
         self._arrange()
 
     def toggle_tabs(self) -> None:
@@ -142,35 +145,8 @@ class PanelDocks:
             made.addAction(dock.toggleViewAction())
         return made
 
-    def use_tall_layout(self) -> None:
-        """Restore the layout from before the window became low."""
-        if self._tall is not None:
-            front = next((dock for dock in self._tabs if dock.panel.isVisible()), None)
-            tall, self._tall = self._tall, None
-            self._window.restoreState(tall)
-            if front is not None:
-                front.raise_()
-
-    def _take_turns(self) -> None:
-        """Make the camera the first tab of the plots in a low window, and part them in a taller one."""
-        window, camera = self._window, self._at("left")
-        is_low = window.height() < _LOW_LINES * window.fontMetrics().height()
-        if not is_low:
-            self.use_tall_layout()
-        elif self._tall is None and not (camera.isHidden() or camera.isFloating()):
-            self._tall = window.saveState()
-            for dock in self._tabs:
-                if not dock.isFloating():
-                    window.tabifyDockWidget(camera, dock)
-            camera.raise_()
-            window.resizeDocks([camera, self._at("right")], [1000, 850], Qt.Orientation.Horizontal)
-            if (layout := window.layout()) is not None and not (window.isMaximized() or window.isFullScreen()):
-                layout.activate()
-                window.resize(within_screen(window, window.size()))  # the layout before may have needed more
-
     def _arrange(self) -> None:
-        """Follow the height, show headers of panels without a tab, and dress the tabs, which Qt makes anew."""
-        self._take_turns()
+        """Show headers of panels without a tab, and dress the tabs, which Qt makes anew."""
         docked = [dock for dock in self.docks if not (dock.isHidden() or dock.isFloating())]
         self._hint.setVisible(not docked)
         is_beside = any(self._window.dockWidgetArea(dock) in _SIDES for dock in docked)

@@ -1,20 +1,18 @@
-"""Help: keys, conventions, message log, documentation, citation, versions, and a tour of the window."""
+"""Help: keys, conventions, message log, documentation, citation, and versions."""
 
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from PyQt6.QtCore import QT_VERSION_STR, QEvent, QObject, QPoint, QRect, QSize, Qt, QUrl
-from PyQt6.QtGui import QCloseEvent, QFontDatabase, QImage, QKeyEvent, QTextCursor, QTextDocument, QTextOption
-from PyQt6.QtWidgets import QDialog, QFrame, QTextBrowser, QWidget
+from PyQt6.QtCore import QT_VERSION_STR, QSize, Qt, QUrl
+from PyQt6.QtGui import QFontDatabase, QImage, QTextCursor, QTextDocument, QTextOption
+from PyQt6.QtWidgets import QDialog, QTextBrowser, QWidget
 
 import app
 from app.gui.panels.panel import Entries
 from app.gui.shell.messages import MessageStrip
-from app.gui.widgets.buttons import Button, close_button, keeps_key
+from app.gui.widgets.buttons import Button, close_button
 from app.gui.widgets.copies import copy_text
 from app.gui.widgets.layouts import fill_dialog, row, within_screen
-from app.gui.widgets.texts import label
 from app.run_facts import machine_facts, versions
 
 _CONVENTIONS = """
@@ -34,9 +32,7 @@ A click or the arrow keys select the view whose MTF is plotted.</p>
 <p>Arrows show the displacement of each lenslet, averaged over the field and magnified as stated.</p>
 """
 
-_WIDTH_PX, _MOST_WIDTH_PX, _LINES = 960, 2000, 46  # of the help
-_AROUND_PX = 70  # beside it: margins and scroll bar
-_BUBBLE_PX = 340  # width of the tour's text
+_SIZE_LINES = QSize(60, 46)  # of the help, in heights of a line
 PAPER = (
     'F. Feng, C. Liang, D. Chen, K. Du, R. Yang, C. Lu, S. Chen, L. Chen, L. Tao, and H. Mao, "Space-variant '
     'Shack-Hartmann wavefront sensing based on affine transformation estimation," Applied Optics (2022), '
@@ -56,29 +52,12 @@ _FIRST_PAGE = "window.md"
 def show_keys(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     """Show the keys of all entries and the conventions, without stopping the measurement."""
     tables = [_key_table(title, entries) for title, entries in menus.items()]
-    tables[0] += tables.pop()  # the help below the first, which has few keys
-    most_px = within_screen(parent, QSize(_MOST_WIDTH_PX, 0)).width() - _AROUND_PX
-    if _width(_side_by_side(tables), parent) > most_px:
-        tables[0] += tables.pop()
-    dialog, shown = TextDialog("help", "Shortcuts and conventions", parent), _side_by_side(tables)
+    columns = "".join(f"<td>{''.join(tables[at::2])}</td>" for at in range(2))
+    dialog = TextDialog("help", "Shortcuts and conventions", parent)
     dialog.view.setWordWrapMode(QTextOption.WrapMode.WordWrap)  # else it breaks within words
-    dialog.view.setHtml(f"{shown}{_CONVENTIONS}")
-    width_px = max(min(_WIDTH_PX, most_px), _width(shown, parent)) + _AROUND_PX
-    dialog.resize(within_screen(parent, QSize(width_px, _LINES * parent.fontMetrics().height())))
+    dialog.view.setHtml(f"<table cellspacing='0'><tr>{columns}</tr></table>{_CONVENTIONS}")
+    dialog.resize(within_screen(parent, _SIZE_LINES * parent.fontMetrics().height()))
     dialog.show()
-
-
-def _side_by_side(tables: list[str]) -> str:
-    columns = "".join(f"<td>{table}</td>" for table in tables)
-    return f"<table cellspacing='0'><tr>{columns}</tr></table>"
-
-
-def _width(html: str, shown_in: QWidget) -> int:
-    """Return the width of a text without automatic line breaks, px."""
-    document = QTextDocument()
-    document.setDefaultFont(shown_in.font())
-    document.setHtml(html)
-    return math.ceil(document.idealWidth())
 
 
 def _key_table(title: str, entries: Entries) -> str:
@@ -180,92 +159,13 @@ def show_about(parent: QWidget, present: Mapping[str, str]) -> None:
 
 
 def help_entries(
-    window: QWidget,
-    menus: Mapping[str, Entries],
-    messages: MessageStrip,
-    show_tour: Callable[[], object],
-    facts: Callable[[], Mapping[str, str]],
+    window: QWidget, menus: Mapping[str, Entries], messages: MessageStrip, facts: Callable[[], Mapping[str, str]]
 ) -> Entries:
     """Return the entries of the help menu, which is itself among the `menus`; "About" shows the `facts`."""
     return (
         ("Shortcuts and conventions", "F1", lambda: show_keys(window, menus)),
         ("Message log", "Ctrl+L", lambda: show_log(window, messages)),
         ("Documentation", "Shift+F1", lambda: show_documentation(window, messages.warn)),
-        ("Tour of the window", "", show_tour),
         ("How to cite", "", lambda: show_citation(window)),
         ("About svwfs", "", lambda: show_about(window, facts())),
     )
-
-
-class Tour(QFrame):
-    """A bubble that explains one outlined part after the other; the window stays usable."""
-
-    def __init__(self, window: QWidget, steps: tuple[tuple[QWidget, str, str], ...]) -> None:
-        super().__init__(window)
-        self.setObjectName("tour")
-        self.setProperty("role", "bubble")
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        self._window, self._steps, self._index = window, steps, 0
-        self._outline = QFrame(window)
-        self._outline.setProperty("role", "outline")
-        self._outline.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self.title, self.text, self.count = label("", "title"), label("", is_wrapped=True), label("", "dim")
-        self.text.setFixedWidth(_BUBBLE_PX)
-        self.text.setAlignment(Qt.AlignmentFlag.AlignTop)
-        self.next = Button("Next", "The next part", self._advance)
-        self.end = Button("End the tour", "It stays in the menu Help", self.close)
-        buttons = row((self.count, 1), self.end, self.next)
-        fill_dialog(self, self.title, self.text, buttons)
-        window.installEventFilter(self)
-
-    def begin(self) -> None:
-        for other in self._window.findChildren(Tour):
-            if other is not self:
-                other.close()
-        room, wrap = QRect(0, 0, _BUBBLE_PX, 999), Qt.TextFlag.TextWordWrap
-        heights = [self.text.fontMetrics().boundingRect(room, wrap, text).height() for _, _, text in self._steps]
-        self.text.setFixedHeight(max(heights) + self.fontMetrics().height())
-        self.show()  # from now on it has the fonts of the style sheet
-        self.next.setText("Done")
-        self.next.setMinimumWidth(self.next.sizeHint().width())
-        self.adjustSize()
-        self._show_step()
-
-    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
-        """Follow the window's size, and end at Esc."""
-        if isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.isVisible():
-            if not keeps_key(event, Qt.Key.Key_Escape) and event.type() == QEvent.Type.KeyPress:
-                self.close()
-            return True
-        if event is not None and event.type() == QEvent.Type.Resize:
-            self._place()
-        return super().eventFilter(watched, event)
-
-    def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
-        self._window.removeEventFilter(self)  # it would show the outline again until it is deleted
-        self._outline.close()
-        super().closeEvent(event)
-
-    def _advance(self) -> None:
-        if self._index + 1 == len(self._steps):
-            self.close()  # it still receives events until it is deleted
-        else:
-            self._index += 1
-            self._show_step()
-
-    def _show_step(self) -> None:
-        _, title, text = self._steps[self._index]
-        self.title.setText(title)
-        self.text.setText(text)
-        self.count.setText(f"{self._index + 1} of {len(self._steps)}")
-        self.next.setText("Next" if self._index + 1 < len(self._steps) else "Done")
-        self._place()
-
-    def _place(self) -> None:
-        """Outline the part; the bubble stays in the middle, so that its button stays in place."""
-        part = self._steps[self._index][0]
-        where = QRect(part.mapTo(self._window, QPoint(0, 0)), part.size())
-        self._outline.setGeometry(where)
-        self._outline.show()
-        self.move(self._window.rect().center() - self.rect().center())
-        self.raise_()

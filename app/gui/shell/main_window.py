@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from PyQt6.QtCore import QEventLoop, QSettings, QSize, Qt, QTimer, pyqtSignal
-from PyQt6.QtGui import QCloseEvent, QResizeEvent
+from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QApplication, QWidget
 
 from app.acquisition.instrument import Status
@@ -27,7 +27,7 @@ from app.gui.shell.calibration import CalibrationGuide, Routines
 from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.device_dialogs import DevicePresets, SensorRegionDialog
 from app.gui.shell.docks import PanelDocks
-from app.gui.shell.help import Tour, help_entries
+from app.gui.shell.help import help_entries
 from app.gui.shell.light_control import LightControl
 from app.gui.shell.menus import fill_menus
 from app.gui.shell.recording import RecordingBar, RecordingPanel
@@ -46,7 +46,6 @@ from drivers.light_source import MAY_BE_ON
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
-_TOUR = "tour/seen"  # key of the saved state
 
 
 class MainWindow(BaseWindow):
@@ -164,7 +163,6 @@ class MainWindow(BaseWindow):
                 ("Check the background", "B", self.routines.check_background),
                 ("Measure the camera's nonlinearity", "", self.routines.measure_linearity),
                 None,
-                ("Accept the proposal", "Return", self.messages.enter),
                 ("Cancel, discard or dismiss", "Esc", self.messages.escape),
                 ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect),
                 None,
@@ -184,7 +182,7 @@ class MainWindow(BaseWindow):
                 ("Full screen", "F11", lambda: self.setWindowState(self.windowState() ^ full)),
             ),
         }
-        menus["&Help"] = help_entries(self, menus, self.messages, self.show_tour, self._facts)
+        menus["&Help"] = help_entries(self, menus, self.messages, self._facts)
         return menus
 
     def _entries_of_panels(self, title: str) -> Entries:
@@ -328,18 +326,6 @@ class MainWindow(BaseWindow):
             kinds = "a recording's folder, a bench (.toml) or a frame (.tif, .fits, .png, .npy)"
             self.messages.warn(f"{path.name}: drop {kinds}")
 
-    def show_tour(self) -> None:
-        """Explain one part of the window after the other, beginning with the panels."""
-        parts = (*self.panels, self.messages, self.recording_panel)
-        tour = Tour(self, tuple((part, f"The {part.title.lower()}", part.about) for part in parts if part.about))
-        self.docks.settle.timeout.connect(tour.raise_)  # above a panel that has come to the front
-        tour.begin()
-
-    def offer_tour(self) -> None:
-        if self._saved is not None and not self._saved.contains(_TOUR):
-            self._saved.setValue(_TOUR, 1)
-            self.show_tour()
-
     def _facts(self) -> dict[str, str]:
         status = self.controller.status
         devices = {} if status is None else {"Camera": status.camera_name, "Light": status.light_name}
@@ -354,7 +340,6 @@ class MainWindow(BaseWindow):
             return
         self._is_closing = True
         if self._saved is not None:
-            self.docks.use_tall_layout()
             save_state(self._saved, self)
         self._timer.stop()
         self._text_timer.stop()
@@ -366,10 +351,6 @@ class MainWindow(BaseWindow):
         self.unsaved += [sentence for work in self.findChildren(FileWork) for sentence in work.close()]
         self._is_closing = False
         super().closeEvent(event)
-
-    def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
-        super().resizeEvent(event)
-        self.docks.settle.start()
 
     def _show_closing(self) -> None:
         """Paint what the window waits for, without taking any command."""

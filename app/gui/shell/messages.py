@@ -22,7 +22,6 @@ _NOTICE_S = 8.0  # how long a notice is shown
 class MessageStrip(QFrame):
     """Shows one message by priority: failure, alarm, refused entry, question, notice, warning, advice."""
 
-    title, about = "Messages", "What is wrong, why, and which key helps. Ctrl+L opens the log with times"
     reconnect_requested = pyqtSignal()
     control_requested = pyqtSignal()
     cancel_requested = pyqtSignal()
@@ -102,6 +101,7 @@ class MessageStrip(QFrame):
         self._question, self._act, self._is_destructive = question, act, is_destructive
         self._say(question)
         self.accept.setText(accept)
+        self.accept.setShortcut("" if is_destructive else "Return")
         self.accept.setToolTip("Accept" if is_destructive else "Accept (Return)")
         self.discard.setText(discard)
 
@@ -115,11 +115,6 @@ class MessageStrip(QFrame):
             self.clear_notice()  # of a refused entry: the question is seen again
         else:
             self.cancel_requested.emit()
-
-    def enter(self) -> None:
-        """Accept the proposal, unless another message hides it or something would be lost."""
-        if self._asks and not self._is_destructive:
-            self._answer(is_accepted=True)
 
     def show_activity(self, activity: Activity, *, may_cancel: bool) -> None:
         """Show the progress of the worker's activity, if any, and a button that cancels it."""

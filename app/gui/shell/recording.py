@@ -43,12 +43,6 @@ _FOLDER = "folders/recordings"  # key of the saved state
 class RecordingPanel(QWidget):
     """Buttons, and the state of the recording."""
 
-    title = "Recording"
-    about = (
-        "W records every frame and its calibration; K saves the last ten seconds. Afterwards: replay,"
-        " report and export. F1 lists all keys."
-    )
-
     def __init__(self) -> None:
         super().__init__()
         about = "Record every frame with all data needed to reconstruct it again (W)"

@@ -66,6 +66,8 @@ def fit_to_screen(window: QMainWindow) -> None:
     """Make the window, frame included, no larger than the free part of its screen, and move it there."""
     if (screen := window.screen()) is None or window.isMaximized() or window.isFullScreen():
         return
+    if (layout := window.layout()) is not None:
+        layout.activate()  # the default layout may have needed more
     free = screen.availableGeometry()
     window.resize(within_screen(window, window.size()))
     outer = QRect(window.pos(), window.size() + FRAME_PX)

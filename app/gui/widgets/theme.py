@@ -6,7 +6,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QEvent, QObject, QPointF, Qt
 from PyQt6.QtGui import QBrush, QColor, QIcon, QPainter, QPainterPath, QPalette, QPixmap, QPolygonF
-from PyQt6.QtWidgets import QApplication, QWidget
+from PyQt6.QtWidgets import QApplication, QMessageBox, QWidget
 
 _PAIRS: list[tuple[QColor, str, str]] = []  # of the dark and of the light theme
 
@@ -44,9 +44,6 @@ QLabel[role="badge"] {{ color: {BACKGROUND.name()}; background: {AMBER.name()}; 
 {"".join(f'QLabel[tone="{name}"] {{ color: {colour.name()}; }}' for name, colour in _TONES.items())}
 QFrame[role="rule"] {{ background: {LINE.name()}; }}
 *[role="strip"] {{ background: {SURFACE.name()}; }}
-QFrame[role="bubble"] {{ background: {RAISED.name()}; border: 1px solid {ACCENT.name()}; border-radius: 6px; }}
-QFrame[role="outline"] {{ border: 2px solid {ACCENT.name()}; }}
-QFrame[role="bubble"] QLabel {{ border: none; }}
 *[wanted="true"] {{ color: {AMBER.name()}; font-style: italic; }}
 *[wanted="true"] QAbstractItemView {{ color: {TEXT.name()}; font-style: normal; }}
 QListWidget::item {{ padding: 3px 6px; }}
@@ -81,6 +78,15 @@ def styled_application() -> QApplication:
     application.setApplicationName("svwfs")
     apply_theme(application)
     return application
+
+
+def show_ending(sentence: str, details: str) -> None:
+    """Show why the program ended, with details on request, if there is no terminal."""
+    _application = styled_application()  # kept alive with the dialog
+    dialog = QMessageBox(QMessageBox.Icon.Critical, "svwfs", sentence)
+    dialog.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    dialog.setDetailedText(details)
+    dialog.exec()
 
 
 def apply_theme(application: QApplication) -> None:

@@ -1,4 +1,4 @@
-"""The help menu: message log, documentation, tour, citation and versions."""
+"""The help menu: keys, message log, documentation, citation and versions."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
-from PyQt6.QtCore import QSettings, QUrl
+from PyQt6.QtCore import Qt, QUrl
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.paths import ROOT
-from support.window_tools import MakeWindow
+from support.window_tools import MakeWindow, press
 
-from app.gui.shell.help import PAPER, TextDialog, Tour, documentation
+from app.gui.shell.help import PAPER, TextDialog, documentation
 from app.gui.shell.main_window import MainWindow
 
 
@@ -116,32 +116,12 @@ def test_about_names_version_and_libraries(make_window: MakeWindow) -> None:
     assert f"numpy: {version('numpy')}" in text
 
 
-def test_tour_is_offered_once_and_ends(make_window: MakeWindow, tmp_path: Path) -> None:
-    settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
-    window = make_window(saved=settings)
-    window.offer_tour()
-    tour = window.findChild(Tour)
-    assert tour is not None
-    titles = []
-    for _ in range(5):
-        assert tour.isVisible()
-        assert window.rect().contains(tour.geometry())
-        titles.append(tour.title.text())
-        tour.next.click()
-    assert len(set(titles)) == 5
-    assert not tour.isVisible()
-    window.resize(900, 700)  # before it is deleted
-    QApplication.sendPostedEvents(None, 52)  # deferred deletion
-    window.offer_tour()
-    assert window.findChild(Tour) is None
-
-
-def test_tour_can_be_dismissed(make_window: MakeWindow) -> None:
+def test_escape_closes_only_the_list_of_keys(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
-    choose(window, "Tour of the window")
-    tour = window.findChild(Tour)
-    assert tour is not None
-    window.resize(900, 700)
-    assert window.rect().contains(tour.geometry())
-    tour.end.click()
-    assert not tour.isVisible()
+    choose(window, "Shortcuts and conventions")
+    dialog = opened(window, "help")
+    for words in ("Take a dark", "Edit the exposure", "Uncertainty over the field"):
+        assert words in dialog.view.toPlainText().replace("\N{NO-BREAK SPACE}", " ")
+    press(qtbot, dialog, Qt.Key.Key_Escape)
+    assert not dialog.isVisible()
+    assert window.isVisible()

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 
@@ -46,24 +44,6 @@ def scroll(widget: QWidget) -> None:
 
 def says(window: MainWindow, text: str) -> bool:
     return window.messages.text.text() == text
-
-
-@contextmanager
-def blocked_reconstruction(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
-    """The worker hangs in a frame until the event is set, as with the slowest method."""
-    begun, release = threading.Event(), threading.Event()
-
-    def measure(_: Instrument, frame: Frame) -> Measurement:
-        begun.set()
-        release.wait()
-        return Measurement(frame, None, "slow")
-
-    monkeypatch.setattr(Instrument, "measure", measure)
-    assert begun.wait(HANG_S)
-    try:
-        yield release
-    finally:
-        release.set()
 
 
 @pytest.mark.slow
@@ -219,60 +199,6 @@ def test_key_operates_the_focused_button_alone(live: tuple[MainWindow, FakeCamer
     assert camera.is_running
 
 
-@pytest.mark.usefixtures("no_rest")
-def test_light_goes_off_while_a_frame_is_reconstructed(
-    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    window, camera = live
-    light = window.controls.light
-    with blocked_reconstruction(monkeypatch):
-        light.click()
-        assert light.text().startswith("Switching\noff")
-        qtbot.waitUntil(lambda: not camera.light.shines)
-        qtbot.waitUntil(lambda: light.text() == "Light off" and not light.isChecked())
-    light.click()
-    qtbot.waitUntil(lambda: camera.light.shines and light.text() == "Light on")
-
-
-def test_light_that_does_not_go_off_raises_an_alarm(
-    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    window, camera = live
-
-    def refuse(**_: object) -> None:
-        raise OSError("the cable is bad")
-
-    with blocked_reconstruction(monkeypatch), monkeypatch.context() as patch:
-        patch.setattr(camera.light, "_switch", refuse)
-        window.controls.light.click()
-        qtbot.waitUntil(lambda: "could not be switched off: the cable is bad" in window.messages.text.text())
-        assert window.controls.light.text() == "Light on"
-
-
-def test_closing_turns_the_light_off_and_waits_visibly(
-    live: tuple[MainWindow, FakeCamera], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    window, camera = live
-    seen: list[tuple[bool, bool, str]] = []
-    with blocked_reconstruction(monkeypatch) as release:
-        show_closing = window.messages.show_closing
-
-        def note(light: str) -> None:
-            show_closing(light)
-            seen.append((window.isVisible(), camera.light.shines, window.messages.text.text()))
-            if light == "the light is off":
-                release.set()
-
-        monkeypatch.setattr(window.messages, "show_closing", note)
-        window.close()
-    is_visible, shines, text = seen[-1]
-    assert is_visible
-    assert not shines
-    assert text.startswith("Closing: the light is off; waiting for the frame")
-    assert camera.is_closed
-    assert not window.isVisible()
-
-
 @pytest.mark.parametrize(("routine", "shown"), [("dark", "Light off"), ("reference", "Sample out")])
 def test_indicators_show_the_state_during_a_routine(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, routine: str, shown: str
@@ -287,26 +213,6 @@ def test_indicators_show_the_state_during_a_routine(
     assert camera.light.shines == (routine == "reference")
     press(qtbot, window, Qt.Key.Key_Escape)
     qtbot.waitUntil(lambda: controls.light.text() == "Light on" and controls.sample.text() == "Sample in")
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_light_off_ends_a_reference_and_stays_off(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
-    window, camera = live
-    controls = window.controls
-    controls.frames.setValue(1000)
-    controls.reference.click()
-    controls.dark.click()
-    qtbot.waitUntil(lambda: window.messages.progress.value() > 2)
-    press(qtbot, window, Qt.Key.Key_L)
-    qtbot.waitUntil(lambda: not camera.light.shines)
-    qtbot.waitUntil(lambda: camera.stage.is_sample_in)  # the reference has ended
-    qtbot.waitUntil(lambda: "taking the dark" in window.messages.progress.toolTip())
-    press(qtbot, window, Qt.Key.Key_Escape)
-    qtbot.waitUntil(lambda: window.controller.is_settled)
-    assert camera.is_running
-    assert not camera.light.shines
-    qtbot.waitUntil(lambda: controls.light.text() == "Light off")  # after "Switching off"
 
 
 @pytest.mark.slow

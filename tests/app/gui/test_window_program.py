@@ -95,7 +95,7 @@ def test_faulty_bench_is_shown_in_the_window_and_not_again(monkeypatch: pytest.M
                     window.close()
         return bool(seen)
 
-    monkeypatch.setattr("app.gui.splash.show_ending", lambda *_: pytest.fail("shown twice"))
+    monkeypatch.setattr("app.gui.widgets.theme.show_ending", lambda *_: pytest.fail("shown twice"))
     with watched(see):
         assert start(monkeypatch, "--bench", tmp_path / "bad.toml") == 2
     assert any("bad.toml: sensor.lenslet_columns is missing" in text for text in seen)
@@ -113,5 +113,5 @@ def test_fault_of_the_program_is_shown_with_its_traceback(monkeypatch: pytest.Mo
 
 def test_window_that_its_user_closes_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.commands.live.bench_window", lambda *_, **__: 0)
-    monkeypatch.setattr("app.gui.splash.show_ending", lambda *_: pytest.fail("a dialog"))
+    monkeypatch.setattr("app.gui.widgets.theme.show_ending", lambda *_: pytest.fail("a dialog"))
     assert start(monkeypatch) == 0
