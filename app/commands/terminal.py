@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -20,18 +19,12 @@ if TYPE_CHECKING:
     from reconstruction.registration.circulation import Circulation
 
 _LEAST_WIDTH = 200  # characters of a table
-_LONGEST_WORD = 400  # characters; most paths are shorter
 LIGHT_BY_HAND = "the light is manual: make sure that it is off"
 
 
 def printable(text: str) -> str:
     """Return a text in one line, without control codes that could change the terminal."""
     return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
-
-
-def shortened(text: str) -> str:
-    """Return a text without the middle of words that nobody reads to their end."""
-    return re.sub(rf"\S{{{_LONGEST_WORD},}}", lambda word: f"{word[0][:50]}...{word[0][-50:]}", text)
 
 
 @contextmanager

@@ -140,12 +140,6 @@ def draw_map(axes: Axes, values: xr.DataArray, title: str, colours: str, ticks: 
     bar.ax.tick_params(labelsize=7)
 
 
-def show_grey(axes: Axes, image: NDArray[Any]) -> None:
-    """Show an image (row, column) in grey; the few darkest and brightest pixels do not count."""
-    darkest, brightest = np.percentile(image, _SHOWN_PERCENT)
-    axes.imshow(image, cmap="gray", vmin=darkest, vmax=brightest)
-
-
 def place_of_view(field: Field, row: int, column: int) -> str:
     """Return the position of a view in words."""
     return f"({field.view_x_m[column] * 1e3:+.2f}, {field.view_y_m[row] * 1e3:+.2f}) mm"
@@ -178,7 +172,8 @@ def lattice_figure(reference: NDArray[Any], found: Survey) -> Figure:
 
 def _draw_frame(axes: Axes, reference: NDArray[Any], found: Survey) -> None:
     lattice, lit = found.lattice, found.illuminated
-    show_grey(axes, reference)
+    darkest, brightest = np.percentile(reference, _SHOWN_PERCENT)
+    axes.imshow(reference, cmap="gray", vmin=darkest, vmax=brightest)
     own = lenslet_centers(lattice.arrangement, *lit.shape)
     beside, cut = _others(lattice, lit.shape, reference.shape)
     width = np.clip(lattice.pitch_px / 25, 0.4, 1.3)

@@ -1,106 +1,84 @@
 """Pages of a report: facts and mean wavefronts, certainty, coefficients, comparison."""
 
 import textwrap
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.colors import Normalize, to_rgb
-from matplotlib.figure import Figure, FigureBase, SubFigure
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.image import imsave
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
 from app.files import atomic_write
 from app.progress import Progress, between, part
 from app.recording.reader import Recording
 from app.results.coefficients import MAP_ACROSS, coefficient_maps, draw_field, evenly_spread, strongest
-from app.results.figures import draw_curves, draw_maps, place_of_view, show_grey
+from app.results.figures import draw_curves, draw_maps, place_of_view
 from app.results.replay import change_of
-from app.results.report_summary import Fact, Residual, Statistics, Summary, facts, residual_of, summarise
+from app.results.report_summary import Residual, Statistics, Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.field_coefficients import FieldCoefficients, ModalFit, fit_coefficients
+from reconstruction.field_coefficients import ModalFit, fit_coefficients
 from reconstruction.geometry import Field
 from reconstruction.quality.isoplanatism import isoplanatism
 from reconstruction.wavefront import peak_to_valley, rms
 
-Page = Callable[[FigureBase], None]  # draws a page into a figure or a part of one
-
-PAGE_INCHES = (8.27, 11.69)  # A4
-TITLE_INCHES = 1.0
-MARGIN_INCHES = 0.45
-QUIET = "0.4"
-_FOOT_INCHES = 0.3
-_ACCENT = "#1f4e79"
+_PAGE_INCHES = (8.27, 11.69)  # A4
+_TITLE_INCHES, _MARGIN_INCHES, _FOOT_INCHES = 1.0, 0.45, 0.3
+_QUIET, _ACCENT = "0.4", "#1f4e79"
 _LONGEST_TITLE = 55  # characters
 
 
-def one_page(page: Page) -> Figure:
-    """Return a figure with one page."""
-    figure = Figure(figsize=PAGE_INCHES, layout=_spaced())
-    page(figure)
-    return figure
+def _page(
+    title: str, sentence: str, shares: Sequence[float], head: float = _TITLE_INCHES
+) -> tuple[Figure, list[SubFigure]]:
+    """Make a page of a head of this height, inches, with title and sentence, shares of the rest, and a margin.
 
-
-def _page_parts(
-    figure: FigureBase, title: str, sentence: str, shares: Sequence[float], *, head: float = TITLE_INCHES
-) -> list[SubFigure]:
-    """Divide a page into a head of this height, inches, and shares of the rest, above an empty margin.
-
-    Title and sentence are at the top of the head.
+    Returns the page, and its head and shares.
     """
-    heights = [head, *(share * (PAGE_INCHES[1] - head) for share in shares), _FOOT_INCHES]
+    figure = Figure(figsize=_PAGE_INCHES, layout=ConstrainedLayoutEngine(w_pad=0.15, h_pad=0.08))  # inches
+    heights = [head, *(share * (_PAGE_INCHES[1] - head) for share in shares), _FOOT_INCHES]
     top, *others, _ = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
-    left = MARGIN_INCHES / PAGE_INCHES[0]
+    left = _MARGIN_INCHES / _PAGE_INCHES[0]
     shown = textwrap.shorten(title, _LONGEST_TITLE, placeholder=" ...") or title[:_LONGEST_TITLE]
     top.text(left, 1 - 0.3 / head, shown, fontsize=17, weight="bold", color=_ACCENT, va="top", parse_math=False)
     wrapped = textwrap.fill(sentence, _COLUMNS)
-    top.text(left, 1 - 0.63 / head, wrapped, fontsize=9.5, color=QUIET, va="top", parse_math=False)
-    return [top, *others]
-
-
-def _spaced() -> ConstrainedLayoutEngine:
-    return ConstrainedLayoutEngine(w_pad=0.15, h_pad=0.08)  # inches
+    top.text(left, 1 - 0.63 / head, wrapped, fontsize=9.5, color=_QUIET, va="top", parse_math=False)
+    return figure, [top, *others]
 
 
 _LABEL_INCHES, _LINE_INCHES = 0.85, 0.18
 _COLUMNS = 98  # characters of a line: of the sentence below the title, of the text beside the labels
-_MOST_LINES = 32  # of all facts; more would leave no place for the wavefronts
+_MOST_LINES = 4  # of a fact
 _MOST_VIEWS = 5  # along each axis; more would be too small
 
 
-def draw_overview(figure: FigureBase, summary: Summary) -> None:
-    """Draw the page; without any wavefront, with images instead."""
-    lines = _lines(facts(summary))
-    head = TITLE_INCHES + _LINE_INCHES * (len(lines) + 1)
-    top, below = _page_parts(figure, summary.name, _headline(summary), [1], head=head)
+def overview_page(summary: Summary) -> Figure:
+    """Draw facts and mean wavefronts."""
+    lines = [
+        (label * (index == 0), line)
+        for label, text in facts(summary)
+        for index, line in enumerate(textwrap.wrap(text, _COLUMNS, max_lines=_MOST_LINES, placeholder=" ..."))
+    ]
+    head = _TITLE_INCHES + _LINE_INCHES * (len(lines) + 1)
+    figure, (top, below) = _page(summary.name, _headline(summary), [1], head)
     for index, (label, text) in enumerate(lines):
-        y, left = 1 - (TITLE_INCHES + _LINE_INCHES * (index + 0.5)) / head, MARGIN_INCHES
-        top.text(left / PAGE_INCHES[0], y, label, fontsize=8.5, color=QUIET, va="center")
+        y, left = 1 - (_TITLE_INCHES + _LINE_INCHES * (index + 0.5)) / head, _MARGIN_INCHES
+        top.text(left / _PAGE_INCHES[0], y, label, fontsize=8.5, color=_QUIET, va="center")
         left += _LABEL_INCHES
-        top.text(left / PAGE_INCHES[0], y, text, fontsize=8.5, va="center", parse_math=False)
-    if (stats := summary.statistics) is None:
-        _draw_images(below, summary)
-    else:
-        draw_views(below, stats.mean, stats.wavefront.field, title=f"mean wavefront of {summary.sampled_frames}")
+        top.text(left / _PAGE_INCHES[0], y, text, fontsize=8.5, va="center", parse_math=False)
+    if (stats := summary.statistics) is not None:
+        _draw_views(below, stats.mean, stats.wavefront.field, title=f"mean wavefront of {summary.sampled_frames}")
+    return figure
 
 
-def _lines(said: list[Fact]) -> list[tuple[str, str]]:
-    """Wrap facts, at most a page's share of them: a damaged recording may have a text of any length."""
-    for most in (12, 6, 3, 1):  # lines of each
-        wrapped = [(name, textwrap.wrap(text, _COLUMNS, max_lines=most, placeholder=" ...")) for name, text in said]
-        if sum(len(texts) for _, texts in wrapped) <= _MOST_LINES:
-            break
-    return [(label * (at == 0), text) for label, texts in wrapped for at, text in enumerate(texts)]
-
-
-def draw_views(
+def _draw_views(
     figure: SubFigure, views: Floats, field: Field, *, title: str, limit: float = 0.0, with_places: bool = True
 ) -> None:
     """Draw the views with RMS and PV, on a scale of +-`limit` rad, or up to the largest value.
@@ -134,16 +112,6 @@ def _headline(summary: Summary) -> str:
     )
 
 
-def _draw_images(figure: SubFigure, summary: Summary) -> None:
-    line, calibration = summary.lines[0], summary.calibration
-    images: list[tuple[str, NDArray[Any]]] = [(f"frame {line.index}", summary.recording.pixels(line.index))]
-    images += [] if calibration is None else [("reference", calibration.reference.mean)]
-    for axis, (name, image) in zip(figure.subplots(1, len(images), squeeze=False)[0], images, strict=True):
-        show_grey(axis, image)
-        axis.set_title(f"{name}: {image.min():.0f} ... {image.max():.0f} counts", fontsize=10)
-        axis.set(xticks=[], yticks=[])
-
-
 def _some(count: int) -> list[int]:
     """Indices of at most five evenly spaced views along an axis, from edge to edge."""
     return sorted({round(index) for index in np.linspace(0, count - 1, min(count, _MOST_VIEWS))})
@@ -160,10 +128,10 @@ _COLOURS = {
 _VALID = np.array([0.91, 0.94, 0.91])  # red, green, blue
 
 
-def draw_certainty(figure: FigureBase, summary: Summary, stats: Statistics) -> None:
-    """Draw the page."""
+def certainty_page(summary: Summary, stats: Statistics) -> Figure:
+    """Draw the RMS over time, lost lenslets and error bars, and curves over the field."""
     sentence = "stability, uncertainty and range of validity of the wavefront"
-    _, trend, maps, curves = _page_parts(figure, summary.name, sentence, [0.3, 0.36, 0.34])
+    figure, (_, trend, maps, curves) = _page(summary.name, sentence, [0.3, 0.36, 0.34])
     _draw_trend(trend.subplots(), summary, stats)
     lost, sigma = maps.subplots(1, 2)
     _draw_lost(lost, stats)
@@ -173,6 +141,7 @@ def draw_certainty(figure: FigureBase, summary: Summary, stats: Statistics) -> N
     draw_curves(curves, stats.wavefront)
     for axis in (*trend.axes, *maps.axes, *curves.axes):
         axis.title.set_fontsize(8.5)
+    return figure
 
 
 def _draw_trend(axis: Axes, summary: Summary, stats: Statistics) -> None:
@@ -224,31 +193,29 @@ def _draw_lost(axis: Axes, stats: Statistics) -> None:
 _MODES = 8  # with the largest coefficients
 
 
-def over_field(stats: Statistics) -> FieldCoefficients | None:
-    """Return the Zernike coefficients of the middle frame; None if its reconstruction has none."""
+def coefficients_page(summary: Summary, stats: Statistics) -> Figure | None:
+    """Draw the strongest Zernike coefficients of the middle frame; None if its reconstruction has none."""
     try:
-        return fit_coefficients(ModalFit.of(stats.wavefront), "zernike")
+        found = fit_coefficients(ModalFit.of(stats.wavefront), "zernike")
     except ReconstructionError:
         return None
-
-
-def draw_over_field(figure: FigureBase, summary: Summary, stats: Statistics, found: FieldCoefficients) -> None:
-    """Draw the page."""
     sentence = f"strongest Zernike coefficients of frame {stats.middle} over the field (mm), and their errors (rad)"
-    _, maps = _page_parts(figure, summary.name, sentence, [1])
+    figure, (_, maps) = _page(summary.name, sentence, [1])
     dataset = coefficient_maps(found, stats.wavefront.field, *[evenly_spread(MAP_ACROSS)] * 2)
     draw_field(maps, dataset, strongest(dataset, _MODES))
+    return figure
 
 
-def draw_comparison(figure: FigureBase, residual: Residual) -> None:
-    """Draw the page; both recordings share a colour scale, the difference has its own."""
+def comparison_page(residual: Residual) -> Figure:
+    """Draw two recordings on the same colour scale, and their difference on its own."""
     title = f"{residual.name} beside {residual.other_name}"
-    _, above, below = _page_parts(figure, title, residual.sentence, [0.42, 0.58])
+    figure, (_, above, below) = _page(title, residual.sentence, [0.42, 0.58])
     limit = float(np.nanmax(np.abs([residual.mean, residual.other_mean]), initial=0))
     ((own, other),) = above.subfigures(1, 2, squeeze=False)
-    draw_views(own, residual.mean, residual.field, title="the first", limit=limit, with_places=False)
-    draw_views(other, residual.other_mean, residual.field, title="the second", limit=limit, with_places=False)
-    draw_views(below, residual.views, residual.field, title="the first minus the second")
+    _draw_views(own, residual.mean, residual.field, title="the first", limit=limit, with_places=False)
+    _draw_views(other, residual.other_mean, residual.field, title="the second", limit=limit, with_places=False)
+    _draw_views(below, residual.views, residual.field, title="the first minus the second")
+    return figure
 
 
 _PNG_DPI = 110
@@ -264,7 +231,7 @@ def write_report(
     beside: Path | None = None,
     progress: Progress = lambda *_: None,
 ) -> tuple[Summary, Residual | None]:
-    """Write the report of a recording as PDF or PNG; return what is in it.
+    """Write the report of a recording as PDF, or as PNG with one page below the other; return what is in it.
 
     `frames` and changed `settings` are those of the first recording; `beside` is subtracted from it.
     """
@@ -272,28 +239,28 @@ def write_report(
     parts = [part(between(progress, 0, _RECONSTRUCTED), index, len(recordings)) for index in range(len(recordings))]
     summary = summarise(recordings[0], frames, parts[0], change=change_of(None, settings))
     residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, parts[1]))
-    _write_pages(out, summary, residual, between(progress, _RECONSTRUCTED, 1))
+    progress("drawing the pages", _RECONSTRUCTED)
+    pages = [overview_page(summary)]
+    if (stats := summary.statistics) is not None:
+        pages += filter(None, [certainty_page(summary, stats), coefficients_page(summary, stats)])
+    if residual is not None:
+        pages.append(comparison_page(residual))
+    with atomic_write(out) as temporary:
+        write_pages(temporary, pages)
     return summary, residual
 
 
-def _write_pages(out: Path, summary: Summary, residual: Residual | None, progress: Progress) -> None:
-    """Write the pages as PDF, or one below the other as PNG (atomic)."""
-    drawn: list[Page] = [partial(draw_overview, summary=summary)]
-    if (stats := summary.statistics) is not None:
-        drawn.append(partial(draw_certainty, summary=summary, stats=stats))
-        if (found := over_field(stats)) is not None:
-            drawn.append(partial(draw_over_field, summary=summary, stats=stats, found=found))
-    if residual is not None:
-        drawn.append(partial(draw_comparison, residual=residual))
-    with atomic_write(out) as temporary:
-        if out.suffix.lower() == ".png":
-            width, height = PAGE_INCHES
-            whole = Figure(figsize=(width, height * len(drawn)), layout=_spaced())
-            for page, place in zip(drawn, whole.subfigures(len(drawn), 1, squeeze=False)[:, 0], strict=True):
-                page(place)
-            whole.savefig(temporary, dpi=_PNG_DPI)
-            return
-        with PdfPages(temporary) as file:
-            for index, page in enumerate(drawn):
-                progress("drawing the pages", index / len(drawn))
-                file.savefig(one_page(page))
+def write_pages(path: Path, pages: Iterable[Figure]) -> None:
+    """Write pages into a PDF or PNG."""
+    if path.suffix.lower() != ".png":
+        with PdfPages(path) as file:
+            for page in pages:
+                file.savefig(page)
+        return
+    images = []
+    for page in pages:
+        page.set_dpi(_PNG_DPI)
+        canvas = FigureCanvasAgg(page)
+        canvas.draw()  # type: ignore[no-untyped-call] # its stub lacks it
+        images.append(np.asarray(canvas.buffer_rgba()))  # type: ignore[no-untyped-call] # its stub lacks it
+    imsave(path, np.concatenate(images), dpi=_PNG_DPI)

@@ -71,13 +71,6 @@ class Summary:
         return self.recording.bench if self.calibration is None else self.calibration.bench
 
     @property
-    def known_statistics(self) -> Statistics:
-        """The statistics; `InputError` if there are none."""
-        if self.statistics is None:
-            raise InputError(f"{self.recording.folder}: no frame has a wavefront: there is nothing to compare")
-        return self.statistics
-
-    @property
     def sampled_frames(self) -> str:
         """Number of frames in the statistics, in words."""
         whole = counted(len(self.lines))
@@ -187,8 +180,11 @@ class Residual:
 
 def residual_of(summary: Summary, other: Summary) -> Residual:
     """Subtract the mean wavefronts of `other`; `InputError` if they cannot be subtracted."""
-    one, two = summary.known_statistics, other.known_statistics
     folder, other_folder = summary.recording.folder, other.recording.folder
+    one, two = summary.statistics, other.statistics
+    if one is None or two is None:
+        without = folder if one is None else other_folder
+        raise InputError(f"{without}: no frame has a wavefront: there is nothing to compare")
     if not are_alike(one.wavefront, two.wavefront):
         raise InputError(f"{other_folder}: has other views or lenslets than {folder}: nothing to compare")
     views = without_piston(one.mean - two.mean)

@@ -39,7 +39,6 @@ STORMS = {
     "thorlabs_dc4100": "drivers/serial_lights/test_dc4100.py::TestStorm",
     "thorlabs_dc2200": "drivers/usb_lights/test_dc2200.py::TestStorm",
     "coolled": "drivers/serial_lights/test_coolled.py::TestStorm",
-    "command_line": "app/cli/test_attempts.py",
 }
 WAITING = {"genicam", "micro_manager"}  # mostly for a real clock
 BATCH = 1000  # sequences per process

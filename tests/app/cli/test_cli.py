@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import re
 import shlex
@@ -18,7 +17,6 @@ from support.command_line import run
 
 from app.bench.config import load_bench, write_bench
 from app.bench.device_kinds import DeviceSettings
-from app.bench.presets import PRESETS
 from app.cli.application import cli
 from drivers.dcam import DcamSettings
 from drivers.genicam import GenicamSettings
@@ -82,13 +80,6 @@ def test_help_of_command_has_valid_examples(
         words = shlex.split(example)
         assert " ".join(words).startswith(name)
         command.make_context(name, words[len(name.split()) :])  # exits if it cannot be parsed
-
-
-def test_no_example_checks_the_simulated_device_of_a_preset() -> None:
-    words = shlex.split(str(commands()["svwfs devices"].help))
-    benches = [after for word, after in itertools.pairwise(words) if word == "--bench"]
-    assert benches
-    assert not set(benches) & set(PRESETS)
 
 
 REAL_DEVICES: list[tuple[DeviceSettings, DeviceSettings]] = [
@@ -201,13 +192,6 @@ def test_output_that_cannot_be_printed_is_one_line(unbuffered: str) -> None:
     assert (done.returncode, done.stderr) == (1, "svwfs: the output cannot be printed: No space left on device\n")
 
 
-@pytest.mark.parametrize("redirection", ["2>/dev/full", "2>&-", ">/dev/full 2>&1", ">&- 2>&-"])
-def test_status_tells_of_an_error_that_cannot_be_printed(redirection: str) -> None:
-    command = f"{shlex.quote(sys.executable)} -c 'from app.cli import main; main()' recover nowhere {redirection}"
-    done = subprocess.run(["/bin/sh", "-c", command], capture_output=True, check=False)  # noqa: S603 - our own command
-    assert (done.returncode, done.stdout, done.stderr) == (2, b"", b"")
-
-
 def test_closed_pipe_ends_silently() -> None:
     program = "import sys, app.cli.application as all; from app.cli import main\n"
     program += "all.cli = lambda: sys.stdout.write('result') and sys.exit(); main()"  # as commands that do not flush
@@ -226,16 +210,6 @@ def test_too_long_a_name_is_one_line(
 ) -> None:
     assert run(monkeypatch, *command.format("x" * 300).split()) == 2
     assert re.fullmatch(r"svwfs: x{300}\S*: cannot be used: File name too long\n", capsys.readouterr().err)
-
-
-@pytest.mark.parametrize("path", ["screen.file", "screen.transmission_file", "source.file"])
-def test_null_character_in_a_bench_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, path: str
-) -> None:
-    bad = f'simulation.{path}="a\\u0000b"'
-    assert run(monkeypatch, "simulate", "--bench", "small_demo", "--out", tmp_path / "o", "--set", bad) == 2
-    error = f"svwfs: small_demo: simulation.{path} must be text in quotes without null characters\n"
-    assert capsys.readouterr().err == error
 
 
 def test_ctrl_c_while_the_commands_are_imported_is_one_line() -> None:

@@ -17,7 +17,6 @@ from support.pictures import assert_drawn
 from app.bench.config import load_bench, parse_bench
 from app.bench.presets import PRESETS
 from app.commands.calibrate import bench_text, calibrate_bench, differences, summary, write_found
-from app.measurement.averages import EXPOSURE_FRAMES
 from app.results.figures import lattice_figure
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.cells import cell_index
@@ -82,18 +81,6 @@ def test_json_option_prints_figures_and_differences(
     assert (figures["whole_rows"], figures["whole_columns"]) == (15, 15)
     assert (figures["lenslets"], figures["illuminated"]) == (195, 194)
     assert any("lenslet_rows = 13" in sentence for sentence in figures["differences"])
-
-
-def test_existing_bench_is_not_overwritten(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, reference: Path
-) -> None:
-    out = tmp_path / "b.toml"
-    out.write_text("mine")
-    assert run(monkeypatch, *command(reference, "--out", out)) == 2
-    assert "exists already" in capsys.readouterr().err
-    assert out.read_text() == "mine"
-    assert run(monkeypatch, *command(reference, "--out", out, "--overwrite")) == 0
-    assert load_bench(out).lattice is not None
 
 
 def test_dark_is_subtracted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, reference: Path) -> None:
@@ -249,13 +236,6 @@ def test_linearity_is_measured_with_the_devices_and_written(
     said = json.loads(capsys.readouterr().out)
     assert said["linearity"]["quadratic"] == pytest.approx(found.linearity.quadratic, abs=5e-3)
     assert again.read_text().count("[linearity]") == 1  # in place of the other
-
-
-def test_help_has_the_default_number_of_exposed_frames(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "calibrate", "--help") == 0
-    assert f"[default: {EXPOSURE_FRAMES}]" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from support.micro_manager_core import FOLDER
 from support.simulated_scene import CAMERA, STILL, open_bench
@@ -20,13 +19,13 @@ from support.wires.pseudo_terminal import PtyServer
 from app.acquisition.devices import open_camera, open_light
 from app.bench.config import load_bench, write_bench
 from app.bench.device_kinds import DRIVERS, KINDS, DeviceKind
-from app.commands.device_check import Trace, check_and_print, identifying_texts
+from app.commands.device_check import check_and_print, identifying_texts
 from app.commands.devices import print_devices
 from app.errors import InputError, RunError
 from drivers.device import DiscoveredDevice, Property
-from drivers.errors import BadValue, Disconnected, Unsupported
+from drivers.errors import Disconnected, Unsupported
 from drivers.genicam import GenicamSettings
-from drivers.interface import Camera, Frame, LightSource
+from drivers.interface import Camera, LightSource
 from drivers.micro_manager import MicroManagerSettings
 from drivers.serial_lights import DC4100Settings, thorlabs_dc4100
 from simulated_devices.bench import SimulatedBench, SimulatedLight
@@ -133,6 +132,8 @@ def test_serial_numbers_are_hidden_unless_asked_for(capsys: pytest.CaptureFixtur
         light = DC4100Settings(port=server.port, channel=1)
         bench = replace(load_bench("live_demo"), camera=GenicamSettings(), light=light)
         check_and_print("light", bench, serial_numbers=shows)
+        with pytest.raises(InputError, match="--check takes camera or light"):
+            check_and_print("thorlabs_dc4100", bench)
     output = capsys.readouterr().out
     assert ("M00266001" in output) == shows
     assert ("DC4100 (serial number) LED2" in output) == (not shows)
@@ -167,47 +168,6 @@ def test_only_serial_numbers_count_as_such() -> None:
     assert not identifying_texts("", {"adapter": "DemoCamera", "device": "DCam"}, {})  # a model
 
 
-def test_trace_notes_last_calls_and_answers() -> None:
-    class Device:
-        exposure_s = 0.5
-
-        def set_exposure(self, exposure_s: float) -> float:
-            if exposure_s > 1:
-                raise BadValue("too long")
-            return exposure_s
-
-        def read(self, _: float) -> Frame:
-            return Frame(
-                pixels=np.arange(6, dtype=np.uint16).reshape(2, 3),
-                index=7,
-                camera_time_s=0.0,
-                host_time_s=0.0,
-                exposure_s=0.5,
-                em_gain=1.0,
-            )
-
-        def properties(self) -> dict[str, Property]:
-            return {"name": "device"}
-
-    trace = Trace(Device())
-    for _ in range(12):
-        trace.set_exposure(0.1)
-    assert trace.exposure_s == 0.5
-    assert trace.read(1.0).index == 7
-    trace.properties()
-    with pytest.raises(BadValue):
-        trace.set_exposure(2.0)
-    calls = [call.rpartition(", ")[0] for call in trace.calls]
-    assert calls == [
-        *["set_exposure(0.1) -> 0.1"] * 6,
-        "exposure_s -> 0.5",
-        "read(1.0) -> frame 7, 2 x 3, counts 0 ... 5, exposed 0.5 s",
-        "properties() -> 1 values",
-        "set_exposure(2.0) -> BadValue: too long",
-    ]
-    assert all(re.fullmatch(r"\d\.\d{3} s", call.rpartition(", ")[2]) for call in trace.calls)
-
-
 def test_good_light_passes_within_announced_current(
     bench: SimulatedBench, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -226,24 +186,6 @@ def test_good_light_passes_within_announced_current(
     assert output.err == "the light will shine with up to 50 mA, 5% of its range\n"
     assert max(brightest_a) == pytest.approx(0.05)
     assert not bench.condition.is_light_on
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("patience")
-def test_device_is_checked_with_bench_settings(capsys: pytest.CaptureFixture[str]) -> None:
-    lamp = DC4100Wire()  # at a port that is never discovered, using its second head (200 mA)
-    with PtyServer(lamp) as server:
-        light = DC4100Settings(port=server.port, channel=1, current_a=0.15)
-        bench = replace(load_bench("live_demo"), camera=GenicamSettings(), light=light)
-        check_and_print("light", bench)
-        with pytest.raises(InputError, match="--check takes camera or light"):
-            check_and_print("thorlabs_dc4100", bench)
-    output = capsys.readouterr()
-    assert "DC4100 (serial number) LED2" in output.out
-    assert "light passes all 5 checks" in output.out
-    assert "up to 10 mA" in output.err
-    assert lamp.heads[1].current_ma <= 10
-    assert not lamp.is_lit
 
 
 def test_camera_behind_micro_manager_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,11 +8,8 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
-from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,11 +21,9 @@ from support.simulated_faults import unplug
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
-from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import Interrupted, RunError
 from app.measurement.averages import FRAMES
-from app.recording.writer import Record, RecordingWriter
 from drivers.interface import Devices, Disconnected, Frame
 from simulated_devices.camera import SimulatedCamera
 
@@ -60,24 +55,6 @@ def test_measure_writes_results(
     assert 0 < record["timings"]["register"]["p50_s"] <= record["timings"]["to_result"]["max_s"]
     assert record["timings"]["draw"] == {"count": 0, "p50_s": None, "p99_s": None, "max_s": None}
     assert {"python", "numpy", "numba"} <= set(record["versions"])
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("no_hurry")
-def test_late_start_of_the_recording_costs_no_frame(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path
-) -> None:
-    start = Acquisition.start_recording
-
-    def start_late(acquisition: Acquisition, *arguments: Any, **how: Any) -> Future[None]:
-        acquisition.submit(lambda _: None).result(HANG_S)  # what was asked for before is done
-        time.sleep(0.3)
-        return start(acquisition, *arguments, **how)
-
-    monkeypatch.setattr(Acquisition, "start_recording", start_late)
-    assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m") == 0
-    with xr.open_dataset(tmp_path / "m" / "results.nc") as results:
-        assert results["frame_index"].to_numpy().tolist() == [0, 1, 2]
 
 
 @pytest.mark.slow
@@ -138,25 +115,6 @@ def test_measure_on_full_disk_names_folder_of_frames(
     said = capsys.readouterr().err.replace("\n", " ")
     assert "no space left" in said
     assert "m holds 3 frames; svwfs replay" in said
-
-
-@pytest.mark.usefixtures("no_hurry")
-def test_measure_whose_list_of_frames_is_deleted_says_so(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
-) -> None:
-    put = RecordingWriter.write
-
-    def delete(writer: RecordingWriter, record: Record) -> None:
-        put(writer, record)
-        if writer.frames == 2:
-            (tmp_path / "m" / "frames.jsonl").unlink()
-
-    monkeypatch.setattr(RecordingWriter, "write", delete)
-    assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "4", "--out", tmp_path / "m") == 1
-    lines = tmp_path / "m" / "frames.jsonl"
-    why = "was removed or renamed during the recording; svwfs recover finishes it"
-    assert capsys.readouterr().err == f"svwfs: {lines}: {why}\n"
-    assert not lines.exists()
 
 
 @pytest.mark.slow

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import re
-import weakref
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,13 +11,11 @@ import tifffile
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.integrate import quad
-from support.command_line import run
 from support.optics import FIELD, sensor_of
 from support.recordings import record, replace_pixels
 
 from app.bench.config import parse_bench
-from app.errors import InputError, Interrupted, RunError
-from app.images import write_stack
+from app.errors import Interrupted, RunError
 from app.progress import Progress
 from app.recording.reader import Recording
 from app.results import dataset
@@ -88,27 +82,6 @@ def test_selected_frames_are_exported(recording: Recording, tmp_path: Path) -> N
     np.testing.assert_array_equal(some, [recording.pixels(index) for index in (2, 3, 4)])
     one = tifffile.imread(exported(recording, "tiff", tmp_path / "one.tif", frames="-1:"))
     np.testing.assert_array_equal(one, recording.pixels(8))
-
-
-def test_stack_holds_one_image_in_memory(tmp_path: Path) -> None:
-    """Memory does not grow with the number of images."""
-    alive: list[weakref.ref[NDArray[Any]]] = []
-    most = 0
-
-    def images() -> Iterator[NDArray[np.uint16]]:
-        nonlocal most
-        for index in range(50):
-            image = np.full((20, 30), index, np.uint16)
-            alive.append(weakref.ref(image))
-            most = max(most, sum(each() is not None for each in alive))
-            yield image
-
-    labels = [str(index) for index in range(50)]
-    write_stack(tmp_path / "s.tif", images(), labels=labels, information="", pixel_um=16.0)
-    assert most <= 3
-    with tifffile.TiffFile(tmp_path / "s.tif") as file:
-        assert file.series[0].axes == "ZYX"  # no film without an interval
-        np.testing.assert_array_equal(file.asarray()[:, 3, 4], range(50))
 
 
 def test_csv_equals_the_recorded_results_bit_for_bit(recording: Recording, tmp_path: Path) -> None:
@@ -251,19 +224,6 @@ def _mean_slope_x(view: Floats) -> float:
     return float(np.nanmean(np.diff(view, axis=1)) / 500e-6)
 
 
-def test_existing_file_is_replaced_only_on_request(
-    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "run.csv"
-    out.write_text("mine")
-    assert run(monkeypatch, "export", recording.folder, "--to", "csv", "--out", out) == 2
-    assert f"{out}: exists already; --overwrite replaces it" in capsys.readouterr().err
-    assert out.read_text() == "mine"
-    assert run(monkeypatch, "export", recording.folder, "--to", "csv", "--out", out, "--overwrite") == 0
-    assert "9 frames of" in capsys.readouterr().out
-    assert out.read_text().startswith("frame,camera_frame,time_s,exposure_s,em_gain,valid_lenslets,rms_0_0_rad,")
-
-
 @pytest.mark.parametrize("to", ["tiff", "csv", "netcdf", "psf"])
 def test_interrupted_export_leaves_no_file(recording: Recording, tmp_path: Path, to: Format) -> None:
     def interrupt(_text: str, fraction: float) -> None:
@@ -273,29 +233,3 @@ def test_interrupted_export_leaves_no_file(recording: Recording, tmp_path: Path,
     with pytest.raises(Interrupted):
         exported(recording, to, tmp_path / "out", progress=interrupt)
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("to", ["tiff", "csv", "netcdf", "psf"])
-def test_damaged_frame_leaves_no_file(
-    tmp_path: Path, recording: Recording, to: Format, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(
-        Recording, "pixels", lambda self, index: _damaged(index) if index == 6 else _PIXELS(self, index)
-    )
-    with pytest.raises(InputError, match="frame 6 is damaged"):
-        exported(recording, to, tmp_path / "out")
-    assert not list(tmp_path.iterdir())
-
-
-_PIXELS = Recording.pixels
-
-
-def _damaged(index: int) -> NDArray[Any]:
-    raise InputError(f"frame {index} is damaged")
-
-
-def test_unknown_format_is_refused(
-    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "export", recording.folder, "--to", "xls", "--out", tmp_path / "x") == 2
-    assert re.search("tiff.*csv.*netcdf.*psf", capsys.readouterr().err.replace("\n", " "))
