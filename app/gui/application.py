@@ -63,7 +63,7 @@ def run_window(
         signals.append(number)
         QTimer.singleShot(0, window.close)  # works before the event loop starts, too
 
-    with window.errors.reported(), ended_by(end):  # Python handles signals when the window's timer fires
+    with window.reported_errors(), ended_by(end):  # Python handles signals when the window's timer fires
         try:
             window.show()
             if saved is None:
@@ -83,7 +83,7 @@ def run_window(
 def _raise_failure(window: MainWindow, *, is_interrupted: bool) -> None:
     """Raise why the window ended, unless its user closed it and all is well."""
     if window.controller.is_stuck and window.controller.is_silent:
-        raise RunError(f"{window.attachment.notice}, and see whether the light is off")
+        raise RunError(f"{window.controller.notice}, and see whether the light is off")
     if window.controller.is_stuck:
         raise RunError(left_behind(window.controller.status, CLOSING_S))
     error = window.controller.error if window.controller.failure else None  # may have come while closing

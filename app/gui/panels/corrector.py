@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from app.gui.panels.panel import Panel, Request, Shown
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice
-from app.gui.widgets.distance_plot import DistancePlot, origin_choice
 from app.gui.widgets.layouts import column, row
+from app.gui.widgets.plot import DistancePlot, origin_choice
 from app.gui.widgets.texts import ElidedLabel
 from app.results.corrector import DEFAULT, corrector_sentence, find_shown_correctors
 from reconstruction.layers.corrector import Corrector

@@ -11,9 +11,9 @@ from app.bench.config import Bench
 from app.gui.panels.panel import Panel, Request, Shown
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice
-from app.gui.widgets.distance_plot import DistancePlot, origin_choice
 from app.gui.widgets.fields import NumberField
 from app.gui.widgets.layouts import column, row
+from app.gui.widgets.plot import DistancePlot, origin_choice
 from app.gui.widgets.presentation import AdaptiveScale, diverging, number, signed
 from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import Caption, Maps, ViewGrid

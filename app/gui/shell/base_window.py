@@ -3,7 +3,7 @@
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
@@ -34,7 +34,9 @@ class BaseWindow(QMainWindow):
         super().__init__()
         self.unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
         self.messages = MessageStrip()
-        self.errors = ErrorReports(self.messages.alarm)
+        self._redraws = 0  # since one was left out
+        self.known_errors: set[str] = set()  # that were shown since the alarm was dismissed, or a bench was opened
+        self.messages.dismissed.connect(self.known_errors.clear)
         self._screenshots = FileWork(self, self.messages.warn)
         self.setAcceptDrops(True)
 
@@ -69,6 +71,36 @@ class BaseWindow(QMainWindow):
         write = partial(write_picture, path, self.grab().toImage())
         self._screenshots.run(write, lambda _: self.messages.inform(f"saved {path}"), writes=str(path))
 
+    def leaves_out(self, newest: Measurement, shown: Measurement | None) -> bool:
+        """Return whether to leave out a redraw: one of three while measurements are late, which need the processor."""
+        is_left_out = self._redraws >= _REDRAWS and shown is not None and _is_late(newest, shown)
+        self._redraws = 0 if is_left_out else self._redraws + 1
+        return is_left_out
+
+    @contextmanager
+    def reported_errors(self) -> Iterator[None]:
+        """Show errors of timers and slots, after which Qt would abort with the light on, and print each once."""
+        before = sys.excepthook
+
+        def report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+            if isinstance(error, Exception):
+                at = traceback.extract_tb(trace)[-1]
+                sentence = (
+                    f"the display failed ({type(error).__name__}: {error}; {Path(at.filename).name}:{at.lineno}), so"
+                    " that what you see may be old: open the bench again, and report this line of the log (Ctrl+L)"
+                )
+                if sentence in self.known_errors:
+                    return
+                self.known_errors.add(sentence)
+                self.messages.alarm(sentence)
+            before(kind, error, trace)
+
+        sys.excepthook = report
+        try:
+            yield
+        finally:
+            sys.excepthook = before
+
     def focusNextPrevChild(self, next: bool) -> bool:  # noqa: A002, N802 - Qt's names
         """Move the focus as Tab does, unless its widget has just been hidden or disabled."""
         focused = self.focusWidget()
@@ -82,63 +114,9 @@ def _paths(data: QMimeData | None) -> list[Path]:
     return [] if data is None else [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]
 
 
-class LateMeasurements:
-    """Leaves out one redraw of three while measurements are late, so that they get the processor."""
-
-    def __init__(self) -> None:
-        self._redraws = 0  # since one was left out
-
-    def leave_out(self, newest: Measurement, shown: Measurement | None) -> bool:
-        """Return whether to leave out the redraw of the newest measurement."""
-        leaves_out = self._redraws >= _REDRAWS and shown is not None and _is_late(newest, shown)
-        self._redraws = 0 if leaves_out else self._redraws + 1
-        return leaves_out
-
-
 def _is_late(newest: Measurement, shown: Measurement) -> bool:
     frames = newest.counts.acquired - shown.counts.acquired
     if frames <= 0:  # the camera was started again
         return False
     between_s = (newest.frame.host_time_s - shown.frame.host_time_s) / frames
     return newest.latency_s > _LATE * max(between_s, newest.frame.exposure_s)
-
-
-class ErrorReports:
-    """Shows errors of timers and slots in red, and prints them, each once until it is dismissed."""
-
-    def __init__(self, show: Callable[[str], object]) -> None:
-        """`show` receives a sentence for the user."""
-        self._show = show
-        self._known: set[str] = set()
-
-    def restart(self) -> None:
-        """Report known errors again: their message was dismissed, or another bench is open."""
-        self._known.clear()
-
-    @contextmanager
-    def reported(self) -> Iterator[None]:
-        """Report errors that nothing catches, after which Qt would abort with the light on."""
-        before = sys.excepthook
-
-        def report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-            if not isinstance(error, Exception) or self._is_new(error):
-                before(kind, error, trace)
-
-        sys.excepthook = report
-        try:
-            yield
-        finally:
-            sys.excepthook = before
-
-    def _is_new(self, error: Exception) -> bool:
-        """Return whether an error is a new one, and show that."""
-        at = traceback.extract_tb(error.__traceback__)[-1]
-        sentence = (
-            f"the display failed ({type(error).__name__}: {error}; {Path(at.filename).name}:{at.lineno}), so that what"
-            " you see may be old: open the bench again, and report this line of the log (Ctrl+L)"
-        )
-        if sentence in self._known:
-            return False
-        self._known.add(sentence)
-        self._show(sentence)
-        return True

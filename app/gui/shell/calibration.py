@@ -25,13 +25,43 @@ from reconstruction.lattice.search import Survey
 _LAMP_PX = 16
 
 
-class Routines:
-    """Sets the exposure, checks the background, and proposes lattice and nonlinearity."""
+class CalibrationGuide(QDialog):
+    """Takes the steps, shows their states, and asks a person where it must; takes single steps on their own."""
 
-    def __init__(self, controller: Controller, settings: SettingsControl, camera: CameraPanel) -> None:
+    def __init__(self, controller: Controller, settings: SettingsControl, camera: CameraPanel, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Calibration")
         self._controller, self._settings, self._camera = controller, settings, camera
         self._messages = controller.messages
         controller.question_closed.connect(lambda: camera.propose(None))
+        self._frames = 0
+        self._left: list[CalibrationStep] = []
+        self._is_running = False
+        self._answers: dict[bool, Callable[[], object]] = {}  # called after "yes" and after "no"
+        self.lamps = {step: label("") for step in STEPS}
+        self.results = {step: label("", "dim", is_wrapped=True) for step in STEPS}
+        steps = QWidget()
+        grid = QGridLayout(steps)
+        grid.setContentsMargins(0, 0, 0, 0)
+        grid.setHorizontalSpacing(10)
+        grid.setVerticalSpacing(2)
+        grid.setColumnMinimumWidth(1, 660)  # px
+        for index, step in enumerate(STEPS):
+            result = self.results[step]
+            result.setTextFormat(Qt.TextFormat.PlainText)
+            result.setAlignment(Qt.AlignmentFlag.AlignTop)
+            result.setMinimumHeight(2 * result.fontMetrics().lineSpacing() + 8)  # the lattice takes two lines
+            grid.addWidget(self.lamps[step], 3 * index, 0)
+            grid.addWidget(label(f"{index + 1}  {step.title}", "title"), 3 * index, 1)
+            grid.addWidget(label(f"{step.explanation}.", "dim", is_wrapped=True), 3 * index + 1, 1)
+            grid.addWidget(result, 3 * index + 2, 1)
+        self.question = label("", is_wrapped=True)
+        self.yes = Button("", "Return", lambda _: self._answers[True]())
+        self.no = Button("", "Esc", lambda _: self._answers[False]())
+        answers = row((self.question, 1), self.yes, self.no)
+        self.steps = Scrolled(steps)
+        fill_dialog(self, (self.steps, 1), answers)
+        controller.connected.connect(self._restart)
 
     def expose(self) -> None:
         self._controller.send(
@@ -68,43 +98,6 @@ class Routines:
 
     def _use(self, name: str, value: object, done: str) -> None:
         self._settings.change((name, value), then=lambda _: self._messages.inform(f"{done}; Ctrl+S saves it"))
-
-
-class CalibrationGuide(QDialog):
-    """Takes the steps, shows their states, and asks a person where it must."""
-
-    def __init__(self, controller: Controller, use_lattice: Callable[[Lattice], object], parent: QWidget) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("Calibration")
-        self._controller, self._use_lattice = controller, use_lattice
-        self._frames = 0
-        self._left: list[CalibrationStep] = []
-        self._is_running = False
-        self._answers: dict[bool, Callable[[], object]] = {}  # called after "yes" and after "no"
-        self.lamps = {step: label("") for step in STEPS}
-        self.results = {step: label("", "dim", is_wrapped=True) for step in STEPS}
-        steps = QWidget()
-        grid = QGridLayout(steps)
-        grid.setContentsMargins(0, 0, 0, 0)
-        grid.setHorizontalSpacing(10)
-        grid.setVerticalSpacing(2)
-        grid.setColumnMinimumWidth(1, 660)  # px
-        for index, step in enumerate(STEPS):
-            result = self.results[step]
-            result.setTextFormat(Qt.TextFormat.PlainText)
-            result.setAlignment(Qt.AlignmentFlag.AlignTop)
-            result.setMinimumHeight(2 * result.fontMetrics().lineSpacing() + 8)  # the lattice takes two lines
-            grid.addWidget(self.lamps[step], 3 * index, 0)
-            grid.addWidget(label(f"{index + 1}  {step.title}", "title"), 3 * index, 1)
-            grid.addWidget(label(f"{step.explanation}.", "dim", is_wrapped=True), 3 * index + 1, 1)
-            grid.addWidget(result, 3 * index + 2, 1)
-        self.question = label("", is_wrapped=True)
-        self.yes = Button("", "Return", lambda _: self._answers[True]())
-        self.no = Button("", "Esc", lambda _: self._answers[False]())
-        answers = row((self.question, 1), self.yes, self.no)
-        self.steps = Scrolled(steps)
-        fill_dialog(self, (self.steps, 1), answers)
-        controller.connected.connect(self._restart)
 
     def begin(self, frames: int) -> None:
         """Take all steps, averaging `frames` frames into dark and reference; only show steps under way."""
@@ -183,7 +176,7 @@ class CalibrationGuide(QDialog):
 
     def _take_lattice(self, step: CalibrationStep, text: str, lattice: Lattice) -> None:
         self._mark(step, "done", text)
-        self._use_lattice(lattice)
+        self.use_lattice(lattice)
         self._next()
 
     def _fail(self, error: Exception) -> None:

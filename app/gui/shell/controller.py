@@ -1,4 +1,4 @@
-"""The open acquisition, the commands that the window sends to it, and the settings that it wants."""
+"""The open acquisition, its process, the commands that the window sends to it, and the settings that it wants."""
 
 import time
 from collections.abc import Callable
@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
+from PyQt6.QtWidgets import QMessageBox, QWidget
 
-from app.acquisition.instrument import Instrument, Status
+from app.acquisition.instrument import Instrument, ProcessState, Status
 from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.messages import watching
 from app.acquisition.remote.own_instrument import OwnConnection
 from app.acquisition.running_instrument import CLOSING_S, RunningInstrument
 from app.acquisition.start_up import start_up
@@ -28,6 +30,9 @@ _MASK, _BENCH = "mask", "bench"  # kind of the commands that change registration
 _MODES = {"amplifier", "readout_speed"}  # their commands return what else has changed
 _SILENT_S = 5.0  # for the end of a process that does not answer
 _FRAMES_MS = 500  # between two of them: they stop the camera
+_NOT_ATTACHED = "this window runs the instrument itself: svwfs live --attach opens one on another process"
+_OVERTAKEN = "frames overtaken: replaced by the instrument before, or while, this window read them"
+_STARTS = "the instrument is starting: wait until it is reached"
 
 
 class Controller(QObject):
@@ -57,19 +62,60 @@ class Controller(QObject):
     @property
     def is_attached(self) -> bool:
         """True if the instrument runs in a process that this window has not started."""
-        return isinstance(self.acquisition, Connection) and not isinstance(self.acquisition, OwnConnection)
+        return self._process is not None and not isinstance(self._process, OwnConnection)
 
     @property
     def is_silent(self) -> bool:
         """True if the instrument's process does not answer."""
-        return isinstance(self.acquisition, Connection) and self.acquisition.is_silent
+        return self._process is not None and self._process.is_silent
 
     @property
     def left(self) -> str:
         """Say that the instrument goes on, or why it has ended; empty if it ends with the window."""
-        if not isinstance(self.acquisition, Connection):
-            return ""
-        return self.acquisition.loss or "the instrument goes on" * self.acquisition.goes_on
+        return "" if self._process is None else self._process.loss or "the instrument goes on" * self._process.goes_on
+
+    @property
+    def _process(self) -> Connection | None:
+        """The acquisition if it is, or will be, in another process."""
+        return self.acquisition if isinstance(self.acquisition, Connection) else None
+
+    @property
+    def connection(self) -> Connection | None:
+        """The connection to the instrument's process, while there is one."""
+        return self._process if self._process is not None and self._process.is_reached else None
+
+    @property
+    def may_take_control(self) -> bool:
+        """True if this window could take control."""
+        connection = self.connection
+        return connection is not None and not connection.has_control and not connection.is_silent
+
+    @property
+    def notice(self) -> str:
+        """The reason that commands are refused; empty if they are not."""
+        connection = self.connection
+        if connection is not None and connection.is_silent:
+            return f"the instrument's process {connection.address.process} does not answer: if that lasts, end it"
+        return "" if connection is None or connection.has_control else watching(connection.controller)
+
+    @property
+    def processes(self) -> tuple[ProcessState, ...]:
+        return () if self.acquisition is None else self.acquisition.processes
+
+    @property
+    def about_processes(self) -> str:
+        """Lines: the state of each process of the instrument, its clients, and overtaken frames."""
+        lines = [f"{each.name}: process {each.pid}, {each.condition}" for each in self.processes]
+        if (process := self._process) is not None:
+            has_clients = process.is_alive and self.processes[0].condition != "gone"
+            lines += [f"connected: {', '.join(process.clients)}"] * has_clients
+            lines += [f"{process.overtaken} {_OVERTAKEN}"]
+        return "\n".join(lines)
+
+    @property
+    def trouble(self) -> str:
+        """The process that is not alive, and its state; empty if all are."""
+        return next((f"{each.name} {each.condition}" for each in self.processes if each.condition != "alive"), "")
 
     @property
     def failure(self) -> str:
@@ -153,6 +199,58 @@ class Controller(QObject):
             future = self.acquisition.cancel()
             if self.acquisition.activity.text:  # else there is nothing to end: a refusal need not be told
                 self._pending.append((future, None, None))
+
+    def _reached(self) -> Connection | None:
+        """Return the connection to the instrument's process, or warn why there is none."""
+        if self.connection is None:
+            self.messages.warn(self.failure or (_NOT_ATTACHED if self._process is None else _STARTS))
+        return self.connection
+
+    def take_control(self) -> None:
+        if (connection := self._reached()) is not None:
+            self.send(lambda _: connection.take_control())
+
+    def end_instrument(self) -> None:
+        if (connection := self._reached()) is None:
+            return
+        if connection.is_of_another:
+            self.messages.warn(self.notice)
+            return
+        question = "the instrument stops for everybody: the light goes off, recordings are finished"
+        end = partial(self.send, lambda _: connection.end())
+        self.messages.ask(question, end, "Stop instrument", "Keep running", is_destructive=True)
+
+    def ask_to_leave(self, then: Callable[[], object], parent: QWidget) -> bool:
+        """Ask whether the instrument goes on, and call `then`; return False if it ends with the window.
+
+        An instrument that another client controls goes on.
+        """
+        if (connection := self.connection) is None:
+            return False
+        if connection.is_of_another:
+            then()
+            return True
+        state = connection.recording
+        recording = state.folder.name if state is not None and state.stage == "recording" else ""
+        recorded = f"recording {recording} goes on, too; else it ends" if recording else "nothing is recorded"
+        box = QMessageBox(parent)
+        box.setIcon(QMessageBox.Icon.Question)
+        box.setWindowTitle("svwfs")
+        box.setText("Keep the instrument running without this window?")
+        box.setInformativeText(f"While it runs, the light stays as it is, and {recorded}.")
+        goes_on = box.addButton("Keep running", QMessageBox.ButtonRole.AcceptRole)
+        ends = box.addButton("Stop instrument", QMessageBox.ButtonRole.DestructiveRole)
+        cancel, is_own = box.addButton(QMessageBox.StandardButton.Cancel), not self.is_attached
+        box.setDefaultButton(cancel if recording else ends if is_own else goes_on)
+        box.exec()
+        if box.clickedButton() is ends and is_own:
+            return False
+        if box.clickedButton() is ends:
+            self.send(lambda _: connection.end(), lambda _: then(), lambda _: None)
+        elif box.clickedButton() is goes_on:
+            connection.goes_on = True
+            then()
+        return True
 
     def poll(self) -> bool:
         """Pass on the results of finished commands; return whether there were any."""

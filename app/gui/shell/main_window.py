@@ -20,10 +20,9 @@ from app.gui.panels.panel import Entries, Shown
 from app.gui.panels.registry import make_panels
 from app.gui.shell.access import Access
 from app.gui.shell.analyses import Analyses
-from app.gui.shell.attachment import Attachment
-from app.gui.shell.base_window import BaseWindow, LateMeasurements
+from app.gui.shell.base_window import BaseWindow
 from app.gui.shell.benches import Benches
-from app.gui.shell.calibration import CalibrationGuide, Routines
+from app.gui.shell.calibration import CalibrationGuide
 from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.device_dialogs import DevicePresets, SensorRegionDialog
 from app.gui.shell.docks import PanelDocks
@@ -66,17 +65,15 @@ class MainWindow(BaseWindow):
         self.unsaved: list[str] = []  # why files were not written when the window was closed
         self._status: Status | None = None  # as shown
         self._failure, self._activity, self._is_silent = "", Activity(), False
-        self._late, self._situation = LateMeasurements(), Situation()
+        self._situation = Situation()
 
         self.shown = Shown(self)
         self.panels = make_panels(self.shown)
         self.controls = self.panels.controls
         self.status_line = StatusLine()
         self.controller = Controller(self.messages)
-        self.attachment = Attachment(self.controller, self)
         self.settings = SettingsControl(self.controller)
-        self.routines = Routines(self.controller, self.settings, self.panels.camera)
-        self.guide = CalibrationGuide(self.controller, self.routines.use_lattice, self)
+        self.guide = CalibrationGuide(self.controller, self.settings, self.panels.camera, self)
         self.light = LightControl(self.controller, self.controls, self.guide.end_for_light)
         self.region_dialog = SensorRegionDialog(self.controller, self)
         self.recording_panel = RecordingPanel()
@@ -118,16 +115,15 @@ class MainWindow(BaseWindow):
             "dark": partial(self.light.take, DARK),
             "reference": partial(self.light.take, REFERENCE),
             "calibration": self.guide.begin,
-            "lattice": lambda _: self.routines.find_lattice(),
-            "auto_exposure": lambda _: self.routines.expose(),
+            "lattice": lambda _: self.guide.find_lattice(),
+            "auto_exposure": lambda _: self.guide.expose(),
             "sensor_region": lambda _: self.region_dialog.begin(),
         }
         self.controls.requested.connect(lambda name, value: acts.get(name, partial(self.settings.want, name))(value))
         self.shown.exclusion_requested.connect(lambda *which: self.settings.change(("lenslets", which)))
         self.messages.cancel_requested.connect(self.panels.camera.put_tool_away)
         self.messages.reconnect_requested.connect(self._reconnect)
-        self.messages.control_requested.connect(self.attachment.take_control)
-        self.messages.dismissed.connect(self.errors.restart)
+        self.messages.control_requested.connect(self.controller.take_control)
         for panel in self.panels:
             panel.warned.connect(self.messages.warn)
             panel.informed.connect(self.messages.inform)
@@ -160,14 +156,14 @@ class MainWindow(BaseWindow):
                 None,
                 *presets,
                 *self._entries_of_panels("&Bench"),
-                ("Check the background", "B", self.routines.check_background),
-                ("Measure the camera's nonlinearity", "", self.routines.measure_linearity),
+                ("Check the background", "B", self.guide.check_background),
+                ("Measure the camera's nonlinearity", "", self.guide.measure_linearity),
                 None,
                 ("Cancel, discard or dismiss", "Esc", self.messages.escape),
                 ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect),
                 None,
-                ("Take control of the instrument", "", self.attachment.take_control),
-                ("End the instrument's process", "", self.attachment.end_instrument),
+                ("Take control of the instrument", "", self.controller.take_control),
+                ("End the instrument's process", "", self.controller.end_instrument),
             ),
             "&View": (
                 *self._entries_of_panels("&View"),
@@ -219,7 +215,7 @@ class MainWindow(BaseWindow):
             if (status := self.controller.status) is not None and not self.controller.left:
                 self.show_status(_ended(status))
             self.recording_bar.refresh()  # the recording has ended
-            self.errors.restart()
+            self.known_errors.clear()
             for panel in self.panels:
                 panel.forget_bench()
             self.analyses.forget_bench()
@@ -253,7 +249,7 @@ class MainWindow(BaseWindow):
             self._text_timer.start()  # before the frame is drawn: if that fails, the text says so
         measurement = acquisition.newest
         is_new = measurement is not self.shown.measurement and not self.isMinimized()
-        if measurement is not None and is_new and not self._late.leave_out(measurement, self.shown.measurement):
+        if measurement is not None and is_new and not self.leaves_out(measurement, self.shown.measurement):
             start_s = time.perf_counter()
             self.show_measurement(measurement)
             self.unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
@@ -305,13 +301,13 @@ class MainWindow(BaseWindow):
             panel.show_liveness()
         self.recording_bar.refresh()
         timings = acquisition.timings if acquisition else None
-        self.status_line.update_text(status, timings, self.attachment.processes, trouble=self.attachment.trouble)
+        self.status_line.update_text(status, timings, self.controller.about_processes, trouble=self.controller.trouble)
         self.status_line.show_verdict(shown.verdict)
         self.messages.show_state(
             failure=self._failure,
             may_reconnect=status is None or not status.is_replay,
-            may_take_control=self.attachment.may_take_control,
-            warning="; ".join(filter(None, [alarm, self.attachment.notice])),
+            may_take_control=self.controller.may_take_control,
+            warning="; ".join(filter(None, [alarm, self.controller.notice])),
             advice=way_out(status) if self._failure else advice(status, self._activity, measurement),
         )
 
@@ -367,7 +363,7 @@ class MainWindow(BaseWindow):
         def close() -> None:
             QTimer.singleShot(0, self.close)  # within a close event, Qt would skip `closeEvent`
 
-        if not self.attachment.ask_to_leave(close):
+        if not self.controller.ask_to_leave(close, self):
             self.light.ask_off(close)
 
     def _reconnect(self) -> None:

@@ -57,7 +57,7 @@ def test_window_that_watches_says_who_has_control_and_takes_it(
         window.messages.control.click()
         qtbot.waitUntil(lambda: "watches" not in said_in(window))
         assert window.messages.control.isHidden()
-        connection = window.attachment.connection
+        connection = window.controller.connection
         assert connection is not None
         assert connection.has_control
     assert server.acquisition.is_alive
@@ -161,7 +161,7 @@ def test_commands_of_a_window_that_watches_are_refused_with_a_sentence(
         qtbot.waitUntil(panel.record.isChecked)
         is_refused(panel.record.click)
         is_refused(lambda: bar.stop_after.entered.emit(5.0))
-        window.attachment.end_instrument()
+        window.controller.end_instrument()
         qtbot.waitUntil(lambda: "this program only watches: notebook" in said_in(window))
         window.quit()  # asks nothing: the instrument goes on for the notebook
         qtbot.waitUntil(lambda: not window.isVisible())
@@ -182,7 +182,7 @@ def test_window_goes_on_with_an_instrument_that_was_started_again(
     with served(FakeCamera()) as second:
         window.messages.reconnect.click()
         wait_for_wavefront(qtbot, window)
-        connection = window.attachment.connection
+        connection = window.controller.connection
         assert connection is not None
         assert connection.has_control
         qtbot.waitUntil(lambda: "shut down" not in said_in(window))
@@ -209,7 +209,7 @@ def test_recording_goes_on_when_the_window_opens_another_bench(
 def test_end_of_the_instrument_is_told_and_reconnecting_says_that_none_runs(
     window: MainWindow, server: Server, qtbot: QtBot
 ) -> None:
-    window.attachment.end_instrument()
+    window.controller.end_instrument()
     window.messages.accept.click()
     qtbot.waitUntil(lambda: "the instrument was shut down" in said_in(window))
     qtbot.waitUntil(lambda: not server.acquisition.is_alive)
@@ -224,8 +224,8 @@ def test_a_window_that_runs_the_instrument_itself_has_nothing_to_leave(
 ) -> None:
     window, _ = live
     asked = choose_button(monkeypatch, "Cancel")
-    assert not window.attachment.ask_to_leave(lambda: None)
+    assert not window.controller.ask_to_leave(lambda: None, window)
     assert not asked
-    for command in (window.attachment.take_control, window.attachment.end_instrument):
+    for command in (window.controller.take_control, window.controller.end_instrument):
         command()
         qtbot.waitUntil(lambda: "runs the instrument itself" in said_in(window))

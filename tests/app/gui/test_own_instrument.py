@@ -95,7 +95,7 @@ def is_dark(window: MainWindow) -> bool:
 
 
 def connection_of(window: MainWindow) -> OwnConnection:
-    connection = window.attachment.connection
+    connection = window.controller.connection
     assert isinstance(connection, OwnConnection)
     assert connection.has_control
     return connection
@@ -188,7 +188,7 @@ def test_another_bench_and_a_new_start_have_processes_of_their_own(
         qtbot.waitUntil(lambda: "run 1" in window.recording_bar.text.text())
         started[1].send_signal(signal.SIGSEGV)
         qtbot.waitUntil(lambda: f"the instrument's process {started[1].pid} was ended by sigsegv" in said_in(window))
-        window.attachment.take_control()
+        window.controller.take_control()
         assert "runs the instrument itself" not in window.messages.log
         window.messages.reconnect.click()
         qtbot.waitUntil(lambda: (status := window.controller.status) is not None and status.is_running)
@@ -278,7 +278,7 @@ def test_process_that_ends_at_once_is_told_with_its_last_words(
 
     def act(window: MainWindow) -> None:
         qtbot.waitUntil(lambda: "process has ended: an instrument runs as" in said_in(window))
-        assert window.attachment.connection is None
+        assert window.controller.connection is None
         assert not window.messages.reconnect.isHidden()
 
     with taken_address() as address:
@@ -295,10 +295,10 @@ def test_window_acts_while_its_instrument_starts(
     def act(window: MainWindow) -> None:
         qtbot.waitUntil(lambda: "starting the instrument" in said_in(window))
         assert not window.controller.is_silent
-        assert window.attachment.notice == ""
+        assert window.controller.notice == ""
         qtbot.wait(2500)  # until an instrument that was reached would count as silent
         assert "starting the instrument" in said_in(window)
-        window.attachment.take_control()
+        window.controller.take_control()
         assert "instrument is starting: wait until it is reached" in window.messages.log
         asked = choose_button(monkeypatch, "Keep running")
         stopped[0].send_signal(signal.SIGCONT)

@@ -75,7 +75,7 @@ def test_nonlinearity_is_used_only_when_accepted(
     curve = Linearity(quadratic=0.05, cubic=0.01, highest_counts=40_000.0)
     found = MeasuredLinearity(curve, sigma=1e-4, late_s=0.0, late_sigma_s=1e-5, drift=-0.002, flicker=1e-4)
     monkeypatch.setattr("app.acquisition.instrument.measure_linearity", lambda *_, **__: found)
-    window.routines.measure_linearity()
+    window.guide.measure_linearity()
     qtbot.waitUntil(window.messages.accept.isVisible)
     assert "+6.00 % off the signal at 40000 counts" in window.messages.text.text()
     assert "drifted by -0.2 %" in window.messages.text.text()

@@ -43,7 +43,7 @@ def test_error_in_a_refresh_is_shown_once(
         calls.append(arguments)
         raise IndexError("index 8 is out of bounds")
 
-    with qtbot.capture_exceptions() as printed, window.errors.reported(), monkeypatch.context() as patch:
+    with qtbot.capture_exceptions() as printed, window.reported_errors(), monkeypatch.context() as patch:
         patch.setattr(window.panels.camera, "show_measurement", fail)
         said = "The display failed (IndexError: index 8 is out of bounds; test_window_errors.py:"
         qtbot.waitUntil(lambda: len(calls) > 3 and said in window.messages.text.text())
@@ -64,7 +64,7 @@ def test_error_in_a_slot_is_shown_and_ends_nothing(
         raise IndexError("list index out of range")
 
     monkeypatch.setattr(window.controls, "show_switching_off", fail)
-    with qtbot.capture_exceptions() as printed, window.errors.reported():
+    with qtbot.capture_exceptions() as printed, window.reported_errors():
         for _ in range(2):
             window.controls.requested.emit("light", False)
         said = "The display failed (IndexError: list index out of range"
