@@ -17,10 +17,7 @@ T = TypeVar("T")
 
 
 class CameraStorm(Storm):
-    """A subclass also supplies the device's clock, so that a busy computer does not look like a slow call.
-
-    `run_storms` finds a call that never returns.
-    """
+    """A subclass also supplies the device's clock, so that a busy computer does not look like a slow call."""
 
     longest_s: ClassVar[float] = 5.0  # of one call, beyond its own timeout
     camera: Camera | None = None

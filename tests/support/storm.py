@@ -6,12 +6,11 @@ The tests run a few fixed sequences per device; with SVWFS_SEQUENCES set, as in 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant
+from hypothesis.stateful import RuleBasedStateMachine
 
 FEW = 30
 
@@ -29,18 +28,9 @@ def storm_settings(few: int = FEW, *, steps: int = 20) -> settings:
     )
 
 
-@dataclass(slots=True)
-class Tally:
-    """Count of sequences and steps run in this process."""
-
-    sequences: int = 0
-    steps: int = 0
-
-
 class Storm(RuleBasedStateMachine):
     """Base class; a subclass supplies the device and its faults."""
 
-    tally: ClassVar = Tally()
     device: Any = None
 
     def make(self) -> Any:
@@ -58,10 +48,3 @@ class Storm(RuleBasedStateMachine):
     def recover(self) -> None:
         """Plug in again and clear all faults."""
         raise NotImplementedError
-
-    @invariant()
-    def count_step(self) -> None:
-        self.tally.steps += 1
-
-    def teardown(self) -> None:
-        self.tally.sequences += 1

@@ -27,7 +27,6 @@ from support.genicam_models import (
     usual,
 )
 from support.gige_camera import ADDRESS, GigeCamera
-from support.public_descriptions import PUBLIC, leave_switched_on
 
 from drivers.camera import Region
 from drivers.contract.camera import (
@@ -231,17 +230,6 @@ def test_leftover_processing_is_switched_off_and_recorded(peer: Callable[[Model]
     with GenicamCamera(SETTINGS) as camera:
         properties = camera.properties()
         assert {name: properties[name] for name in expected} == expected
-
-
-@pytest.mark.parametrize("maker", PUBLIC)
-def test_every_public_name_of_processing_is_reset_and_recorded(maker: str, peer: Callable[[Model], GigeCamera]) -> None:
-    of = usual(("Mono12",))
-    of.number("ExposureTime", 9000, 10, 1e6)
-    expected = leave_switched_on(of, PUBLIC[maker])
-    peer(Model(maker, "Model", of))
-    with GenicamCamera(SETTINGS) as camera:
-        properties = camera.properties()
-        assert {name: properties.get(name) for name in expected} == expected
 
 
 def test_frames_without_timestamp_have_the_host_time(

@@ -12,7 +12,7 @@ from support.light_log import LightLog
 from support.light_storm import HeatStorm
 from support.storm import storm_settings
 from support.usb_stand_in import Bus, Plug
-from support.wires.dc2200 import DC2200Wire, header
+from support.wires.dc2200 import DC2200Wire
 from support.wires.usbtmc import UsbFault, UsbFaultKind
 
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported, WrongState
@@ -365,21 +365,6 @@ def test_device_without_permission_is_reported(device: DC2200Wire, clock: Manual
 def test_invalid_settings_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         check(DC2200Settings(**wrong))
-
-
-@pytest.mark.parametrize(
-    ("word", "fits"),
-    [
-        ("SOUR:CCUR", True),
-        ("SOURCE1:CCURENT:CURRENT?", True),
-        (":SOURCE:CCUR:CURR", True),
-        ("SOUR:CCURRENT", False),
-        ("SOURC:CCUR", False),
-        ("SOUR2:CCUR", False),
-    ],
-)
-def test_stand_in_accepts_short_and_long_headers_only(word: str, *, fits: bool) -> None:
-    assert bool(header("SOURce1:CCURent[:CURRent]").fullmatch(word)) == fits
 
 
 class Storm(HeatStorm):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,6 @@ from reconstruction.runtime.threads import worker_pool
 from reconstruction.settings import RegistrationSettings
 
 ROWS, COLUMNS = 4, 5
-SWAPPED = (0, 2, 1, 5, 4, 3)  # x and y swapped: 1, x, y, P2(x), xy, P2(y) become 1, y, x, P2(y), xy, P2(x)
 FEW = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
@@ -79,17 +77,6 @@ def test_busy_worker_threads_change_and_delay_nothing(
 
 @FEW
 @given(gain=st.floats(1e-3, 1e3), offset=st.floats(-10.0, 10.0))
-def test_gain_and_offset_of_frame_do_not_change_result(
-    estimate: RegistrationMethod, frame: Image, plain: Displacement, gain: float, offset: float
-) -> None:
-    peak = float(frame.max())
-    other = _compare(estimate, np.asarray(gain * (frame + offset * peak), np.float32))
-    np.testing.assert_allclose(other.coefficients, plain.coefficients, atol=1e-3)
-    np.testing.assert_allclose(other.variance, plain.variance, rtol=0.02)
-
-
-@FEW
-@given(gain=st.floats(1e-3, 1e3), offset=st.floats(-10.0, 10.0))
 def test_gain_and_offset_of_reference_do_not_change_result(
     bench: SmallBench, frame: Image, plain: Displacement, gain: float, offset: float
 ) -> None:
@@ -97,34 +84,6 @@ def test_gain_and_offset_of_reference_do_not_change_result(
     other = _compare(_estimator(bench, reference, bench.lattice), frame)
     # Flux conservation applies to the offset of the reference as well, hence the tolerance.
     np.testing.assert_allclose(other.mean, plain.mean, atol=0.02 * (1 + abs(offset)))
-
-
-def test_transposed_frames_give_transposed_displacement(bench: SmallBench, frame: Image, plain: Displacement) -> None:
-    lattice = Lattice(
-        center_x_px=bench.lattice.center_y_px,
-        center_y_px=bench.lattice.center_x_px,
-        pitch_px=bench.lattice.pitch_px,
-        rotation_rad=-bench.lattice.rotation_rad,
-    )
-    other = _compare(_estimator(bench, bench.reference.T.copy(), lattice), frame.T.copy())
-    expected = plain.coefficients.transpose(1, 0, 2, 3)[:, :, SWAPPED, ::-1]
-    np.testing.assert_allclose(other.coefficients, expected, atol=1e-3)
-    covariance = plain.covariance.transpose(1, 0, 2, 3, 4, 5)[:, :, SWAPPED, ::-1][:, :, :, :, SWAPPED, ::-1]
-    np.testing.assert_allclose(other.covariance, covariance, rtol=0.02, atol=1e-3 * covariance.max())
-
-
-@pytest.mark.parametrize(("right", "down"), [(1, 0), (0, 1), (2, 1)])
-def test_moving_image_and_lattice_does_not_change_result(
-    bench: SmallBench, frame: Image, plain: Displacement, right: int, down: int
-) -> None:
-    def moved(image: Image) -> Image:
-        return np.pad(image, ((down, 0), (right, 0)), mode="edge")[: image.shape[0], : image.shape[1]]
-
-    lattice = replace(
-        bench.lattice, center_x_px=bench.lattice.center_x_px + right, center_y_px=bench.lattice.center_y_px + down
-    )
-    other = _compare(_estimator(bench, moved(bench.reference), lattice), moved(frame))
-    np.testing.assert_allclose(other.coefficients, plain.coefficients, atol=1e-3)
 
 
 def _garbage(bench: SmallBench, frame: Image, kind: str, scale: float, seed: int) -> Image:

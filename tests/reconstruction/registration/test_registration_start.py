@@ -13,7 +13,7 @@ from reconstruction.displacement import Displacement, RegistrationMethod
 from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.registration import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
-from reconstruction.settings import Method, RegistrationSettings
+from reconstruction.settings import RegistrationSettings
 
 SAME = 0.25  # standard errors
 
@@ -79,23 +79,6 @@ def test_wrong_start_does_not_change_result(estimate: RegistrationMethod, frames
     }[spoil]
     warm = estimate(frames[1], saturated=nowhere, start=replace(cold, coefficients=coefficients))
     assert _differ(warm, cold) < SAME
-
-
-def test_start_of_another_warp_is_ignored(small_bench: SmallBench, frames: list[Image]) -> None:
-    nowhere = np.zeros(frames[0].shape, np.bool_)
-    affine, quadratic = (_prepared(small_bench, RegistrationSettings(warp=warp)) for warp in ("affine", "quadratic"))
-    other = affine(frames[0], saturated=nowhere)
-    cold = quadratic(frames[0], saturated=nowhere)
-    np.testing.assert_array_equal(quadratic(frames[0], saturated=nowhere, start=other).coefficients, cold.coefficients)
-
-
-@pytest.mark.parametrize("method", ["correlation", "correlation_fft"])
-def test_searching_methods_ignore_start(small_bench: SmallBench, frames: list[Image], method: Method) -> None:
-    nowhere = np.zeros(frames[0].shape, np.bool_)
-    estimate = _prepared(small_bench, RegistrationSettings(method=method))
-    cold = estimate(frames[0], saturated=nowhere)
-    far = replace(cold, coefficients=cold.coefficients + 5)
-    np.testing.assert_array_equal(estimate(frames[0], saturated=nowhere, start=far).coefficients, cold.coefficients)
 
 
 def test_start_that_is_no_gradient_does_not_survive(small_bench: SmallBench, frames: list[Image]) -> None:
