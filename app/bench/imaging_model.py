@@ -10,8 +10,7 @@ import numpy as np
 
 from app.cache import kept_while_alive
 from reconstruction.geometry import Lattice, lenslet_centers
-from reconstruction.registration.own_wavefronts import OWN_WAVEFRONTS, own_wavefronts
-from reconstruction.registration.response import mean_subimage, point_brightness
+from reconstruction.registration.response import OWN_WAVEFRONTS, mean_subimage, own_wavefronts, point_brightness
 from reconstruction.runtime.threads import THREADS
 from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.lenslet_image import LensletImage

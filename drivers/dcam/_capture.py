@@ -9,8 +9,7 @@ import numpy as np
 
 from drivers.camera import CLOSING, INTERNAL, NO_FRAME, STOPPED, Frame, SettingsInForce
 from drivers.dcam._library import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
-from drivers.dcam._properties import Properties
-from drivers.dcam._property_ids import PRODUCER_NONE, Id
+from drivers.dcam._properties import PRODUCER_NONE, Id, Properties
 from drivers.errors import DeviceError, DeviceTimeout, FrameLost, WrongState
 
 _SLICE_S = 0.1  # longest wait in the library; after that much silence the camera's status is polled

@@ -11,11 +11,10 @@ from ctypes import byref
 
 from drivers.camera import INTERNAL, NOT_STARTED, Camera, CameraCapabilities, Frame, Region
 from drivers.dcam import DcamSettings
-from drivers.dcam import _property_ids as ids
+from drivers.dcam import _properties as ids
 from drivers.dcam._capture import Capture
 from drivers.dcam._library import STRINGS, DcamLibrary, DeviceOpen, load_library, sized
-from drivers.dcam._properties import Properties
-from drivers.dcam._property_ids import Id
+from drivers.dcam._properties import Id, Properties
 from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import REFUSALS, DeviceError, Unsupported, WrongState, attempt, undone_if_refused
 

@@ -5,6 +5,9 @@ wrong warp, but not well; a torn or turned frame matches well, but with slopes t
 
 Strong aberrations leave a misfit, too, because a warp does not describe diffraction. It grows with the deformation that
 is found, so that limits are shares of it, above the noise (docs/quality.md).
+
+Uniform stray light does no harm. A rise within a subimage looks like a change of its size; the same rise in all
+lenslets looks like a sample near the source. It is measured between the openings, where a wavefront moves little light.
 """
 
 import math
@@ -15,6 +18,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reconstruction.arrays import Booleans, Counts, Floats
 from reconstruction.displacement import Displacement, Outcome
@@ -26,11 +30,10 @@ from reconstruction.frame.pixels import (
     KnownCamera,
     clipped_fraction,
 )
-from reconstruction.geometry import Sensor
+from reconstruction.geometry import Sensor, lenslet_centers
 from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.polynomials import number_up_to
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.quality._stray_light import StrayLight
 from reconstruction.quality.verdict import NO_FAULT, Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings, Warp
@@ -298,7 +301,7 @@ def _growth(modes: PolynomialModes) -> Floats:
 
 _BETWEEN = 0.5  # of the slope of log light over log area: 1 in real light, 0 in the paper's world
 _LEAST_GROWTH = 0.002  # standard deviation of log area; less decides nothing
-_CERTAIN = 5.0  # standard errors of the slope
+_CERTAIN = 5.0  # standard errors of a slope or a rise
 _ALIKE = 25.0  # neighbouring lenslets, over which absorption and uneven light are alike
 _MOST_NOISE = 0.3  # of the variance of log area
 _REAL = "real light: remove neglect_propagation from the bench"
@@ -332,3 +335,57 @@ def propagation_faults(
     if noise < _MOST_NOISE and abs(slope - _BETWEEN) > max(_CERTAIN * sigma, _MOST_NOISE):
         change, cause = ("grows", _REAL) if neglect_propagation else ("does not grow", _NEGLECTED)
         yield Fault.PROPAGATION, f"the light of the subimages {change} with their size: this is {cause}"
+
+
+_GAP = 0.1  # of the brightest; darker samples lie between the openings
+_FEWEST_SAMPLES, _FEWEST_LENSLETS = 4, 9
+_PLANE = 3  # terms
+
+
+class StrayLight:
+    """Measures the rise of stray light from lenslet to lenslet, against one reference."""
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        *,
+        lit: Booleans,
+        light: Floats,
+        sampled: NDArray[np.intp],
+        is_good: Booleans,
+        dark: Floats | float,
+    ) -> None:
+        """Prepare the planes of the lenslets whose gaps are dark enough.
+
+        Parameters
+        ----------
+        sensor : Sensor
+        lit : (lenslet_row, lenslet_column)
+        light, sampled, is_good : (lit lenslet, sample)
+            Of the reference, counts above the dark; pixel of the flattened frame; whether it is good.
+        dark : float or (lit lenslet, sample)
+            Counts; any number if unknown.
+        """
+        self._brightest = float(np.max(light, initial=0.0))
+        gaps = is_good & (light < _GAP * self._brightest)
+        gaps[np.count_nonzero(gaps, axis=1) < _FEWEST_SAMPLES] = False
+        self._pixels, self._expected = sampled[gaps], (light + dark)[gaps]
+        lenslets, self._lenslet, self._samples = np.unique(np.nonzero(gaps)[0], return_inverse=True, return_counts=True)
+        place = lenslet_centers(sensor.arrangement, *lit.shape)[lit][lenslets]  # pitches
+        self._plane = np.column_stack([place, np.ones(len(place))])
+        self._is_measured = len(place) >= _FEWEST_LENSLETS and np.linalg.matrix_rank(self._plane) == _PLANE
+        self._inverse = np.linalg.pinv(self._plane) if self._is_measured else self._plane.T
+
+    def rise(self, frame: Counts) -> float:
+        """Rise per pitch of a frame (pixel,), counts, beyond chance, over the brightest; 0 if unknown.
+
+        A plane is fitted by least squares to what the gaps of each lenslet have more than in the reference; the scatter
+        about it gives the standard error, as in any linear regression.
+        """
+        if not self._is_measured:
+            return 0.0
+        added = np.bincount(self._lenslet, frame[self._pixels] - self._expected) / self._samples
+        plane = self._inverse @ added
+        scatter = float(np.sum((added - self._plane @ plane) ** 2)) / (len(added) - _PLANE)
+        error = math.sqrt(scatter * float(np.max(np.sum(self._inverse[:2] ** 2, axis=1))))
+        return max(math.hypot(*plane[:2]) - _CERTAIN * error, 0.0) / self._brightest

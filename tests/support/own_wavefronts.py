@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.polynomial import Legendre
 
-from reconstruction.registration.own_wavefronts import OWN_WAVEFRONTS
+from reconstruction.registration.response import OWN_WAVEFRONTS
 from reconstruction.registration.subimages import ReferenceSubimages
 from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import SourcePoints

@@ -15,9 +15,8 @@ from app.evaluation.studies import CaseResult, Printed, Study
 from app.measurement.bench_reconstructor import BenchReconstructor
 from app.progress import Progress
 from reconstruction.arrays import Floats
-from reconstruction.deconvolution.corrected_image import PhaseAt, corrected_image
+from reconstruction.deconvolution.corrected_image import PhaseAt, corrected_image, psf_reach_px
 from reconstruction.deconvolution.imaging import Imaging
-from reconstruction.deconvolution.psf_optics import psf_reach_px
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from simulated_devices.optics.photograph import PupilField, cells, photographs, resolution_target, star_field, true_psf
 from simulated_devices.sample import Sample

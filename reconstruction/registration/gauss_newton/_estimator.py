@@ -48,8 +48,7 @@ from reconstruction.registration.gauss_newton._template import (
     source_brightness,
     visible_warp,
 )
-from reconstruction.registration.own_wavefronts import OwnWavefront
-from reconstruction.registration.response import WarpRegistration
+from reconstruction.registration.response import OwnWavefront, WarpRegistration
 from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.runtime.deferred import Deferred
 from reconstruction.runtime.threads import THREADS, worker_pool

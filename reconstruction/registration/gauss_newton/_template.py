@@ -26,7 +26,7 @@ from reconstruction.registration.correlation import normalised
 from reconstruction.registration.gauss_newton._alignment import Grid
 from reconstruction.registration.gauss_newton._lenslet_fits import Propagated, WholePixelSearch
 from reconstruction.registration.gauss_newton._warped_sampling import MONOMIALS, window_of
-from reconstruction.registration.own_wavefronts import OwnWavefront
+from reconstruction.registration.response import OwnWavefront
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
 
 # Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds

@@ -11,7 +11,7 @@ from support.dcam_tools import dcam_stand_in, library, open_camera
 from support.wires.dcam.stand_in import Plug, StandIn, pattern
 
 from drivers.dcam import DcamSettings
-from drivers.dcam._property_ids import Id
+from drivers.dcam._properties import Id
 from drivers.dcam.camera import DcamCamera
 from drivers.interface import BadValue, Range, Region, WrongState
 from reconstruction.annotated_settings import check

@@ -13,7 +13,7 @@ from support.patience import HANG_S, own_time
 from support.wires.dcam.stand_in import Plug, StandIn, pattern
 
 from drivers.dcam import DcamSettings
-from drivers.dcam._property_ids import Id
+from drivers.dcam._properties import Id
 from drivers.dcam.camera import DcamCamera
 from drivers.interface import DeviceError, DeviceTimeout, Disconnected, Frame, FrameLost, Region, WrongState
 

@@ -6,7 +6,7 @@ import pytest
 from support.dcam_tools import library, open_camera
 from support.wires.dcam.stand_in import Plug, StandIn
 
-from drivers.dcam._property_ids import Id
+from drivers.dcam._properties import Id
 from drivers.dcam.camera import DcamCamera, discover
 from drivers.interface import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, Frame
 

@@ -10,7 +10,7 @@ import pytest
 from support.dcam_tools import open_camera
 from support.wires.dcam.stand_in import StandIn, pattern
 
-from drivers.dcam._property_ids import Id
+from drivers.dcam._properties import Id
 from drivers.dcam.camera import DcamCamera
 from drivers.interface import DeviceTimeout, Disconnected, FrameLost, Region, Unsupported
 

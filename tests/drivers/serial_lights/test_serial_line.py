@@ -83,28 +83,6 @@ def test_without_fresh_marker_it_waits_for_silence(line: SerialLine, device: Cou
     assert device.received[4:] == ["n?", "b?", "b?", "a?"]
 
 
-@pytest.mark.parametrize("kind", ["silence", "half", "garbage"])
-def test_missing_answer_times_out(line: SerialLine, device: Counter, kind: str) -> None:
-    device.faults.append(LineFault(kind))  # type: ignore[arg-type] # a literal
-    with pytest.raises(DeviceError):
-        line.query("a?", "a[0-9]")
-    assert ask(line, "a?") == "a2"
-
-
-def test_unasked_input_is_discarded(line: SerialLine, device: Counter) -> None:
-    assert ask(line, "a?") == "a1"
-    device.faults.append(LineFault("noise"))
-    ask(line, "x?")  # takes the noise; its own answer comes late
-    assert ask(line, "b?") == "b1"
-
-
-def test_query_returns_many_lines(line: SerialLine, device: Counter, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(device, "answer", lambda _: ["x1", "noise", "x2", "", "x3"])
-    assert [match[1] for match in line.query_lines("x?", "x([0-9])", 3)] == ["1", "2", "3"]
-    with pytest.raises(DeviceTimeout):
-        line.query_lines("x?", "x([0-9])", 4)
-
-
 class Chatter:
     """A port with endless input and no line end."""
 

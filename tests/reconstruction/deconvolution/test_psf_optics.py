@@ -10,8 +10,8 @@ import pytest
 from scipy import special
 from support.optics import sensor_of
 
+from reconstruction.deconvolution.corrected_image import PsfOptics, psf_reach_px
 from reconstruction.deconvolution.imaging import Imaging
-from reconstruction.deconvolution.psf_optics import PsfOptics, psf_reach_px
 from reconstruction.geometry import Field
 from simulated_devices.optics.photograph import true_psf
 

@@ -11,7 +11,7 @@ from support.optics import SmallBench
 
 from reconstruction.arrays import Booleans, Floats
 from reconstruction.geometry import Arrangement, lenslet_centers
-from reconstruction.quality._stray_light import StrayLight
+from reconstruction.quality.frame_quality import StrayLight
 
 ROWS, COLUMNS, SAMPLES, BRIGHTEST = 5, 6, 8, 1000.0
 DARK = 300.0

@@ -10,7 +10,7 @@ from support.optics import SmallBench, checkerboard
 from support.own_wavefronts import Lenslets
 
 from reconstruction.arrays import Floats
-from reconstruction.registration.own_wavefronts import own_wavefronts, shrunk
+from reconstruction.registration.response import own_wavefronts, shrunk
 from simulated_devices.optics.source import SourcePoints
 
 RMS_RAD = 0.1

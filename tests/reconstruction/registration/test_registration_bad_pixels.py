@@ -157,25 +157,3 @@ def test_lenslet_with_too_many_bad_pixels_is_lost(checker_bench: SmallBench, ele
     dead = _register(checker_bench, np.where(half, 0, reference).astype(np.float32), light, bad=half)
     expected[CENTER] = Outcome.DARK
     np.testing.assert_array_equal(dead.outcome, expected)
-
-
-def test_all_pixels_bad_loses_all_lenslets(checker_bench: SmallBench, electrons: tuple[Image, Image]) -> None:
-    reference, light = electrons
-    found = _register(checker_bench, reference, light, saturated=np.ones(light.shape, np.bool_))
-    assert not found.valid.any()
-
-
-@pytest.mark.parametrize("method", ["correlation", "correlation_fft"])
-def test_other_methods_tolerate_dead_pixels(small_bench: SmallBench, method: Method) -> None:
-    reference, light = _electrons(small_bench)
-    bad = _pixels(small_bench, SPOTS["one"])
-    clean = _register(small_bench, reference, light, method=method)
-    found = _register(
-        small_bench,
-        np.where(bad, 0, reference).astype(np.float32),
-        np.where(bad, 0, light).astype(np.float32),
-        bad=bad,
-        method=method,
-    )
-    assert found.valid.all()
-    np.testing.assert_allclose(found.mean, clean.mean, atol=0.05)
