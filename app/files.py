@@ -19,7 +19,7 @@ _NAME = re.compile(r"\.[0-9a-f]{16}" + re.escape(_PARTIAL) + r"(\.\w+)?")
 _MORE = 1 << 16  # bytes, for which a disk that was full has no room
 _STALE_S = 86400.0  # nobody is still writing a file that has not changed for so long
 MEASURED = ("results.nc", "dark.tif", "reference.tif")  # what `svwfs measure` writes beside the parts of its recording
-RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "start.npy", "biases", "calibrations")
+RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "biases", "calibrations")
 
 
 def check_readable(path: Path) -> None:

@@ -35,8 +35,8 @@ def batch(
 ) -> None:
     """Reconstruct many recordings in parallel into one Zarr store.
 
-    The wavefronts are those of svwfs replay --out, bit by bit, whatever the number of workers; by default there is one
-    for each core. The same command again does only what is missing: after Ctrl-C, a power failure, or with more
+    The wavefronts are those of svwfs replay --out, whatever the number of workers; by default there is one for each
+    core. The same command again does only what is missing: after Ctrl-C, a power failure, or with more
     recordings. A recording or a frame that cannot be used is named at the end. xarray.open_zarr opens the store, see
     docs/many_machines.md, also for clusters.
 

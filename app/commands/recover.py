@@ -13,12 +13,11 @@ if TYPE_CHECKING:
 
 
 def recover(recording: options.RecordingFolder) -> None:
-    """Complete a recording cut short by a crash or power failure, and list its damage.
+    """Complete a recording cut short by a crash, power failure or incomplete copy, and list its damage.
 
     Pixels are never changed. Everything happens in the recording's folder: each line of frames.jsonl is put in its
-    place, run.json and zarr.json are completed, or made again if they cannot be read, and half-written files are
-    removed. What is taken out or replaced is kept as frames.damaged.jsonl, run.damaged.json or damaged.zarr.json. See
-    docs/recording.md.
+    place, run.json and the arrays are completed, and half-written files are removed. Lines that are taken out are kept
+    as frames.damaged.jsonl. See docs/recording.md.
 
     Example: svwfs recover run1
     """
@@ -38,6 +37,8 @@ def print_recovered(recovered: Recovered, folder: Path) -> None:
     state = "was complete" if recovered.was_complete else "is complete now"
     damaged = ", but damaged" if recovered.damage else ""
     terminal.print_sentence(f"{folder}: {state}{damaged}: {recovered.summary}")
-    for sentence in (*recovered.rebuilt, *recovered.damage, recovered.readable, recovered.put_aside):
+    removed = ", ".join(map(str, recovered.removed))
+    left = f"half written, and removed: {removed}" if removed else ""
+    for sentence in (*recovered.damage, recovered.readable, recovered.put_aside, left):
         if sentence:
             terminal.print_sentence(f"{folder}: {sentence}")

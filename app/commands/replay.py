@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def replay(
     recording: options.RecordingFolder,
     *,
-    verify: Annotated[bool, typer.Option("--verify", help="Fail unless every frame is reproduced bit by bit.")] = False,
+    verify: Annotated[bool, typer.Option("--verify", help="Fail if a frame differs from what was recorded.")] = False,
     bench: Annotated[str | None, options.bench_option("Another bench to compare with the recorded one.")] = None,
     setting: options.Set = None,
     frames: options.Frames = None,
@@ -26,9 +26,9 @@ def replay(
 ) -> None:
     """Reconstruct the frames of a recording again.
 
-    They keep their own dark, reference, lattice and refinement: the same software reproduces the results bit by bit.
-    With another --bench, or the recorded one changed by --set, the wavefronts are compared with the recorded ones view
-    by view.
+    They keep their own dark, reference, lattice and refinement, and are compared with what was recorded: a difference
+    beyond a thousandth of the standard deviation is reported (docs/export.md). With another --bench, or the recorded
+    one changed by --set, the wavefronts are compared with the recorded ones view by view.
 
     Example: svwfs replay run1 --verify
 

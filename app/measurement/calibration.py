@@ -1,4 +1,4 @@
-"""Calibration: everything from which an estimator is rebuilt bit by bit.
+"""Calibration: everything from which an estimator is rebuilt.
 
 A new dark, reference or setting makes a new `Calibration`. Each measurement refers to its own, and a recording stores
 all that its frames refer to.

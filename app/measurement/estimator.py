@@ -45,7 +45,7 @@ class Estimator:
     """
 
     def __init__(self, calibration: Calibration, *, threads: int = THREADS) -> None:
-        """`threads` render the forward model; only a single one repeats it bit by bit."""
+        """`threads` render the forward model; only a single one always rounds alike."""
         self.calibration, self._threads = calibration, threads
 
     @cached_property
@@ -141,16 +141,9 @@ class Estimator:
                 wavefront, assumed = solve(registered)
                 quality = self.quality(frame.pixels, wavefront.displacement) | _beside(previous, frame)
         except ReconstructionError as error:
-            return Measurement(frame, None, str(error), calibration=self.calibration, start=start)
+            return Measurement(frame, None, str(error), calibration=self.calibration)
         return Measurement(
-            frame,
-            wavefront,
-            "",
-            calibration=self.calibration,
-            start=start,
-            registered=registered,
-            assumed=assumed,
-            quality=quality,
+            frame, wavefront, "", calibration=self.calibration, registered=registered, assumed=assumed, quality=quality
         )
 
 

@@ -74,7 +74,6 @@ class Measurement:
     exposure_end_s: float = math.nan  # end of the exposure on this computer's clock, time.perf_counter()
     latency_s: float = math.nan  # from then to this result
     calibration: Calibration | None = None  # shared by all frames that used it
-    start: Displacement | None = None  # initial guess of the registration: the previous frame's displacement
     registered: Displacement | None = None  # as registered; the wavefront's displacement has the bias subtracted
     assumed: Assumptions = Assumptions()  # of the sample, with the bias that was applied, if any
     quality: Quality = Quality()

@@ -4,7 +4,7 @@ import json
 import shutil
 from dataclasses import fields, replace
 from pathlib import Path
-from zipfile import ZIP_STORED, BadZipFile, ZipFile
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -12,11 +12,10 @@ from app.bench.config import load_bench, save_bench
 from app.errors import InputError
 from app.files import atomic_write, check_readable, in_words, sync
 from app.images import MOST_COUNTS
-from app.measurement.averages import AVERAGED_FRAMES, Average
+from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
 from app.run_facts import write_record
 from reconstruction.arrays import Floats, reading_npy
-from reconstruction.geometry import require
 
 # RuntimeError: the archive is encrypted
 _DAMAGED = (OSError, ValueError, TypeError, KeyError, EOFError, MemoryError, RuntimeError, BadZipFile)
@@ -42,7 +41,7 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
 
 
 def read_calibration(folder: Path) -> Calibration:
-    """Read a calibration, bit-identical; `InputError` if it is missing or damaged."""
+    """Read a calibration; `InputError` if it is missing or damaged."""
     bench = load_bench(folder / "bench.toml")
     check_readable(folder / "camera.json")
     try:
@@ -91,28 +90,9 @@ def _write_average(path: Path, average: Average) -> None:
 def _read_average(path: Path) -> Average:
     check_readable(path)
     try:
-        with ZipFile(path) as archive:
-            if any(member.compress_type != ZIP_STORED for member in archive.infolist()):
-                raise ValueError("it is compressed, which no program of svwfs writes")
         with reading_npy(), np.load(path, allow_pickle=False) as stored:
             arrays = {field.name: stored[field.name] for field in fields(Average)}
         average = Average(**{name: array if array.ndim else array.item() for name, array in arrays.items()})
-        _check(average)
     except _DAMAGED as error:
         raise InputError(f"{path}: cannot be read: {in_words(error)}") from error
     return average
-
-
-def _check(average: Average) -> None:
-    mean, variance = average.mean, average.variance
-    require(
-        {
-            "mean is no image": isinstance(mean, np.ndarray) and mean.ndim == 2 and mean.dtype.kind == "f",
-            "mean is not finite": bool(np.isfinite(mean).all()),
-            "variance has another size than mean": np.shape(variance) == np.shape(mean),
-            "variance is negative or not finite": bool(np.isfinite(variance).all() and np.min(variance) >= 0),
-            f"frames = {average.frames!r}": average.frames in AVERAGED_FRAMES,
-            f"exposure_s = {average.exposure_s!r}": average.exposure_s > 0,
-            f"em_gain = {average.em_gain!r}": average.em_gain > 0,
-        }
-    )

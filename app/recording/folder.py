@@ -19,12 +19,11 @@ from app.run_facts import write_record
 FORMAT = "svwfs recording 1"
 
 _LATER_FORMAT = re.compile(r"svwfs recording (?!1\b)\d+")
-RUN, FRAME_LINES, STORE, START, _BIASES, _CALIBRATIONS = RECORDING_PARTS  # START: frame before the first, px
+RUN, FRAME_LINES, STORE, _BIASES, _CALIBRATIONS = RECORDING_PARTS
 BIAS = f"{_BIASES}/{{}}.npy"  # by number (lenslet_row, lenslet_column, field_mode, xy), px
 CALIBRATION = f"{_CALIBRATIONS}/{{}}"  # folder of a calibration, by number
 RESULTS = "results/{}"  # group in the store, by number of the calibration
 PIXELS = "0"  # the array of frames in the store: the finest scale of an OME-NGFF image
-BEFORE = -1  # in place of a frame index: the frame before the recording
 
 
 def read_run(folder: Path) -> dict[str, Any]:
@@ -42,7 +41,7 @@ def read_run(folder: Path) -> dict[str, Any]:
     try:
         run = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: cannot be read: {in_words(error)}") from error
+        raise InputError(f"{path}: is damaged: {in_words(error)}") from error
     if not isinstance(run, dict) or run.get("format") != FORMAT or "complete" not in run or "bench" not in run:
         newer = isinstance(run, dict) and _LATER_FORMAT.fullmatch(str(run.get("format")))
         why = WRITTEN_BY_NEWER.format(version_of(run) or "of unknown version") if newer else ""
@@ -60,7 +59,7 @@ def recorded_frames(run: dict[str, Any]) -> int | None:
     """Return the number of frames according to `run.json`; None if it does not tell."""
     counts = run.get("frames")
     recorded = counts.get("recorded") if isinstance(counts, dict) else None
-    return recorded if type(recorded) is int and recorded >= 0 else None  # True is not a number
+    return recorded if isinstance(recorded, int) else None
 
 
 def parts_of(folder: Path) -> list[Path]:

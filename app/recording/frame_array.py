@@ -54,12 +54,12 @@ class FrameArray:
             self._separator = str(self._metadata["chunk_key_encoding"]["configuration"]["separator"])
             is_ours = self._metadata["codecs"] == _CODECS and self._metadata["data_type"] in _TYPES
             is_ours &= self._metadata["chunk_grid"]["configuration"]["chunk_shape"] == [1, *shape]
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             why = f"not an array of a recording: {in_words(error)}"
-            raise InputError(f"{path / METADATA}: {why}; svwfs recover makes it again") from error
+            raise InputError(f"{path / METADATA}: is damaged: {why}") from error
         if not is_ours:
             raise InputError(
-                f"{path}: not an array of a recording, one plain chunk of {' or '.join(_TYPES)} for each frame"
+                f"{path}: is damaged: not an array of one plain chunk of {' or '.join(_TYPES)} for each frame"
             )
         self.shape = tuple(shape)
         self._path = path

@@ -18,14 +18,12 @@ from app.files import check_readable
 from app.measurement.calibration import Calibration
 from app.recording.calibration_files import read_array, read_calibration
 from app.recording.folder import (
-    BEFORE,
     BIAS,
     CALIBRATION,
     FRAME_LINES,
     PIXELS,
     RESULTS,
     RUN,
-    START,
     STORE,
     read_run,
     recorded_frames,
@@ -39,7 +37,7 @@ from reconstruction.arrays import Floats
 T = TypeVar("T")
 
 _PIECE_BYTES = 1 << 20
-_FARTHEST_PX = 1e5  # of a displacement; farther than any camera reaches
+_MOST_SKIPPED = 100  # frames in a row, which a busy computer did not reconstruct
 _UNCHANGED = ("began", "began_host_s", "bench")  # keys of `run.json` that tell recordings apart
 
 
@@ -148,37 +146,10 @@ class Recording:
             raise InputError(f"{self.folder}: the pixels of all frames are missing")
         return pixels.shape
 
-    @property
-    def stored_frames(self) -> int:
-        """Number of frames of which some pixels are stored."""
-        folder = self.folder / STORE / PIXELS / "c"
-        try:
-            return sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
-        except OSError as error:
-            raise _unreadable(folder, error) from error
-
     def is_whole(self, index: int) -> bool:
         """True if all pixels of a frame exist; after a power failure some may not."""
         pixels = self._array(PIXELS)
         return pixels is not None and pixels.is_whole(index)
-
-    def is_intact(self, line: FrameLine) -> bool:
-        """True if all pixels of a frame exist and are those of its line."""
-        try:
-            pixels = self._read(PIXELS, line.index)
-        except InputError:
-            return False
-        return pixels is not None and line.crc32 in {None, checksum(pixels)}
-
-    def has_results(self, line: FrameLine) -> bool:
-        """True if the live results of a frame exist, or there were none."""
-        if line.calibration is None or line.problem:
-            return True
-        group = RESULTS.format(line.calibration)
-        displacement, coefficients = self._array(f"{group}/displacement"), self._array(f"{group}/coefficients")
-        if displacement is None or not displacement.is_whole(line.index):
-            return False
-        return coefficients is None or coefficients.is_whole(line.index)  # None: zonal method
 
     def frame(self, index: int) -> Frame:
         """A frame as the camera returned it."""
@@ -210,29 +181,15 @@ class Recording:
         return self._followed(lambda: self._biases(number))
 
     def start(self, index: int) -> Floats | None:
-        """Starting point of a frame's registration, px, as `displacement`; None if it had none."""
-        line = self.line(index)
-        if line.start is None or line.calibration is None:
-            return None
-        values: Floats | None
-        if line.start == BEFORE:
-            try:
-                values = self._followed(lambda: read_array(self.folder / START))
-            except InputError as error:
-                raise DamagedFrame(f"{error}; leave frame {index} out (--frames)") from error
-        else:  # always of the same calibration
-            values = self._found(line.calibration, "displacement", line.start)
-        sensor = self.calibration(line.calibration).bench.sensor
-        shape = sensor.lenslet_rows, sensor.lenslet_columns
-        if values is not None and (
-            values.ndim != 4
-            or (*values.shape[:2], values.shape[3]) != (*shape, 2)
-            or np.any(np.abs(values) > _FARTHEST_PX)
-        ):
-            raise DamagedFrame(
-                f"{self.folder}: the displacements that frame {index} starts from are damaged; leave it out (--frames)"
-            )
-        return values
+        """Live displacement before a frame with the same calibration, where its registration started; None: unknown."""
+        calibration = self.line(index).calibration
+        for earlier in range(index - 1, max(index - 1 - _MOST_SKIPPED, -1), -1):
+            with suppress(DamagedFrame):
+                if calibration is None or self.line(earlier).calibration != calibration:
+                    return None
+                if (found := self._found(calibration, "displacement", earlier)) is not None:
+                    return found
+        return None
 
     def _followed(self, read: Callable[[], T]) -> T:
         """Read, and once more if nothing is there because the folder has been renamed."""

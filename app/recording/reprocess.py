@@ -1,8 +1,9 @@
-"""Recorded frames through the estimator again: the same software makes the same results, bit for bit.
+"""Recorded frames through the estimator again.
 
-The result of a frame does not depend on which other frames are reconstructed: with the recorded registration it starts
-where it did live, with another one in a block of `BLOCK_FRAMES` whose first frame starts from zero displacement. With
-the recorded settings the sample is the one assumed live, with others that of the first frame of a block.
+The result of a frame does not depend on which other frames are reconstructed. With the recorded registration it starts
+from the displacement that was recorded for the frame before, with another one from its result in a block of
+`BLOCK_FRAMES`, whose first frame starts from zero. With the recorded settings the sample is the one assumed live, with
+others that of the first frame of a block.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from drivers.interface import Frame
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
-from reconstruction.layers.layered_wavefront import FREE, AssumedSample
+from reconstruction.layers.layered_wavefront import AssumedSample
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.wavefront import Wavefront
@@ -37,7 +38,7 @@ BLOCK_FRAMES = 128  # the frames of a block are computed together
 
 
 class Reprocessing:
-    """Reconstructs frames of one recording, each with its own calibration, starting point and bias.
+    """Reconstructs frames of one recording, each with its own calibration and bias.
 
     The newest calibration is prepared once for all calls.
     """
@@ -126,7 +127,7 @@ class Reprocessing:
         """Solve for a frame; `sample` is that of an earlier frame of the block, if there is one."""
         recording, estimator = self._recording, in_force.estimator
         if in_force.solves_as_recorded:
-            sample = _recorded_sample(recording, line)
+            sample = assumed_sample(line.sample)
         if self._rounds or line.bias is None or not in_force.registers_as_recorded:
             return estimator.solve(registered, sample=sample, rounds=self._rounds)
         bias = recording.bias(line.bias)
@@ -161,14 +162,6 @@ def _recorded(line: FrameLine, made: Measurement) -> Measurement:
     current_a = line.light_current_a
     light = None if current_a is None else LightState(bool(line.is_light_on), current_a)
     return replace(made, lost=line.lost, light=light, index=line.index)
-
-
-def _recorded_sample(recording: Recording, line: FrameLine) -> AssumedSample:
-    """Sample assumed for a frame live; any wavefront before one was found."""
-    try:
-        return FREE if line.sample is None else assumed_sample(line.sample)
-    except ValueError as error:
-        raise InputError(f"{recording.folder}: the line of frame {line.index} is damaged: {error}") from error
 
 
 def _seen_before(recording: Recording, index: int) -> tuple[int, Frame] | None:

@@ -19,20 +19,7 @@ from app.files import make_folder, sync
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Gap, Measurement
 from app.recording.calibration_files import write_array, write_calibration
-from app.recording.folder import (
-    BEFORE,
-    BIAS,
-    CALIBRATION,
-    FORMAT,
-    FRAME_LINES,
-    PIXELS,
-    RESULTS,
-    RUN,
-    START,
-    STORE,
-    check_free,
-    lock,
-)
+from app.recording.folder import BIAS, CALIBRATION, FORMAT, FRAME_LINES, PIXELS, RESULTS, RUN, STORE, check_free, lock
 from app.recording.frame_array import FrameArray
 from app.recording.frame_lines import FrameLine, checksum, sample_line
 from app.run_facts import now, software_facts, write_record
@@ -47,8 +34,7 @@ class Record:
     """Recorded part of a `Measurement`; 10 s of them fit in memory, because they hold no covariance."""
 
     made: Measurement  # without wavefront and displacements
-    start: Floats | None = None  # px, (lenslet_row, lenslet_column, field_mode, xy): registration's starting point
-    displacement: Floats | None = None  # px, as `start`
+    displacement: Floats | None = None  # px, (lenslet_row, lenslet_column, field_mode, xy)
     coefficients: Floats | None = None  # rad, (pupil_mode, field_mode)
     views: Floats | None = None  # rad, (view_row, view_column, lenslet_row, lenslet_column)
     valid: int | None = None
@@ -56,10 +42,9 @@ class Record:
     @classmethod
     def of(cls, measurement: Measurement) -> Record:
         """Take the recorded parts of a measurement, without a copy."""
-        wavefront, registered, start = measurement.wavefront, measurement.registered, measurement.start
+        wavefront, registered = measurement.wavefront, measurement.registered
         return cls(
-            replace(measurement, wavefront=None, registered=None, start=None),
-            start=None if start is None else start.coefficients,
+            replace(measurement, wavefront=None, registered=None),
             displacement=None if registered is None else registered.coefficients,
             coefficients=None if wavefront is None else wavefront.coefficients,
             views=None if wavefront is None else wavefront.views,
@@ -72,7 +57,7 @@ class Record:
         arrays = (self.made.frame.pixels, self.displacement, self.coefficients, self.views)
         return sum(array.nbytes for array in arrays if array is not None)
 
-    def line(self, index: int, *, calibration: int | None, bias: int | None, start: int | None) -> FrameLine:
+    def line(self, index: int, *, calibration: int | None, bias: int | None) -> FrameLine:
         """Line of the frame at an `index`, with the numbers of what it refers to."""
         made, frame, light = self.made, self.made.frame, self.made.light
         sample, refinement = made.assumed
@@ -91,7 +76,6 @@ class Record:
             calibration=calibration,
             bias=bias,
             bias_age_s=None if refinement.bias is None else refinement.age_s,
-            start=start,
             problem=made.problem,
             rms_rad=None if math.isnan(rms_rad) else rms_rad,  # JSON has no NaN
             valid=self.valid,
@@ -130,7 +114,6 @@ class RecordingWriter:
             lambda number, calibration: write_calibration(folder / CALIBRATION.format(number), calibration)
         )
         self._biases = _Numbered[Floats](lambda number, bias: write_array(folder / BIAS.format(number), bias))
-        self._registered: tuple[int, Floats] | None = None  # index and displacement of the last registered frame
         self._lines_bytes = 0
         self.gaps: list[Gap] = []
         self.frames = self.reconstructed = self.lost = self.bytes = 0
@@ -140,17 +123,11 @@ class RecordingWriter:
         index, made = self.frames, record.made
         calibration = self._calibrations.number_of(made.calibration)
         bias = self._biases.number_of(made.assumed.refinement.bias)
-        if self._registered is None and record.start is not None:  # the frame before is not in this recording
-            write_array(self._folder / START, record.start)
-            self._registered = BEFORE, record.start
-        start = self._registered[0] if record.start is not None and self._registered is not None else None
         self._put(PIXELS, index, made.frame.pixels)
         for name, values in (("displacement", record.displacement), ("coefficients", record.coefficients)):
             if calibration is not None and values is not None:
                 self._put(f"{RESULTS.format(calibration)}/{name}", index, values)
-        self._write_line(record.line(index, calibration=calibration, bias=bias, start=start))
-        if record.displacement is not None:
-            self._registered = index, record.displacement
+        self._write_line(record.line(index, calibration=calibration, bias=bias))
         self.frames += 1
         self.reconstructed += not made.problem
         self.lost += made.lost

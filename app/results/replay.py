@@ -1,13 +1,12 @@
-"""Recordings reconstructed again: verified bit by bit, or compared with another bench."""
+"""Recordings reconstructed again: compared with what was recorded, or with another bench."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
+from operator import itemgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app.bench.config import Bench, parse_bench, write_bench
 from app.errors import InputError, RunError
@@ -21,22 +20,36 @@ from app.recording.reprocess import Change, reprocess
 from app.results.dataset import results_in_pieces
 from app.results.frame_tallies import FrameTally
 from app.results.result_file import VIEW, Variable, about, write_pieces
+from app.run_facts import machine_facts
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, mean_rms, rms
 
+TOLERANCE_SIGMA = 1e-3  # of a frame that starts where it did live
+START_TOLERANCE_SIGMA = (
+    0.5  # of a frame that started from one before the recording: a fit ends where its steps are small
+)
+
+_LEAST_SIGMA = 1e-6  # of the largest: of a number that the solution fixes
+
 
 class Verification:
-    """Compares frames with what was recorded, to the last bit, and remembers the first that differs."""
+    """Compares frames with what was recorded, in units of the standard deviation sigma of each number."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
-        self._first = ""
+        self._first = ""  # difference beyond the tolerance
+        self._largest = 0.0, -1  # sigma, and the frame
         self.frames = 0  # frames that were reconstructed, or refused, live
         self._skipped = 0
         self.different = 0
+
+    @property
+    def largest_sigma(self) -> float:
+        """Largest difference of a displacement, a coefficient or an RMS, sigma."""
+        return self._largest[0]
 
     def take(self, frame: Measurement) -> None:
         """Compare one frame, unless it was skipped live."""
@@ -45,10 +58,12 @@ class Verification:
             self._skipped += 1
             return
         self.frames += 1
-        differences = _differences(self._recording, line, frame)
-        if differences:
+        problem, apart_sigma = _difference(self._recording, line, frame)
+        self._largest = max(self._largest, (apart_sigma, frame.index), key=itemgetter(0))
+        limit_sigma = TOLERANCE_SIGMA if self._recording.start(frame.index) is not None else START_TOLERANCE_SIGMA
+        if problem or apart_sigma > limit_sigma:
             self.different += 1
-            self._first = self._first or f"frame {frame.index}: {differences}"
+            self._first = self._first or f"frame {frame.index}: {problem or f'by {apart_sigma:.2g} sigma'}"
 
     @property
     def passes(self) -> bool:
@@ -60,41 +75,49 @@ class Verification:
         """The result in words."""
         if not self.frames:
             return "none of these frames was reconstructed when it was recorded: there is nothing to compare"
+        apart_sigma, index = self._largest
+        largest = (
+            f"the largest difference is {apart_sigma:.2g} sigma, in frame {index}" if apart_sigma else "no difference"
+        )
         if not self.different:
             skipped = f"; {self._skipped} more were not reconstructed then" if self._skipped else ""
-            return f"{counted(self.frames)}, each bit-identical to what was recorded{skipped}"
-        then, now = version_of(self._recording.run) or "an unknown version", version("svwfs")
+            return f"{counted(self.frames)} as recorded: {largest}{skipped}"
+        run = self._recording.run
+        then, now = version_of(run) or "an unknown version", version("svwfs")
         software = f"recorded by svwfs {then}, replayed by {now}" if then != now else f"both by svwfs {now}"
-        return f"{self.different} of {self.frames} frames differ from what was recorded; {self._first} ({software})"
+        software += ", on another computer" * (run.get("machine") != machine_facts())
+        return (
+            f"{self.different} of {self.frames} frames differ from what was recorded; {self._first}; {largest}"
+            f" ({software})"
+        )
 
 
-def _differences(recording: Recording, line: FrameLine, frame: Measurement) -> str:
-    wavefront = frame.wavefront
+def _difference(recording: Recording, line: FrameLine, frame: Measurement) -> tuple[str, float]:
+    """Say what cannot be compared with the recorded frame; return the largest difference of the rest, sigma."""
+    wavefront, registered = frame.wavefront, frame.registered
     if line.problem != frame.problem:
-        return f'the problem was "{line.problem}" and is "{frame.problem}"'
-    if wavefront is None or frame.registered is None:
-        return ""
+        return f'the problem was "{line.problem}" and is "{frame.problem}"', 0.0
+    if wavefront is None or registered is None:
+        return "", 0.0
+    sigma = np.sqrt(registered.variance)
+    compared = {"displacements": (recording.displacement(line.index), registered.coefficients, sigma)}
     solution = wavefront.solution
-    differences = [
-        _difference(recording.displacement(line.index), frame.registered.coefficients, "displacements", "px"),
-        _difference(np.array(line.rms_rad, np.float64), np.array(mean_rms(wavefront.views)), "the RMS", "rad"),
-    ]
     if isinstance(solution, ModalSolution):
-        recorded = recording.coefficients(line.index)
-        differences.append(_difference(recorded, solution.coefficients, "coefficients", "rad"))
-    return ", ".join(part for part in differences if part)
-
-
-def _difference(then: NDArray[Any] | None, now: NDArray[Any], what: str, unit: str) -> str:
-    if then is None:
-        return f"{what} were not recorded"
-    if then.shape != now.shape:
-        return f"{what} have another shape"
-    if np.array_equal(then, now, equal_nan=True):
-        return ""
-    if not np.array_equal(np.isnan(then), np.isnan(now)):
-        return f"{what} of other lenslets are known"
-    return f"{what} by up to {np.nanmax(np.abs(then - now)):.2g} {unit}"
+        then = recording.coefficients(line.index)
+        compared["coefficients"] = then, solution.coefficients, solution.coefficients_sigma
+    rms_sigma = np.sqrt(np.nanmean(wavefront.sigma() ** 2))
+    compared["the RMS"] = np.array(line.rms_rad, np.float64), np.array(mean_rms(wavefront.views)), rms_sigma
+    largest_sigma = 0.0
+    for what, (then, now, sigma) in compared.items():
+        if then is None:
+            return f"{what} were not recorded", largest_sigma
+        if then.shape != now.shape or not np.array_equal(np.isnan(then), np.isnan(now)):
+            return f"{what} of other lenslets or modes are known", largest_sigma
+        apart = np.abs(then - now)
+        of_each = np.broadcast_to(sigma, apart.shape)[apart > 0]  # most are equal, and the piston has none
+        apart_sigma = apart[apart > 0] / np.maximum(of_each, _LEAST_SIGMA * np.max(of_each, initial=0))
+        largest_sigma = max(largest_sigma, float(np.max(np.nan_to_num(apart_sigma, nan=np.inf), initial=0)))
+    return "", largest_sigma
 
 
 class Comparison:
@@ -146,7 +169,7 @@ def replay(
     """Reconstruct the recorded frames FIRST:END again and write the results to `out`, if given.
 
     With a `change` of the bench, see `change_of`, both are made and compared. With `must_match`, raise `RunError` if a
-    result differs from the recorded one in any bit.
+    result differs from the recorded one beyond the tolerance.
     """
     recording = Recording(folder)
     chosen = recording.select(frames)

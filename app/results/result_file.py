@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import os
+import math
 import warnings
 import zlib
 from collections.abc import Hashable, Iterable, Iterator, Mapping
@@ -13,7 +12,6 @@ from itertools import chain, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.bench_files import written_by
@@ -22,15 +20,14 @@ from app.errors import NOTHING_TO_WRITE, SETTINGS_CHANGED, InputError, RunError
 from app.files import atomic_write, check_readable, in_words
 
 if TYPE_CHECKING:
-    import h5netcdf
     import xarray as xr
 
 FRAME = "frame"  # dimension of several frames
 VIEW, LENSLET = ("view_row", "view_column"), ("lenslet_row", "lenslet_column")
 PIECE = 32  # frames
-_CHECKSUMS = "crc32"  # group with an attribute for each variable, which xarray does not copy to changed files
-_BENCH = "bench attribute"  # its checksum's name, which no variable has
-_LARGEST_PX = 1e6  # of a displacement
+_MARK = b"svwfs-crc32 "  # at the end of a file, beyond what HDF5 reads, with the CRC-32 of all before as eight digits
+_DIGITS, _BLOCK = 8, 1 << 20
+_MORE_BYTES = 16 << 10  # of a variable, for its index
 
 
 def open_results(path: Path | str) -> xr.Dataset:
@@ -38,13 +35,11 @@ def open_results(path: Path | str) -> xr.Dataset:
     import xarray as xr
 
     check_readable(Path(path))
+    _check_sum(Path(path))
     try:
-        _check_sums(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about files that are odd, which the next lines find
             dataset = xr.open_dataset(path, engine="h5netcdf")
-    except InputError:
-        raise
     except Exception as error:  # damaged files make HDF5 raise anything
         raise InputError(f"{path}: cannot be opened as results: it is not a NetCDF-4 file, or is damaged") from error
     if "wavefront" not in dataset:
@@ -55,10 +50,9 @@ def open_results(path: Path | str) -> xr.Dataset:
 
 @contextmanager
 def reading_results(path: Path) -> Iterator[xr.Dataset]:
-    """Open results with plausible displacements; every error of a damaged file is an `InputError`."""
+    """Open results; every error of a damaged file is an `InputError`."""
     with open_results(path) as results:
         try:
-            _require_sound(path, results)
             with written_by(path, results.attrs.get("software", "")):
                 yield results
         except (InputError, RunError):
@@ -67,65 +61,23 @@ def reading_results(path: Path) -> Iterator[xr.Dataset]:
             raise InputError(f"{path}: is damaged: {type(error).__name__}: {in_words(error)}") from error
 
 
-def _require_sound(path: Path, results: xr.Dataset) -> None:
-    """Raise `InputError` for a frame without valid lenslets, or with an impossible displacement."""
-    if "valid" in results and "displacement" in results:
-        valid = results["valid"].astype(bool)
-        if not valid.any(LENSLET).all():
-            raise InputError(f"{path}: is damaged: it has a frame without a valid lenslet")
-        if not (~valid | (abs(results["displacement"]) < _LARGEST_PX)).all():
-            raise InputError(f"{path}: is damaged: a valid lenslet has a displacement that none can have")
+def _check_sum(path: Path) -> None:
+    """Raise `InputError` if a file differs from what was written; files before 0.3 have no checksum."""
+    length = path.stat().st_size - len(_MARK) - _DIGITS
+    with path.open("rb") as file:
+        file.seek(max(length, 0))
+        mark, digits = file.read(len(_MARK)), file.read()
+        if mark == _MARK and digits != _checksum(path, length):
+            raise InputError(f"{path}: is damaged: it is not what was written; reconstruct the frames again")
 
 
-def _check_sums(path: Path | str) -> None:
-    """Raise `InputError` if a variable differs from what was written; files before 0.3 have no checksums."""
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        file.attrs.get("_nc3_strict")  # if that fails, h5netcdf fails with a traceback from its destructor, too
-        if file.visititems(_has_odd_scales):
-            raise InputError(f"{path}: is damaged: its variables are not tied to dimensions as in a NetCDF-4 file")
-        for name, written in file[_CHECKSUMS].attrs.items() if _CHECKSUMS in file else ():
-            if name == _BENCH:
-                if _checksum(np.array(file.attrs["bench"], object)) != written:
-                    raise InputError(f"{path}: is damaged: its bench is not what was written")
-                continue
-            variable, found = file[name], 0
-            for first in range(0, variable.shape[0], PIECE) if variable.ndim else (None,):
-                found = _checksum(variable[... if first is None else slice(first, first + PIECE)], found)
-            if found != written:
-                raise InputError(f"{path}: is damaged: {name} is not what was written; reconstruct the frames again")
-
-
-def _has_odd_scales(_: str, stored: object) -> bool | None:
-    """Return True for a dataset whose links to dimensions would crash HDF5; None, to go on, if not.
-
-    HDF5 takes the links for one list of references for each dimension, whatever they are, and aborts the process.
-    """
-    import h5py
-
-    if not isinstance(stored, h5py.Dataset):
-        return None
-    reference = h5py.h5t.STD_REF_OBJ
-    if "DIMENSION_LIST" in stored.attrs:
-        links = stored.attrs.get_id("DIMENSION_LIST")
-        kind = links.get_type()
-        if not isinstance(kind, h5py.h5t.TypeVlenID) or kind.get_super() != reference or links.shape != (stored.ndim,):
-            return True
-    if "REFERENCE_LIST" in stored.attrs:
-        kind = stored.attrs.get_id("REFERENCE_LIST").get_type()
-        if not isinstance(kind, h5py.h5t.TypeCompoundID) or kind.get_member_type(0) != reference:
-            return True
-    return None
-
-
-def _checksum(values: Any, before: int = 0) -> int:
-    """Return the CRC-32 of values that follow others with the checksum `before`."""
-    values = np.asarray(values)
-    if values.dtype.kind in "biuf":
-        return zlib.crc32(values.tobytes(), before)
-    texts = (each.encode() if isinstance(each, str) else each for each in values.flat)  # they are read as bytes
-    return zlib.crc32(b"".join(text + b"\0" for text in texts), before)
+def _checksum(path: Path, length: int) -> bytes:
+    """CRC-32 of the first bytes of a file, in hexadecimal digits."""
+    crc = 0
+    with path.open("rb") as file:
+        for begin in range(0, length, _BLOCK):
+            crc = zlib.crc32(file.read(min(_BLOCK, length - begin)), crc)
+    return b"%08x" % crc
 
 
 def write_results(path: Path, dataset: xr.Dataset, *, bench: Bench, inputs: Mapping[str, str]) -> None:
@@ -138,36 +90,21 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
 
     `InputError` if a piece has another shape than the first, because the settings changed between them.
     """
-    import h5netcdf
     import xarray as xr
 
-    count, sums = 0, dict[Hashable, int]()
+    is_first = True
     with atomic_write(path) as temporary:
         for piece, following in pairwise(chain(pieces, [xr.Dataset()])):
-            if not count:
+            if is_first:
                 temporary.write_bytes(_netcdf(piece, bench, inputs, grows=bool(following)))
-                _verify(temporary, path, piece.sizes.get(FRAME, 1))
-            with HdfFile(temporary) as writable, h5netcdf.File(writable, "r+") as file:
-                if count:
-                    _append(file, piece)
-                _add_sums(file, piece, sums)
-            count += piece.sizes.get(FRAME, 1)
-            _verify(temporary, path, count)
-        if not count:
+            else:
+                _append(temporary, piece)
+            is_first = False
+        if is_first:
             raise RunError(f"{path}: {NOTHING_TO_WRITE}")
-
-
-def _add_sums(file: h5netcdf.File, piece: xr.Dataset, sums: dict[Hashable, int]) -> None:
-    """Update the checksums of the variables, as they are stored, by those of a piece."""
-    group = file.groups[_CHECKSUMS] if sums else file.create_group(_CHECKSUMS)
-    if not sums:
-        group.attrs[_BENCH] = np.uint32(_checksum(np.array(file.attrs["bench"], object)))
-    for name, variable in piece.variables.items():
-        if name not in sums or FRAME in variable.dims:
-            stored = file.variables[name]
-            values = variable.values if variable.dtype.kind in "UO" else variable.values.astype(stored.dtype)
-            sums[name] = _checksum(values, sums.get(name, 0))
-            group.attrs[str(name)] = np.uint32(sums[name])
+        checksum = _checksum(temporary, temporary.stat().st_size)
+        with temporary.open("ab") as file:
+            file.write(_MARK + checksum)
 
 
 def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str], *, grows: bool) -> memoryview:
@@ -180,30 +117,32 @@ def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str], *, grows
         origin["linearity"] = f"corrected: {bench.linearity.sentence}"
     # names of files need not be text
     origin = {name: text.encode(errors="replace").decode() for name, text in origin.items()}
-    return piece.assign_attrs(**{"title": "Space-variant wavefront"} | piece.attrs | origin).to_netcdf(
-        engine="h5netcdf", unlimited_dims=[FRAME] if grows else []
+    attributes = {"title": "Space-variant wavefront"} | piece.attrs | origin
+    of_frames = {
+        name: piece.variables[name] for name in piece.variables if grows and FRAME in piece.variables[name].dims
+    }
+    return piece.assign_attrs(attributes).to_netcdf(
+        engine="h5netcdf",
+        unlimited_dims=[FRAME] if grows else [],
+        encoding={name: {"chunksizes": (PIECE, *variable.shape[1:])} for name, variable in of_frames.items() if grows},
     )
 
 
-def _verify(written: Path, path: Path, frames: int) -> None:
+def _append(path: Path, piece: xr.Dataset) -> None:
+    """Append frames to a file, first as zeros: on a disk that becomes full, HDF5 would crash."""
     import h5netcdf
 
-    try:
-        with h5netcdf.File(written, "r") as file:
-            found = file.dimensions[FRAME].size if FRAME in file.dimensions else 1
-    except OSError as error:
-        raise RunError(f"{path}: cannot be read again: {in_words(error)}") from error
-    if found != frames:
-        raise RunError(f"{path}: only {found} of {frames} frames were written")
-
-
-def _append(file: h5netcdf.File, piece: xr.Dataset) -> None:
-    first = file.dimensions[FRAME].size
-    sizes = {name: dimension.size for name, dimension in file.dimensions.items() if name != FRAME}
-    require_alike(sizes, {name: size for name, size in piece.sizes.items() if name != FRAME})
-    file.resize_dimension(FRAME, first + piece.sizes[FRAME])
-    for name, variable in piece.variables.items():
-        if FRAME in variable.dims:
+    of_frames = {name: variable for name, variable in piece.variables.items() if FRAME in variable.dims}
+    with path.open("ab") as room:
+        for variable in of_frames.values():
+            chunks = -(-variable.shape[0] // PIECE) + 1
+            room.write(bytes(chunks * PIECE * math.prod(variable.shape[1:]) * variable.dtype.itemsize + _MORE_BYTES))
+    with h5netcdf.File(path, "r+") as file:
+        first = file.dimensions[FRAME].size
+        sizes = {name: dimension.size for name, dimension in file.dimensions.items() if name != FRAME}
+        require_alike(sizes, {name: size for name, size in piece.sizes.items() if name != FRAME})
+        file.resize_dimension(FRAME, first + piece.sizes[FRAME])
+        for name, variable in of_frames.items():
             stored = file.variables[name]
             stored[first:] = variable.values.astype(stored.dtype)
 
@@ -212,70 +151,6 @@ def require_alike(sizes: Mapping[Hashable, int], others: Mapping[Hashable, int])
     """Raise `InputError` if the sizes of the dimensions differ."""
     if dict(sizes) != dict(others):
         raise InputError(SETTINGS_CHANGED)
-
-
-class HdfFile(io.RawIOBase):
-    """An existing file opened for changes, whose writes never fail for HDF5.
-
-    After the first failed write, for example on a full disk, what is written stays in memory, where HDF5 finds it
-    again. `close` raises the error.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("r+b", buffering=0)
-        self._end = os.fstat(self._file.fileno()).st_size
-        self._unwritten: list[tuple[int, bytes]] = []
-        self._error: OSError | None = None
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET, /) -> int:
-        """Move to a position; the end is that of all that was written."""
-        return self._file.seek(self._end + offset) if whence == os.SEEK_END else self._file.seek(offset, whence)
-
-    def write(self, data: Any, /) -> int:
-        """Write all bytes, to the disk or else to the memory."""
-        left, begin = memoryview(data).cast("B"), self.tell()
-        if self._error is None:
-            try:
-                rest = left
-                while rest:
-                    rest = rest[self._file.write(rest) :]
-            except OSError as error:
-                self._error = error
-        if self._error is not None:
-            self._unwritten.append((begin, bytes(left)))
-        self._end = max(self._end, self.seek(begin + len(left)))
-        return len(left)
-
-    def readinto(self, buffer: Any, /) -> int:
-        """Fill the buffer as far as the file goes."""
-        target, begin = memoryview(buffer).cast("B"), self.tell()
-        length = max(0, min(len(target), self._end - begin))
-        stored = self._file.read(length).ljust(length, b"\0")
-        target[:length] = stored
-        for offset, data in self._unwritten:
-            first, last = max(offset, begin), min(offset + len(data), begin + length)
-            if first < last:
-                target[first - begin : last - begin] = data[first - offset : last - offset]
-        self.seek(begin + length)
-        return length
-
-    def truncate(self, size: int | None = None, /) -> int:
-        """Set the length."""
-        self._end = self.tell() if size is None else size
-        if self._error is None:
-            try:
-                self._file.truncate(self._end)
-            except OSError as error:
-                self._error = error
-        return self._end
-
-    def close(self) -> None:
-        """Close the file; `OSError` if anything could not be written."""
-        if not self.closed:
-            self._file.close()
-            super().close()
-            if self._error is not None:
-                raise self._error
 
 
 Variable = tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]  # dimensions, values, attributes

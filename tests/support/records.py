@@ -60,12 +60,8 @@ def make_record(index: int, calibration: Calibration | None = None, **changes: A
     return replace(record, **{name: value for name, value in changes.items() if name in of_arrays})
 
 
-def make_chain(calibration: Calibration, count: int) -> list[Record]:
-    """Return records that each start from the one before."""
-    records: list[Record] = []
-    for index in range(count):
-        records.append(make_record(index, calibration, start=records[-1].displacement if records else None))
-    return records
+def make_records(calibration: Calibration, count: int) -> list[Record]:
+    return [make_record(index, calibration) for index in range(count)]
 
 
 def write(folder: Path, records: list[Record], *, finish: bool = True) -> RecordingWriter:

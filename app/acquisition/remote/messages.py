@@ -106,7 +106,7 @@ class Notice:
 class RingRecord:
     """One record of the ring: a measurement without what the client computes itself."""
 
-    measurement: Measurement  # without wavefront and start; it has a problem if it had no wavefront
+    measurement: Measurement  # without wavefront; it has a problem if it had no wavefront
     is_shown_only: bool  # a routine's frame
 
 

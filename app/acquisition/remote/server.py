@@ -188,7 +188,7 @@ class Server:
                 number, measurement, is_shown_only = self._unwritten.pop()
             except IndexError:
                 return
-            lean = replace(measurement, wavefront=None, start=None)
+            lean = replace(measurement, wavefront=None)
             record = RingRecord(lean, is_shown_only)
             packed = Packed(record, self._shared_objects.number)
             if self._ring is None or not self._ring.has_room_for(packed):

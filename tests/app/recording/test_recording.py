@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import zarr
 from support.optics import SmallBench
-from support.records import FACTS, RANDOM, SHAPE, make_chain, make_record, noisy_calibration, write
+from support.records import FACTS, RANDOM, SHAPE, make_record, make_records, noisy_calibration, write
 
 from app.bench.config import write_bench
 from app.errors import InputError
@@ -31,10 +31,9 @@ def calibration(small_bench: SmallBench) -> Calibration:
 
 def test_written_recording_is_read_back(tmp_path: Path, calibration: Calibration) -> None:
     other, bias = replace(calibration), RANDOM.normal(size=(7, 9, 3, 2))
-    before = RANDOM.normal(size=(7, 9, 3, 2))
-    first = make_record(50, calibration, start=before, lost=3)
+    first = make_record(50, calibration, lost=3)
     failed = make_record(51, calibration, displacement=None, coefficients=None, problem="too dark")
-    second = make_record(52, calibration, start=first.displacement, bias=bias, bias_age_s=0.2)
+    second = make_record(52, calibration, bias=bias, bias_age_s=0.2)
     third = make_record(60, other, displacement=RANDOM.normal(size=(7, 9, 6, 2)), coefficients=None)
     records = [first, failed, second, third, make_record(61, light=None)]
     write(tmp_path / "r", records)
@@ -60,10 +59,9 @@ def test_written_recording_is_read_back(tmp_path: Path, calibration: Calibration
     lines = [recording.line(index) for index in range(5)]
     assert [line.calibration for line in lines] == [0, 0, 0, 1, None]
     assert [line.bias for line in lines] == [None, None, 0, None, None]
-    assert [line.start for line in lines] == [-1, None, 0, None, None]
     assert [line.is_light_on for line in lines] == [True] * 4 + [None]
-    np.testing.assert_array_equal(recording.start(0), before)
-    np.testing.assert_array_equal(recording.start(2), first.displacement)
+    assert [recording.start(index) is None for index in (0, 3, 4)] == [True] * 3  # the first of their calibrations
+    np.testing.assert_array_equal(recording.start(2), first.displacement)  # the second has none
     np.testing.assert_array_equal(recording.bias(0), bias)
     views = first.views
     assert views is not None
@@ -74,7 +72,7 @@ def test_zarr_library_and_ome_readers_read_the_same(
     tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(frame_array, "_STEP", 4)  # so that the arrays grow
-    records = [*make_chain(calibration, 9), make_record(9)]
+    records = [*make_records(calibration, 9), make_record(9)]
     write(tmp_path / "growing", records, finish=False)
     assert zarr.open_array(tmp_path / "growing" / "frames.zarr" / "0", mode="r").shape == (12, *SHAPE)
     write(tmp_path / "r", records)
@@ -114,7 +112,7 @@ def test_calibration_is_read_back_bit_for_bit(tmp_path: Path, calibration: Calib
 
 
 def test_growing_recording_can_be_read(tmp_path: Path, calibration: Calibration) -> None:
-    records = make_chain(calibration, 3)
+    records = make_records(calibration, 3)
     writer = RecordingWriter(tmp_path / "r", FACTS)
     recording = Recording(tmp_path / "r")
     assert (len(recording), recording.is_complete) == (0, False)

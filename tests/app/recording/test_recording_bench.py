@@ -97,7 +97,7 @@ def test_unusable_recording_is_refused_on_opening(small_toml: Path, steady: Reco
         (tmp_path / "nowhere", "no such folder"),
         (tmp_path, "holds no recording"),
         (empty, "holds no frame"),
-        (damaged, r"run\.json: cannot be read"),
+        (damaged, r"run\.json: is damaged"),
     ):
         with pytest.raises(InputError, match=sentence):
             open_devices(parse_bench(bench_text(small_toml, folder), "bench"), lambda _: None)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from support.optics import SmallBench
 from support.patience import HANG_S, wait_until
-from support.records import FACTS, make_chain, make_record, noisy_calibration, wait
+from support.records import FACTS, make_record, make_records, noisy_calibration, wait
 
 from app.measurement.calibration import Calibration
 from app.recording import recorder
@@ -46,7 +46,7 @@ def test_full_disk_keeps_all_acknowledged_frames(
         return written
 
     monkeypatch.setattr(FrameArray, "write", fill_up)
-    records = make_chain(calibration, 12)
+    records = make_records(calibration, 12)
     recording = BackgroundRecording(tmp_path / "r", FACTS, Timings(), records=records)
     state = wait(recording, {"ended early"})
     assert (state.frames, state.waiting) == (5, 0)
@@ -85,7 +85,7 @@ def test_half_written_line_is_removed(
         writer._lines = Filling(writer._lines, 1000)  # type: ignore[assignment] # it acts like one
 
     monkeypatch.setattr(RecordingWriter, "__init__", begin_on_full_disk)
-    recording = BackgroundRecording(tmp_path / "r", FACTS, Timings(), records=make_chain(calibration, 9))
+    recording = BackgroundRecording(tmp_path / "r", FACTS, Timings(), records=make_records(calibration, 9))
     state = wait(recording, {"ended early"})
     assert state.problem == f"{tmp_path / 'r'}: cannot be written: No space left on device"
     read = Recording(tmp_path / "r")
@@ -102,7 +102,7 @@ def test_recover_finishes_after_a_disk_without_any_space(
     def fail_to_finish(*_: object, **__: object) -> None:
         raise OSError(errno.EROFS, "Read-only file system", "the disk")
 
-    recording = BackgroundRecording(tmp_path / "r", FACTS, Timings(), records=make_chain(calibration, 4))
+    recording = BackgroundRecording(tmp_path / "r", FACTS, Timings(), records=make_records(calibration, 4))
     while recording.state.frames < 4:
         time.sleep(0.005)
     with monkeypatch.context() as broken:
@@ -128,7 +128,7 @@ def test_slow_disk_ends_the_recording_without_blocking(
 
     monkeypatch.setattr(FrameArray, "write", slowly)
     recording = BackgroundRecording(tmp_path / "r", FACTS, Timings())
-    for record in make_chain(calibration, 20):  # on a disk that writes nothing
+    for record in make_records(calibration, 20):  # on a disk that writes nothing
         recording.take(record)
     state = recording.state
     assert state.stage == "finishing"
@@ -160,7 +160,7 @@ def test_failed_sync_ends_the_recording(
     recording = BackgroundRecording(tmp_path / "r", FACTS, Timings())
     monkeypatch.setattr(recorder, "_SYNC_S", 0.0)
     monkeypatch.setattr(RecordingWriter, "sync", fail)
-    records = itertools.cycle(make_chain(calibration, 3))
+    records = itertools.cycle(make_records(calibration, 3))
 
     def has_ended() -> bool:  # a later frame finds out that the sync has failed
         if not recording.state.waiting:

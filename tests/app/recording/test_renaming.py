@@ -13,14 +13,14 @@ from support.recordings import record
 
 from app.errors import InputError
 from app.recording.calibration_files import write_array
-from app.recording.folder import BEFORE, BIAS
+from app.recording.folder import BIAS
 from app.recording.reader import Recording
 
 
 @pytest.fixture(scope="module")
 def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """Its first frame starts from one before; its refinement has found something."""
-    made = record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=2, before=1)
+    """Its refinement has found something."""
+    made = record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=2)
     write_array(made.folder / BIAS.format(0), np.full((7, 7, 3, 2), 0.25))
     return made
 
@@ -33,7 +33,7 @@ def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Rec
         lambda of: of.displacement(1),
         lambda of: of.calibration(0).reference.mean,
         lambda of: of.bias(0),
-        lambda of: of.start(0),
+        lambda of: of.start(1),
     ],
 )
 def test_everything_is_found_under_the_new_name(
@@ -41,7 +41,6 @@ def test_everything_is_found_under_the_new_name(
 ) -> None:
     copy = Recording(shutil.copytree(recording.folder, tmp_path / "run"))
     copy.pixels(0)  # the array is open
-    assert copy.line(0).start == BEFORE
     copy.folder.rename(tmp_path / "mouse 7")
     np.testing.assert_array_equal(read(copy), read(recording))
     assert copy.folder.name == "mouse 7"

@@ -13,7 +13,7 @@ from support.optics import FIELD, SmallBench
 from support.paths import DOCS, FOREIGN_FRAMES
 
 from app.bench.config import load_bench, parse_bench
-from app.errors import InputError, RunError
+from app.errors import InputError
 from app.results.dataset import result_dataset, sample_variables, stack_frames
 from app.results.result_file import write_pieces, write_results
 from reconstruction.displacement import Transmission, diagonal_covariance
@@ -193,16 +193,3 @@ def test_only_a_file_of_several_pieces_has_an_unlimited_dimension(
     with h5netcdf.File(tmp_path / "r.nc", "r") as file:
         assert file.dimensions["frame"].isunlimited() == (pieces > 1)
         assert file.dimensions["frame"].size == 2 * pieces
-
-
-def test_file_is_read_again_before_it_gets_its_name(
-    dataset: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    piece = stack_frames([dataset] * 2, [0, 1], [0.0, 0.1], [0.0, 0.0])
-    monkeypatch.setattr("app.results.result_file._append", lambda *_: None)
-    with pytest.raises(RunError, match="only 2 of 4 frames were written"):
-        write_pieces(tmp_path / "r.nc", [piece, piece], bench=BENCH, inputs={})
-    monkeypatch.setattr("app.results.result_file._netcdf", lambda *_, **__: b"")
-    with pytest.raises(RunError, match="cannot be read again"):
-        write_pieces(tmp_path / "r.nc", [piece], bench=BENCH, inputs={})
-    assert not list(tmp_path.iterdir())

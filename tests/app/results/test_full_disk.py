@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
-import h5netcdf
 import numpy as np
 import pytest
 import xarray as xr
 from support.paths import FOREIGN_FRAMES
 
-from app.results.result_file import HdfFile
-
-# A limit on the size of files stands for the size of the disk; without HdfFile HDF5 writes to it and crashes.
+# A limit on the size of files stands for the size of the disk; HDF5 would write to it and crash.
 _PROGRAM = """
 import resource, sys
 from pathlib import Path
@@ -64,87 +59,6 @@ def test_full_disk_is_one_line_and_no_file(whole: int, share: float, tmp_path: P
     assert (done.returncode, done.stderr) == (1, "")
     assert done.stdout == f"{out}: cannot be written: File too large\n"
     assert not list(tmp_path.iterdir())
-
-
-class Filling:
-    """A file on a disk with room for so many bytes."""
-
-    def __init__(self, file: Any, room: int) -> None:
-        self._file, self._room = file, room
-
-    def write(self, data: memoryview) -> int:
-        if self._file.tell() >= self._room:
-            raise OSError(28, "No space left on device")
-        return int(self._file.write(data[: self._room - self._file.tell()]))
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._file, name)
-
-
-@pytest.mark.parametrize("room", [0, 3000, 20_000, 10**6])
-def test_hdf_file_keeps_what_the_disk_refuses(tmp_path: Path, room: int) -> None:
-    path, values = tmp_path / "file.nc", np.random.default_rng(0).normal(size=(40, 60))
-    path.touch()
-    file = HdfFile(path)
-    file._file = Filling(file._file, room)  # type: ignore[assignment] # it acts like one
-    with h5netcdf.File(file, "w") as written:
-        written.dimensions = {"y": None, "x": 60}
-        written.create_variable("a", ("y", "x"), float)
-        written.resize_dimension("y", 40)
-        written.variables["a"][:] = values
-    with h5netcdf.File(file, "r") as read:
-        np.testing.assert_array_equal(read.variables["a"][:], values)
-    if room < 10**6:
-        with pytest.raises(OSError, match="No space left"):
-            file.close()
-    else:
-        file.close()
-        with xr.open_dataset(path) as stored:
-            np.testing.assert_array_equal(stored["a"], values)
-
-
-@pytest.mark.parametrize("room", [0, 10**6])
-def test_hdf_file_changes_its_length(tmp_path: Path, room: int) -> None:
-    """Also on a full disk, in memory; the position stays."""
-    path = tmp_path / "file.nc"
-    path.write_bytes(b"abcdefgh")
-    file = HdfFile(path)
-    file._file = Filling(file._file, room)  # type: ignore[assignment] # it acts like one
-    file.seek(4)
-    file.write(b"EF")
-    assert (file.truncate(7), file.tell(), file.seek(0, os.SEEK_END)) == (7, 6, 7)
-    file.seek(5)
-    assert (file.truncate(), file.tell()) == (5, 5)
-    assert file.read() == b""
-    file.seek(0)
-    assert file.read() == b"abcdE"
-    assert (file.truncate(9), file.tell()) == (9, 5)
-    if room:
-        file.close()
-        assert path.read_bytes() == b"abcdE\0\0\0\0"
-    else:
-        with pytest.raises(OSError, match="No space left"):
-            file.close()
-        assert path.read_bytes() == b"abcdefgh"
-
-
-def test_length_that_the_disk_refuses_fails_on_closing(tmp_path: Path) -> None:
-    path = tmp_path / "file.nc"
-    path.write_bytes(b"abcdefgh")
-    file = HdfFile(path)
-    file._file = Filling(file._file, 10**6)  # type: ignore[assignment] # it acts like one
-    file._file.truncate = _refuse  # type: ignore[assignment,method-assign] # as on a full disk
-    assert file.truncate(12) == 12
-    assert file.read() == b"abcdefgh\0\0\0\0"
-    file.seek(0)
-    file.write(b"A")  # kept in memory from now on
-    assert path.read_bytes() == b"abcdefgh"
-    with pytest.raises(OSError, match="No space left"):
-        file.close()
-
-
-def _refuse(_: int) -> None:
-    raise OSError(28, "No space left on device")
 
 
 # A new user namespace may mount a disk of 64 kB.

@@ -53,12 +53,6 @@ def test_mistake_is_one_line(
     assert said.count("\n") == 1
 
 
-def _cut_average(mine: Recording) -> None:
-    path = mine.folder / "calibrations" / "0" / "reference.npz"
-    with np.load(path) as kept:
-        np.savez(path, allow_pickle=False, **{**kept, "mean": kept["mean"][:100]})
-
-
 def _misshape_bias(mine: Recording) -> None:
     (mine.folder / "biases").mkdir()
     np.save(mine.folder / "biases" / "0.npy", np.zeros((3, 7, 6, 2)))
@@ -75,7 +69,6 @@ FAULTS: dict[str, tuple[Callable[[Recording], object], str]] = {
     "no recording": (lambda mine: (mine.folder / "run.json").unlink(), "holds no recording"),
     "half a frame": (_truncate, "is damaged"),
     "no calibration": (lambda mine: shutil.rmtree(mine.folder / "calibrations"), "calibrations"),
-    "a reference of another size": (_cut_average, "reference.npz: cannot be read: variance has another size"),
     "a bias of other lenslets": (_misshape_bias, "bias 0 has other lenslets"),
     "a bias that is not there": (lambda mine: edit_line(mine, 1, bias=7), "7.npy: no such file"),
 }
