@@ -182,19 +182,6 @@ def test_unplugged_camera_is_lost_and_reopens(stand_in: StandIn, how: Plug) -> N
         assert again.read(1.0).index == 0
 
 
-@pytest.mark.parametrize("first", Plug)
-@pytest.mark.parametrize("second", Plug)
-def test_second_unplug_reaches_waiting_reader(stand_in: StandIn, first: Plug, second: Plug) -> None:
-    """Regression: the stand-in once hung waiting for the second unplug."""
-    stand_in.answer_while_busy()
-    with open_camera(stand_in) as camera:
-        camera.start()
-        stand_in.unplug(first)
-        stand_in.unplug(second, after_s=0.05)
-        with pytest.raises(Disconnected):
-            read_patiently(camera)
-
-
 @pytest.mark.parametrize("how", [Plug.TOLD, Plug.HALFWAY])
 @pytest.mark.parametrize("command", ["set_exposure", "start", "set_amplifier", "stop", "properties"])
 def test_loss_during_command_is_raised(stand_in: StandIn, how: Plug, command: str) -> None:

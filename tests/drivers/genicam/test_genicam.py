@@ -199,20 +199,6 @@ def test_all_frames_at_70_hz_are_accounted_for(camera: GenicamCamera) -> None:
     assert (np.diff([frame.host_time_s for frame in frames]) > 0).all()
 
 
-def test_camera_is_not_asked_for_signs_of_life_while_frames_come(
-    camera: GenicamCamera, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """However short the waits for a frame are."""
-    camera.start()
-    asked, frames, deadline_s = list[None](), [camera.read(HANG_S)], time.monotonic() + HANG_S
-    monkeypatch.setattr(camera._connection, "watch", lambda: asked.append(None))
-    while len(frames) < 30 and time.monotonic() < deadline_s:
-        with suppress(DeviceTimeout):
-            frames.append(camera.read(0.005))
-    pauses = np.diff([frame.host_time_s for frame in frames]) > 0.09  # on a busy computer
-    assert len(asked) <= 20 * np.count_nonzero(pauses)
-
-
 def test_pixels_arrive_as_sent(camera: GenicamCamera) -> None:
     camera.start()
     frame = whole_frames(camera, 1)[0]
@@ -367,29 +353,6 @@ def test_close_ends_read_of_another_thread(camera: GenicamCamera) -> None:
     assert str(error) == "the camera is being closed"
 
 
-def test_exposure_in_force_is_whole_microseconds(camera: GenicamCamera) -> None:
-    taken_s = camera.set_exposure(0.0123456)
-    assert taken_s == camera.exposure_s
-    assert taken_s == pytest.approx(0.012345, abs=1.1e-6)
-    assert round(taken_s * 1e6, 6) % 1 == 0
-
-
-def test_region_is_read_out(camera: GenicamCamera) -> None:
-    assert camera.capabilities.sensor == Region(0, 0, 2048, 2048)
-    part = Region(100, 200, 48, 80)
-    assert camera.set_region(part) == camera.region == part
-    assert (camera.capabilities.rows, camera.capabilities.columns) == (48, 80)
-    camera.start()
-    assert whole_frames(camera, 1)[0].pixels.shape == (48, 80)
-    with pytest.raises(WrongState):
-        camera.set_region(part)
-    camera.stop()
-    for wrong in (Region(0, 0, 0, 8), Region(2000, 0, 100, 100), Region(-1, 0, 8, 8)):
-        with pytest.raises(BadValue):
-            camera.set_region(wrong)
-    assert camera.region == part
-
-
 def test_binning_keeps_region(camera: GenicamCamera) -> None:
     camera.set_binning(2)
     assert camera.binning == 2
@@ -535,10 +498,3 @@ def open_when_free() -> GenicamCamera:
             return GenicamCamera(NUMBERED)
         except Busy:
             assert time.perf_counter() < deadline_s
-
-
-def test_library_errors_become_device_errors(camera: GenicamCamera) -> None:
-    with pytest.raises(DeviceError, match="the camera refuses the request"):
-        camera._connection.integer("NoSuchFeature")
-    with pytest.raises(Unsupported):
-        camera._connection.call("arv_camera_execute_command", b"Width")  # an integer, no command

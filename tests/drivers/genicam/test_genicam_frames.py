@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.patience import HANG_S, wait_until
+from support.patience import HANG_S
 
 from drivers.camera import SettingsInForce
 from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
@@ -107,32 +107,6 @@ def test_hanging_call_is_given_up() -> None:
     ending.set()
     assert calls.call_within(lambda: 2, 10) == 2  # the abandoned call does no harm
     calls.end()
-
-
-def test_overdue_answer_is_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both the answer and the timeout fall into a stall of this computer."""
-    monkeypatch.setattr("drivers.genicam._connection._GRACE_S", HANG_S)
-    calls, coming = CallThread("test"), threading.Timer(0.05, lambda: None)
-    coming.start()
-    assert calls.call_within(coming.join, 0.0) is None
-    calls.end()
-
-
-def test_call_passes_on_exception() -> None:
-    def fails() -> None:
-        raise Unsupported("no")
-
-    calls = CallThread("test")
-    with pytest.raises(Unsupported, match="no"):
-        calls.call_within(fails, 10)
-    assert calls.call_within(lambda: "goes on", 10) == "goes on"
-    calls.end()
-
-
-def test_call_thread_ends() -> None:
-    calls = CallThread("test that ends")
-    calls.end()
-    wait_until(lambda: not any(thread.name == "test that ends" for thread in threading.enumerate()))
 
 
 def test_missing_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
