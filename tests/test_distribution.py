@@ -17,12 +17,12 @@ from support.paths import ROOT
 from support.patience import HANG_S
 
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
-EXTRAS = {  # by what they make possible; hcipy is not installed here
+EXTRAS = {  # by what they make possible
     "batch": "bokeh, distributed",
     "genicam": "drivers.genicam._library",
     "mask": "ezdxf, gdstk",
     "micro-manager": "pymmcore, drivers.micro_manager._core",
-    "peers": "SimpleITK, pyrtc.slopes_process, skimage, reconstruction.registration.itk_affine",
+    "peers": "SimpleITK, reconstruction.registration.itk_affine",
 }
 PACKAGES = {"app", "drivers", "reconstruction", "simulated_devices", "svwfs"}
 USER_CODE = """

@@ -21,7 +21,7 @@ _NAMES = (
     *("live", "measure", "serve", "recover", "replay", "batch"),
     *("export", "report", "layers", "corrector", "field", "deconvolve"),
     *("calibrate", "simulate", "mask", "devices", "light-off", "desktop"),
-    *("selftest", "study", "paper", "benchmark", "reconstruct"),
+    *("selftest", "paper", "benchmark", "reconstruct"),
 )
 
 

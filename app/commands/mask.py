@@ -1,9 +1,9 @@
-"""`svwfs mask`: a drawing of a mask from which a lithographer can make it."""
+"""`svwfs mask`: a drawing of a mask from which a lithographer can make it, and its predicted accuracy."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +11,9 @@ from app.bench.presets import PAPER
 from app.commands import options, terminal
 from app.errors import InputError
 from app.files import require_suffix
+
+if TYPE_CHECKING:
+    from app.bench.config import Bench
 
 
 def mask(
@@ -24,31 +27,50 @@ def mask(
             metavar="LENGTH", help="Side of the square that holds the field, as 1.2mm; the bench's field if omitted."
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="File to write: SVG, DXF, GDS (GDSII) or PNG.")],
+    out: Annotated[Path | None, typer.Option(help="Drawing to write: SVG, DXF, GDS (GDSII) or PNG.")] = None,
+    accuracy: Annotated[
+        bool,
+        typer.Option("--accuracy", help="Predict errors and noise with this mask on the bench, beside the square."),
+    ] = False,
     bench: options.Bench = PAPER,
     setting: options.Set = None,
     overwrite: options.Overwrite = False,
 ) -> None:
-    """Draw a mask for a lithographer: its openings in true size, a scale bar and an orientation mark.
+    """Draw a mask for a lithographer, or predict how accurate it will be.
 
-    Masks have openings only, so grey ones are refused. [simulation.source] of the bench has their proportions, such as
-    the cells of the checkerboard, and the bench tells what its lenslets resolve. DXF and GDS need the extra mask. See
-    docs/masks.md.
+    A drawing has the openings in true size, a scale bar and an orientation mark. Masks have openings only, so grey ones
+    are refused. [simulation.source] of the bench has their proportions, such as the cells of the checkerboard, and the
+    bench tells what its lenslets resolve. DXF and GDS need the extra mask. --accuracy takes grey pictures, too, in the
+    size of the bench's field. See docs/masks.md.
 
     Example: svwfs mask checkerboard --size 1.2mm --out mask.dxf
 
+    Example: svwfs mask four_holes.png --accuracy
+
     Example: svwfs mask four_holes.npy --size 1200um --bench bench.toml --out mask.svg
     """
+    if out is None and not accuracy:
+        raise InputError("nothing to do: give --out FILE for a drawing, or --accuracy")
+    if accuracy and size is not None:
+        raise InputError("--size is for drawings; with --accuracy set simulation.source.half_width_m")
+    loaded = options.load(bench, setting)
+    options.check_files(out, reads=[*options.files_of_bench(bench, loaded), Path(name)], overwrite=overwrite)
+    if out is not None:
+        _draw(name, loaded, bench, size, out)
+    if accuracy:
+        _predict(name, loaded)
+
+
+def _draw(name: str, loaded: Bench, bench: str, size: str | None, out: Path) -> None:
+    """Write the drawing, and print what a lithographer must know."""
     from app.bench.settings_form import typed_number
     from app.masks.drawing import WRITERS, drawing_of, write_drawing
     from app.masks.openings import openings
 
-    loaded = options.load(bench, setting)
     source, sensor, field = loaded.simulation.source, loaded.sensor, loaded.field
     size_m = 2 * source.half_width_m if size is None else typed_number(size, "m", 1.0)
     if size_m is None or (size is not None and not size.rstrip().endswith("m")):  # no metres by mistake
         raise InputError(f"--size {size}: give a length with its unit, as 1.2mm or 1200um")
-    options.check_files(out, reads=[*options.files_of_bench(bench, loaded), Path(name)], overwrite=overwrite)
     require_suffix(out, *WRITERS, kind="drawing's name")
     drawn = openings(name, source, size_m)
     drawing = drawing_of(drawn)
@@ -66,3 +88,15 @@ def mask(
             )
     if size_m > seen_m:
         terminal.print_warning(f"subimages of masks above {seen_m * 1e3:.3g} mm overlap: choose a smaller size")
+
+
+def _predict(name: str, bench: Bench) -> None:
+    """Print the predicted accuracy of a mask and of the square."""
+    from app.evaluation.mask_accuracy import predicted_accuracies, with_mask
+
+    with terminal.progress_bar() as progress:
+        found = predicted_accuracies(with_mask(bench, name), progress)
+    headings = ["errors: RMS, rad", *(Path(name).name if mask == "image" else mask for mask in found)]
+    cells = {figure: [f"{of_mask[figure]:.3g}" for of_mask in found.values()] for figure in found["square"]}
+    notes = ["in the views inside the mask; nan: not determined; no unbiased estimate scatters less than the bound"]
+    terminal.print_table(None, headings, [[figure, *each] for figure, each in cells.items()], notes)

@@ -8,8 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from app.bench.presets import PAPER
-from app.commands import options
-from app.commands.study import run_and_print
+from app.commands import options, terminal
 from app.errors import InputError
 
 _EXPERIMENT = "paper_experiment"  # the bench of table 2
@@ -39,13 +38,15 @@ def paper(
 
     Example: svwfs paper table2 --seeds 3 --out paper
     """
-    from app.evaluation.paper import comparison
-    from app.evaluation.studies import files_of
+    from app.evaluation.paper import compare, printed, write_table
 
     if table == "sources" and peers:
         raise InputError("--peers: the study of source shapes has no methods of SimpleITK")
     bench = bench or (_EXPERIMENT if table == "table2" else PAPER)
     loaded = options.load(bench, setting)
-    study = comparison(table, with_peers=peers)
-    options.check_files(*files_of([study], out), reads=options.files_of_bench(bench, loaded), overwrite=overwrite)
-    run_and_print([study], loaded, seeds=seeds, out=out)
+    outputs = [out / f"{table}.{suffix}" for suffix in ("json", "csv", "png")]
+    options.check_files(*outputs, reads=options.files_of_bench(bench, loaded), overwrite=overwrite)
+    with terminal.progress_bar() as progress:
+        data = compare(table, loaded, seeds=seeds, with_peers=peers, progress=progress)
+        write_table(table, data, out)
+    terminal.print_table(*printed(table, data))

@@ -76,7 +76,7 @@ _ALIKE = 0.1  # share of the systematic error that all parameters have alike, if
 # Lenslets whose systematic errors count as one, if the noise is unknown. So the error bars of single layers without
 # noise cover 69 and 66 % of the errors with a checkerboard (l = 1.25, 2 mm), 63 and 74 % with a square; with 1 it was
 # 39 to 52 %, with 9 80 to 88. If the noise is known, fewer errors count as systematic: on the benches "none",
-# "absorption" and "all" of `svwfs study bench`, the error bars of any wavefront cover 64, 64 and 72 % of the errors,
+# "absorption" and "all" of the study `imperfect_bench`, error bars of any wavefront cover 64, 64 and 72 % of errors,
 # those over layers 67, 63 and 63 %; with 4 it was 69, 70 and 77 %, and 60, 55 and 55 %.
 _ALIKE_IF_UNKNOWN = 4.0
 ALIKE_IF_FREE, ALIKE_IN_LAYERS = 3.0, 6.0  # if it is known

@@ -1,10 +1,16 @@
-"""Results kept in memory."""
+"""Results kept in memory and on disk."""
 
 from __future__ import annotations
 
+import os
 import weakref
+from typing import Any
 
-from app.cache import kept_while_alive, release_memory
+import numpy as np
+import pytest
+
+import app.cache
+from app.cache import cache_folder, cached, kept_while_alive, release_memory
 
 
 class Bench:
@@ -42,3 +48,20 @@ def test_only_the_last_benches_have_their_results_kept() -> None:
     assert first() is not None
     computed(benches[2])
     assert first() is None
+
+
+def test_cache_recomputes_damaged_and_drops_old_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def compute() -> dict[str, Any]:
+        calls.append(1)
+        return {"value": np.array(len(calls))}
+
+    folder = cache_folder() / "test-kind"
+    assert [int(cached("test-kind", "a", compute)["value"]) for _ in range(2)] == [1, 1]
+    (folder / "a.npz").write_bytes(b"PK nonsense")
+    assert int(cached("test-kind", "a", compute)["value"]) == 2
+    monkeypatch.setattr(app.cache, "_KEPT", 1)
+    os.utime(folder / "a.npz", (0, 0))
+    cached("test-kind", "b", compute)
+    assert [path.name for path in folder.glob("*")] == ["b.npz"]

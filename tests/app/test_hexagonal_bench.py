@@ -15,7 +15,7 @@ from app.bench.config import Bench, load_bench
 from app.cli import main
 from app.errors import InputError
 from app.evaluation.frames import simulate
-from app.evaluation.studies import run_studies
+from app.evaluation.paper import compare
 from app.measurement.calibration import Calibration
 from reconstruction.geometry import nominal_lattice
 from reconstruction.wavefront import rms
@@ -113,7 +113,7 @@ def test_layer_is_found_where_the_screen_is() -> None:
     assert rms(phase - truth) < 0.05 * rms(truth)
 
 
-def test_study_of_a_hexagonal_bench_is_refused(tmp_path: Path) -> None:
+def test_table_of_a_hexagonal_bench_is_refused() -> None:
+    bench = load_bench("small_demo", HEXAGONAL)
     with pytest.raises(InputError, match="made for square lattices"):
-        run_studies([], load_bench("small_demo", HEXAGONAL), seeds=1, out=tmp_path / "out", progress=lambda *_: None)
-    assert not (tmp_path / "out").exists()
+        compare("table1", bench, seeds=1, with_peers=False, progress=lambda *_: None)

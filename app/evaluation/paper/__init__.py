@@ -2,12 +2,12 @@
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -23,9 +23,10 @@ from app.cache import Arrays, cached
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, seeded
 from app.evaluation.paper import nonrigid_methods
-from app.evaluation.studies import CaseResult, Output, Printed, Row, Study, StudyResult, known_rows
+from app.files import atomic_write, write_whole
 from app.measurement.calibration import Calibration
 from app.progress import Progress, part
+from app.run_facts import write_record
 from drivers.interface import BadValue
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
@@ -37,6 +38,8 @@ from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
 
 TableMask = Literal["square", "stars"]
+Table = Literal["table1", "table2", "sources"]
+_TITLES = {"table1": "Simulation", "table2": "Experiment", "sources": "Other sources"}
 
 _CROP, _RESIZED = 469, 465  # px; the paper's frames end with 31 pixels per lenslet
 _DARKS = 8  # frames that are averaged
@@ -128,6 +131,7 @@ _GRADIENT_AFFINE = RegistrationSettings(warp="affine")  # with five: subimages d
 _QUADRATIC = RegistrationSettings(warp="quadratic")
 _CUBIC = RegistrationSettings(warp="cubic")
 
+Methods = Mapping[str, TableMethod]
 METHODS: dict[str, TableMethod] = {
     "stars_zonal": TableMethod(mask="stars", registration=_CENTROIDS, reconstruction=ZONAL),
     "correlation_zonal": TableMethod(registration=RegistrationSettings(method="correlation"), reconstruction=ZONAL),
@@ -148,16 +152,18 @@ METHODS: dict[str, TableMethod] = {
 }
 
 # Minimum, maximum and mean over the views in the paper's tables, rad.
-PAPER_TABLE_1 = {
-    "stars_zonal": (0.108, 0.197, 0.147),
-    "itk_affine_zonal": (0.275, 0.589, 0.421),
-    "itk_affine_modal": (0.383, 0.465, 0.417),
-    "correlation_zonal": (0.511, 1.260, 0.830),
-}
-PAPER_TABLE_2 = {
-    "itk_affine_zonal": (0.558, 2.450, 1.378),
-    "itk_affine_modal": (0.617, 2.449, 1.461),
-    "correlation_zonal": (1.850, 10.228, 5.984),
+PAPER: dict[Table, dict[str, tuple[float, float, float]]] = {
+    "table1": {
+        "stars_zonal": (0.108, 0.197, 0.147),
+        "itk_affine_zonal": (0.275, 0.589, 0.421),
+        "itk_affine_modal": (0.383, 0.465, 0.417),
+        "correlation_zonal": (0.511, 1.260, 0.830),
+    },
+    "table2": {
+        "itk_affine_zonal": (0.558, 2.450, 1.378),
+        "itk_affine_modal": (0.617, 2.449, 1.461),
+        "correlation_zonal": (1.850, 10.228, 5.984),
+    },
 }
 
 
@@ -200,145 +206,50 @@ def _source_code() -> bytes:
     return b"".join(path.read_bytes() for path in (*sorted(folder.rglob("*.py")), Path(nonrigid_methods.__file__)))
 
 
-PAPER_NUMBERS = ("min_rad", "max_rad", "mean_rad")
+NUMBERS = ["min_rad", "max_rad", "mean_rad"]
 LIGHTS = {"neglected": True, "real": False}  # ways of the light to the lenslets, and `Field.neglect_propagation`
 _HEADINGS = {"neglected": "ours: min, max, mean", "real": "in real light"}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ComparisonTable(Study):
-    """Residuals of several methods on the same frames, in both lights, beside the numbers of the paper.
-
-    The cases have `views` and `truth`, rad, (view_row, view_column, lenslet_row, lenslet_column), and `PAPER_NUMBERS`.
-    """
-
-    # by method, see PAPER_NUMBERS, rad; with neglected propagation
-    paper: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    compared_to: str = "truth"  # where the true wavefronts are from
-
-    dims: ClassVar = ("method", "light")
-
-    def summary(self, data: pd.DataFrame) -> pd.DataFrame:
-        """Minimum, maximum and mean over the views, averaged over the seeds, and the spread of the means."""
-        seeds = data[data["problem"] == ""].groupby([*self.dims], observed=True)
-        summary = seeds[[*PAPER_NUMBERS]].mean()
-        summary["spread_rad"] = seeds["mean_rad"].std().fillna(0.0)
-        summary["lost_lenslets"], summary["seconds"] = seeds["lost"].mean(), seeds["seconds"].mean()
-        return summary.assign(seeds=seeds.size()).reset_index()
-
-    @staticmethod
-    def problems(data: pd.DataFrame) -> dict[str, str]:
-        """Return the last problem of each method that had one; real light is named."""
-        told = data[data["problem"] != ""]
-        names = told["method"].astype(str) + np.where(told["light"] == "real", " in real light", "")
-        return dict(zip(names, told["problem"], strict=True))
-
-    def output(self, results: Sequence[StudyResult]) -> Output:
-        """Return the paper's numbers beside ours in both lights."""
-        data = results[-1].data
-        problems = self.problems(data)
-        if "views" not in data:
-            raise InputError("; ".join(f"{method}: {problem}" for method, problem in problems.items()))
-        paper = {method: dict(zip(PAPER_NUMBERS, numbers, strict=True)) for method, numbers in self.paper.items()}
-        ours: dict[str, dict[str, Row]] = {light: {} for light in LIGHTS}
-        for row in known_rows(self.summary(data)):
-            ours[row["light"]][row["method"]] = row
-        tree = {"paper": paper, "ours": ours["neglected"], "in_real_light": ours["real"], "problems": problems}
-        lines = [
-            {"method": method}
-            | {f"paper_{name}": value for name, value in paper.get(method, {}).items()}
-            | ours["neglected"].get(method, {})
-            | {f"real_{name}": value for name, value in ours["real"].get(method, {}).items()}
-            for method in dict.fromkeys([*ours["neglected"], *ours["real"]])
-        ]
-        return Output(tree, pd.DataFrame(lines, dtype=object), self.figure(data))
-
-    def printed(self, data: pd.DataFrame) -> Printed:
-        """Return a line for each method."""
-        lines: dict[str, list[str]] = {}
-        lights = data["light"].cat.categories.tolist()
-        for row in known_rows(self.summary(data)):
-            method = row["method"]
-            paper = " ".join(f"{value:6.3f}" for value in self.paper.get(method, ()))
-            cells = lines.setdefault(method, [method, paper, *("",) * 2 * len(lights)])
-            ours = " ".join(f"{row[number]:6.3f}" for number in PAPER_NUMBERS)
-            spread = f" +- {row['spread_rad']:.3f}" if row["seeds"] > 1 else ""
-            place = 2 + 2 * lights.index(row["light"])
-            cells[place : place + 2] = ours + spread, f"{row['lost_lenslets']:.0f}"
-        of_lights = [heading for light in lights for heading in (_HEADINGS[light], "lost")]
-        notes = [f"{method}: {problem}" for method, problem in self.problems(data).items()]
-        return Printed(self.title, ("method", "paper: min, max, mean", *of_lights), lines.values(), notes)
-
-    def figure(self, data: pd.DataFrame) -> Figure:
-        """Draw truth, reconstruction and residual of every method and light for its last seed."""
-        shown = data[data["views"].notna()].drop_duplicates([*self.dims], keep="last")
-        means = self.summary(data)["mean_rad"]
-        limit = max(float(np.nanmax(abs(truth))) for truth in shown["truth"])
-        scale = Normalize(-limit, limit)
-        figure = Figure(figsize=(8.6, 2.4 * len(shown) + 0.6), layout="constrained")
-        axes = figure.subplots(len(shown), 3, squeeze=False)
-        for row, mean_rad, of_row in zip(axes, means, shown.itertuples(), strict=True):
-            name = of_row.method + ", real light" * (of_row.light == "real")
-            residual = f"residual, mean RMS {mean_rad:.3f} rad"
-            titled = {self.compared_to: of_row.truth, name: of_row.views, residual: of_row.views - of_row.truth}
-            for axis, (title, values) in zip(row, titled.items(), strict=True):
-                framed = np.pad(without_piston(values), ((0, 0), (0, 0), (1, 1), (1, 1)), constant_values=np.nan)
-                mosaic = np.block([list(each) for each in framed])  # views as they lie in the field, with gaps
-                axis.imshow(mosaic, cmap="RdBu_r", norm=scale, interpolation="nearest")
-                axis.set_title(title, fontsize=8)
-                axis.set_axis_off()
-        figure.colorbar(ScalarMappable(scale, "RdBu_r"), ax=axes, label="wavefront (rad)", shrink=0.6)
-        return figure
-
-
 EXPOSURES_S: dict[TableMask, float] = {"stars": 3.8, "square": 0.15}  # the paper's
 SOURCES = ("square", "circle", "ellipse", "octagon", "peaks")
 
+Row = dict[str, Any]
+"""One method on one screen: `method`, `light`, `views` and `truth`, rad, (view_row, view_column, lenslet_row,
+lenslet_column), `NUMBERS`, `lost` and `seconds`; or `problem`, why there is no result."""
 
-_Measure = Callable[[Bench, Progress], Iterator[CaseResult]]
 
-
-def comparison(table: Literal["table1", "table2", "sources"], *, with_peers: bool) -> ComparisonTable:
-    """Declare a table of the paper.
+def compare(table: Table, bench: Bench, *, seeds: int, with_peers: bool, progress: Progress) -> pd.DataFrame:
+    """Measure a table of the paper; return a row for each method, light and screen, see `Row`.
 
     Table 1 is its simulation: every method on noise-free frames, compared to the truth. Table 2 is its experiment:
     noisy frames with both exposures, compared to the stars; every method runs on windows at the true sub-pixel centres
     and (`_resized`) on frames that are cropped and resized as in the paper, and `against_truth` compares the stars with
-    the true wavefronts. The sources are those of its supplement: the same screens, other shapes.
+    the true wavefronts. The sources are those of its supplement: the same screens, other shapes. Each is measured with
+    propagation neglected, as the paper simulates it, and in real light.
     """
+    if bench.sensor.arrangement != "square":
+        raise InputError("the paper's tables are made for square lattices: leave out lattice.arrangement")
     methods = {name: each for name, each in METHODS.items() if with_peers or not each.is_peer}
-    with_square = {name: each for name, each in methods.items() if each.mask == "square"}
-    declared: dict[str, tuple[str, str, _Measure]] = {
-        "table1": ("Simulation", "truth", partial(_table1, methods)),
-        "table2": ("Experiment", "stars", partial(_table2, with_square)),
-        "sources": ("Other sources", "truth", _sources),
-    }
-    name, compared_to, measure = declared[table]
-    return ComparisonTable(
-        name=table,
-        title=f"{name}: residual RMS (rad) against the {compared_to}",
-        measure=partial(_in_both_lights, measure),
-        paper={"table1": PAPER_TABLE_1, "table2": PAPER_TABLE_2}.get(table, {}),
-        compared_to=compared_to,
-    )
-
-
-def _in_both_lights(measure: _Measure, bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
-    """Measure all screens with propagation neglected, as the paper simulates it, and in real light."""
+    measure, rows = {"table1": _table1, "table2": _table2, "sources": _sources}[table], list[Row]()
     for index, (light, neglect) in enumerate(LIGHTS.items()):
         lit = replace(bench, field=replace(bench.field, neglect_propagation=neglect))
-        for done, screen in enumerate(seeded(lit, seeds)):
-            for case in measure(screen, part(part(progress, index, len(LIGHTS)), done, len(seeds))):
-                yield replace(case, at={**case.at, "light": light})
+        for done, screen in enumerate(seeded(lit, range(seeds))):
+            step = part(part(progress, index, len(LIGHTS)), done, seeds)
+            rows += [{"problem": "", **row, "light": light} for row in measure(methods, screen, step)]
+    data = pd.DataFrame(rows)
+    if "views" not in data:
+        raise InputError("; ".join(f"{method}: {problem}" for method, problem in problems(data).items()))
+    for name in ("method", "light"):
+        data[name] = pd.Categorical(data[name], categories=data[name].unique())
+    return data.sort_values(["method", "light"], kind="stable", ignore_index=True)
 
 
-def _table1(methods: Mapping[str, TableMethod], bench: Bench, progress: Progress) -> Iterator[CaseResult]:
+def _table1(methods: Methods, bench: Bench, progress: Progress) -> Iterator[Row]:
     progress("rendering", 0.0)
     frames, truth = noise_free_frames(bench, ("square", "stars"))
     yield from _all_compared(bench, frames, truth, methods, progress)
 
 
-def _table2(methods: Mapping[str, TableMethod], bench: Bench, progress: Progress) -> Iterator[CaseResult]:
+def _table2(methods: Methods, bench: Bench, progress: Progress) -> Iterator[Row]:
     progress("rendering and exposing", 0.0)
     frames, truth = exposed_frames(bench)
     for half, (suffix, each, its_frames) in enumerate((("", bench, frames), ("_resized", *resized(bench, frames)))):
@@ -347,11 +258,11 @@ def _table2(methods: Mapping[str, TableMethod], bench: Bench, progress: Progress
         except ReconstructionError as error:
             raise InputError(f"the stars cannot be measured on this bench: {error}") from error
         yield _compared(f"stars_zonal{suffix}_against_truth", bench, stars, truth)
-        named = {f"{name}{suffix}": method for name, method in methods.items()}
+        named = {f"{name}{suffix}": method for name, method in methods.items() if method.mask == "square"}
         yield from _all_compared(each, its_frames, stars["views"], named, part(progress, half, 2))
 
 
-def _sources(bench: Bench, progress: Progress) -> Iterator[CaseResult]:
+def _sources(_: Methods, bench: Bench, progress: Progress) -> Iterator[Row]:
     progress("rendering", 0.0)
     frames, truth = noise_free_frames(bench, SOURCES)
     kinds = [f"{warp}_{solve}" for warp in ("affine", "affine_gradient", "quadratic") for solve in ("zonal", "modal")]
@@ -361,9 +272,9 @@ def _sources(bench: Bench, progress: Progress) -> Iterator[CaseResult]:
 
 
 def _all_compared(
-    bench: Bench, frames: Mapping[str, FramePair], truth: Floats, methods: Mapping[str, TableMethod], progress: Progress
-) -> Iterator[CaseResult]:
-    """Yield each method's result beside the truth.
+    bench: Bench, frames: Mapping[str, FramePair], truth: Floats, methods: Methods, progress: Progress
+) -> Iterator[Row]:
+    """Yield each method's result next to the truth.
 
     `truth` is in rad, (view_row, view_column, lenslet_row, lenslet_column).
     """
@@ -372,11 +283,11 @@ def _all_compared(
         try:
             yield _compared(name, bench, reconstructed(bench, frames, method), truth)
         except ReconstructionError as error:
-            yield CaseResult(at={"method": name}, values={}, problem=str(error))
+            yield {"method": name, "problem": str(error)}
 
 
-def _compared(name: str, bench: Bench, made: Arrays, truth: Floats) -> CaseResult:
-    """Return the wavefronts beside the truth, rad, (view_row, view_column, lenslet_row, lenslet_column).
+def _compared(name: str, bench: Bench, made: Arrays, truth: Floats) -> Row:
+    """Return the wavefronts next to the truth, rad, (view_row, view_column, lenslet_row, lenslet_column).
 
     A result with an unknown view of the field has no residual.
     """
@@ -384,8 +295,87 @@ def _compared(name: str, bench: Bench, made: Arrays, truth: Floats) -> CaseResul
     is_inside = bench.field.contains(x / bench.field.half_width_m, y[:, None] / bench.field.half_width_m)
     residual = rms(made["views"] - truth)
     if np.isnan(residual[is_inside]).any():
-        problem = f"{made['lost']} lenslets are lost: a view is unknown"
-        return CaseResult(at={"method": name}, values={}, problem=problem)
+        return {"method": name, "problem": f"{made['lost']} lenslets are lost: a view is unknown"}
     numbers = (float(of(residual)) for of in (np.nanmin, np.nanmax, np.nanmean))
-    scalars = dict(zip(PAPER_NUMBERS, numbers, strict=True)) | {name: float(made[name]) for name in ("lost", "seconds")}
-    return CaseResult(at={"method": name}, values={"views": made["views"], "truth": truth, **scalars})
+    scalars = dict(zip(NUMBERS, numbers, strict=True)) | {each: float(made[each]) for each in ("lost", "seconds")}
+    return {"method": name, "views": made["views"], "truth": truth, **scalars}
+
+
+def problems(data: pd.DataFrame) -> dict[str, str]:
+    """Return the last problem of each method that had one; real light is named."""
+    refused = data[data["problem"] != ""]
+    names = refused["method"].astype(str) + np.where(refused["light"] == "real", " in real light", "")
+    return dict(zip(names, refused["problem"], strict=True))
+
+
+def summary(data: pd.DataFrame) -> pd.DataFrame:
+    """Minimum, maximum and mean over the views, averaged over the seeds, and the spread of the means."""
+    seeds = data[data["problem"] == ""].groupby(["method", "light"], observed=True)
+    means = seeds[[*NUMBERS, "lost", "seconds"]].mean().rename(columns={"lost": "lost_lenslets"})
+    means.insert(len(NUMBERS), "spread_rad", seeds["mean_rad"].std().fillna(0.0))
+    return means.assign(seeds=seeds.size()).reset_index()
+
+
+def write_table(table: Table, data: pd.DataFrame, out: Path) -> None:
+    """Write JSON, CSV and figure of a table into a folder, with the paper's numbers next to ours."""
+    paper = {method: dict(zip(NUMBERS, numbers, strict=True)) for method, numbers in PAPER.get(table, {}).items()}
+    ours: dict[str, dict[str, Row]] = {light: {} for light in LIGHTS}
+    for row in summary(data).to_dict("records"):
+        ours[row["light"]][row["method"]] = {str(name): value for name, value in row.items()}
+    tree = {"paper": paper, "ours": ours["neglected"], "in_real_light": ours["real"], "problems": problems(data)}
+    write_record(out / f"{table}.json", tree)
+    lines = [
+        {"method": method}
+        | {f"paper_{name}": value for name, value in paper.get(method, {}).items()}
+        | ours["neglected"].get(method, {})
+        | {f"real_{name}": value for name, value in ours["real"].get(method, {}).items()}
+        for method in dict.fromkeys([*ours["neglected"], *ours["real"]])
+    ]
+    csv = pd.DataFrame(lines, dtype=object).to_csv(index=False, lineterminator="\r\n")
+    write_whole(out / f"{table}.csv", csv)
+    with atomic_write(out / f"{table}.png") as temporary:
+        figure(table, data).savefig(temporary, dpi=100)
+
+
+def printed(table: Table, data: pd.DataFrame) -> tuple[str, list[str], list[list[str]], list[str]]:
+    """Return title, headings, a line for each method, and notes."""
+    lines: dict[str, list[str]] = {}
+    lights = data["light"].cat.categories.tolist()
+    for row in summary(data).to_dict("records"):
+        method = row["method"]
+        paper = " ".join(f"{value:6.3f}" for value in PAPER.get(table, {}).get(method, ()))
+        cells = lines.setdefault(method, [method, paper, *("",) * 2 * len(lights)])
+        ours = " ".join(f"{row[number]:6.3f}" for number in NUMBERS)
+        spread = f" +- {row['spread_rad']:.3f}" if row["seeds"] > 1 else ""
+        place = 2 + 2 * lights.index(row["light"])
+        cells[place : place + 2] = ours + spread, f"{row['lost_lenslets']:.0f}"
+    of_lights = [heading for light in lights for heading in (_HEADINGS[light], "lost")]
+    notes = [f"{method}: {problem}" for method, problem in problems(data).items()]
+    title = f"{_TITLES[table]}: residual RMS (rad) against the {_compared_to(table)}"
+    return title, ["method", "paper: min, max, mean", *of_lights], [*lines.values()], notes
+
+
+def figure(table: Table, data: pd.DataFrame) -> Figure:
+    """Draw truth, reconstruction and residual of every method and light for its last seed."""
+    shown = data[data["views"].notna()].drop_duplicates(["method", "light"], keep="last")
+    means = summary(data)["mean_rad"]
+    limit = max(float(np.nanmax(abs(truth))) for truth in shown["truth"])
+    scale = Normalize(-limit, limit)
+    drawn = Figure(figsize=(8.6, 2.4 * len(shown) + 0.6), layout="constrained")
+    axes = drawn.subplots(len(shown), 3, squeeze=False)
+    for row, mean_rad, of_row in zip(axes, means, shown.itertuples(), strict=True):
+        name = of_row.method + ", real light" * (of_row.light == "real")
+        residual = f"residual, mean RMS {mean_rad:.3f} rad"
+        titled = {_compared_to(table): of_row.truth, name: of_row.views, residual: of_row.views - of_row.truth}
+        for axis, (title, values) in zip(row, titled.items(), strict=True):
+            framed = np.pad(without_piston(values), ((0, 0), (0, 0), (1, 1), (1, 1)), constant_values=np.nan)
+            mosaic = np.block([list(each) for each in framed])  # views as they lie in the field, with gaps
+            axis.imshow(mosaic, cmap="RdBu_r", norm=scale, interpolation="nearest")
+            axis.set_title(title, fontsize=8)
+            axis.set_axis_off()
+    drawn.colorbar(ScalarMappable(scale, "RdBu_r"), ax=axes, label="wavefront (rad)", shrink=0.6)
+    return drawn
+
+
+def _compared_to(table: Table) -> str:
+    return "stars" if table == "table2" else "truth"

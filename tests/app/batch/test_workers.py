@@ -26,10 +26,7 @@ from support.recordings import record
 
 from app.batch import workers as workers_module
 from app.batch.workers import Workers, workers
-from app.bench.config import load_bench
 from app.errors import InputError, RunError
-from app.evaluation.studies import run_studies
-from app.evaluation.study.trials import calibration_trials
 from app.recording.reader import Recording
 
 BLOCK, FRAMES = 4, 40
@@ -381,17 +378,3 @@ def test_without_dask_a_sentence_tells_how_to_install_it(monkeypatch: pytest.Mon
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"workers need Dask: install the extra svwfs\[batch\]"), workers(1, None):
         pass
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_studies_are_shared_among_workers(two_workers: Workers, small_toml: Path, tmp_path: Path) -> None:
-    """Also settings that are functions in functions reach the workers."""
-    bench, study = load_bench(small_toml), calibration_trials()
-    (whole,) = run_studies([study], bench, seeds=2, out=tmp_path / "whole", progress=lambda *_: None)
-    (shared,) = run_studies(
-        [study], bench, seeds=2, out=tmp_path / "shared", progress=lambda *_: None, evaluate=two_workers
-    )
-    measured = [each.data["centre (px)"].tolist() for each in (shared, whole)]
-    assert len(measured[0]) >= 8
-    assert measured[0] == measured[1]

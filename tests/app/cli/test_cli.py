@@ -204,7 +204,7 @@ def test_closed_pipe_ends_silently() -> None:
     assert (done.returncode, done.stderr) == (1, b"")
 
 
-@pytest.mark.parametrize("command", ["replay {}", "layers {} --out o.nc", "study calibration --frames {} --out o"])
+@pytest.mark.parametrize("command", ["replay {}", "layers {} --out o.nc"])
 def test_too_long_a_name_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:

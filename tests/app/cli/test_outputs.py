@@ -57,7 +57,7 @@ OF_ANOTHER_RECORDING = (
     f"{RECONSTRUCT} r.nc --plot run/calibrations/0/r.png",
     f"{CALIBRATE} --out run/frames.zarr/zarr.json",
 )
-EXISTING = ("old", "old.pdf", "results.nc", "study/study.csv", "study/table1.png", "window/window.png")
+EXISTING = ("old", "old.pdf", "results.nc", "study/table1.png", "window/window.png")
 
 
 @pytest.fixture

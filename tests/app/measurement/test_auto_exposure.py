@@ -20,7 +20,7 @@ from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Rang
 from simulated_devices.bench import SimulatedLight, SimulatedStage
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
-from simulated_devices.exposure_bench import PITCH_PX, LampScene, ManyFramesCamera, exposure_bench, spots, squares
+from studies.exposure_bench import PITCH_PX, LampScene, ManyFramesCamera, exposure_bench, spots, squares
 
 FULL_SCALE = 65535
 C9100 = {  # the property sheet's exposures: EM amplifier at speed 3 and 2, normal amplifier

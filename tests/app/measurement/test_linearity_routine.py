@@ -28,7 +28,7 @@ from reconstruction.frame.linearity import Linearity
 from reconstruction.frame.linearity_fit import MeasuredLinearity
 from reconstruction.geometry import Lattice
 from reconstruction.quality.verdict import Fault
-from simulated_devices.exposure_bench import PITCH_PX, LampScene, exposure_bench
+from studies.exposure_bench import PITCH_PX, LampScene, exposure_bench
 
 LOSS = 0.05  # of full scale
 WIDE = Range(1e-3, 10.0)

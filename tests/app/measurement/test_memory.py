@@ -24,7 +24,7 @@ def _no_collector() -> Iterator[None]:
 @pytest.mark.long
 @pytest.mark.usefixtures("_no_collector")
 def test_reconstructor_is_freed_at_once() -> None:
-    """Python seldom looks for objects that refer to themselves: `svwfs study photons` grew to 5 GB."""
+    """Python seldom looks for objects that refer to themselves: the study `photons` grew to 5 GB."""
     bench = svwfs.load_bench("small_demo")
     images = svwfs.simulate(bench)
     reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)

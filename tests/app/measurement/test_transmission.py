@@ -9,7 +9,7 @@ import pytest
 
 from app.bench.config import Bench, load_bench
 from app.evaluation.frames import NoiseFreeFrames
-from app.evaluation.study.estimators import warp_estimator
+from app.evaluation.mask_accuracy import calibration_of
 from app.measurement.bench_reconstructor import reconstructor as reconstructor_of
 from app.results.dataset import result_dataset
 from reconstruction.arrays import Floats, Image
@@ -72,7 +72,7 @@ def test_absorption_is_hardly_a_wavefront(mask: str, most_rad: float) -> None:
         np.float32(1e5 / reference.max()),
         CameraNoise(counts_per_electron=1.0, read_noise_counts=READ_NOISE_E),
     )
-    reconstructor = warp_estimator(bench, reference * scale, None, noise=noise).reconstructor
+    reconstructor = calibration_of(bench, reference * scale, noise=noise).reconstructor()
     wavefront = reconstructor(frame * scale)
     assert len(wavefront.sample.ratios) == 1
     assert mean_rms(wavefront.views - NoiseFreeFrames(bench).frame().truth) < most_rad

@@ -13,7 +13,7 @@ from support.optics import sensor_of
 from reconstruction.deconvolution.corrected_image import PsfOptics, psf_reach_px
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.geometry import Field
-from simulated_devices.optics.photograph import true_psf
+from studies.photograph import true_psf
 
 SENSOR = sensor_of(11, 15)
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)

@@ -1,36 +1,33 @@
-"""Estimators under study, the camera whose noise they see, and their errors beside the truth."""
+"""Estimators under study, the camera whose noise they see, and their errors next to the truth."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.evaluation.frames import exposure_of
-from app.evaluation.studies import CaseResult, Position
-from app.measurement.calibration import Calibration
+from app.evaluation.mask_accuracy import calibration_of, mean_deviation_rad
 from app.measurement.estimator import ROUNDS, Estimator
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.linearity import Linearity
 from reconstruction.frame.linearity_fit import Exposures
-from reconstruction.frame.noise import CameraNoise, KnownNoise
+from reconstruction.frame.noise import CameraNoise
 from reconstruction.pipeline import Reconstructor
-from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
-from reconstruction.wavefront import Wavefront, mean_rms
+from reconstruction.settings import ReconstructionSettings, Warp
+from reconstruction.wavefront import Wavefront, mean_rms, without_piston
 from simulated_devices.detector import Detector
 from simulated_devices.settings import SimulatedCameraSettings
+from studies.tables import Row
 
-Views = NDArray[np.bool_] | None  # the views that count, (view_row, view_column); None: all of them
 WARPS: tuple[Warp, ...] = ("affine", "quadratic", "cubic", "quartic")
 REFINED: tuple[Warp, ...] = ("quadratic", "cubic", "quartic")
-AUTOMATIC = ReconstructionSettings()  # modal, the number of modes chosen from the lattice
 FAST, SLOW = 3, 1  # read-out speeds of the EM amplifier: high and low read noise
 _FILL, _SHARES, _EXPOSURE_DRAWS = 0.8, tuple(np.geomspace(0.1, 1, 8).tolist()), 4  # exposures for the nonlinearity
 
@@ -40,14 +37,11 @@ def warp_estimator(
     reference: Image,
     warp: Warp | None,
     *,
-    reconstruction: ReconstructionSettings = AUTOMATIC,
+    reconstruction: ReconstructionSettings | None = None,
     noise: CameraNoise | None = None,
 ) -> Estimator:
     """Prepare one warp for a reference (row, column) above the dark, in the unit of the frames."""
-    method = replace(bench, registration=RegistrationSettings(warp=warp), reconstruction=reconstruction)
-    lattice, dark = bench.design_lattice(*reference.shape), np.zeros_like(reference)
-    given = Calibration.of_images(method, reference, dark=dark, lattice=lattice)
-    return Estimator(replace(given, known=KnownNoise(noise)))
+    return Estimator(calibration_of(bench, reference, warp, reconstruction, noise))
 
 
 def warp_estimators(
@@ -62,12 +56,12 @@ def compare(
     frame: Image,
     truth: Floats,
     *,
-    at: Position,
+    at: float | str,
     prefix: str = "",
-    views: Views = None,
+    views: Booleans | None = None,
     refined: tuple[Warp, ...] = REFINED,
-) -> Iterator[CaseResult]:
-    """Compare the wavefronts of a frame (row, column) with the truth, see `compared`.
+) -> Iterator[Row]:
+    """Compare the wavefronts of a frame (row, column) with the truth, see `residual`.
 
     Each warp has one pass; those in `refined` have another with the layers found, and then their refinement.
     """
@@ -76,60 +70,47 @@ def compare(
         try:
             reconstructor = estimator.reconstructor  # may refuse
             displacement = reconstructor.register(frame)
-            yield compared(reconstructor.solve(displacement), truth, curve=curve, at=at, views=views)
+            yield residual(reconstructor.solve(displacement), truth, curve=curve, at=at, views=views)
             if warp in refined:
                 sample = reconstructor.find_sample(displacement)
                 wavefront = reconstructor.solve(displacement, sample=sample)
-                yield compared(wavefront, truth, curve=f"{curve} layers", at=at, views=views)
+                yield residual(wavefront, truth, curve=f"{curve} layers", at=at, views=views)
                 curve += " refined"
                 wavefront, _ = estimator.solve(displacement, sample=sample, rounds=ROUNDS)
-                yield compared(wavefront, truth, curve=curve, at=at, views=views)
-        except ReconstructionError as error:
-            yield without_wavefront(estimator, error, curve=curve, at=at)
+                yield residual(wavefront, truth, curve=curve, at=at, views=views)
+        except ReconstructionError:
+            yield without_wavefront(estimator, curve=curve, at=at)
 
 
-def without_wavefront(estimator: Estimator, why: ReconstructionError, *, curve: str, at: Position) -> CaseResult:
-    """Return the result of a frame that has no wavefront: all lenslets are lost."""
+def without_wavefront(estimator: Estimator, *, curve: str, at: float | str) -> Row:
+    """Return the row of a frame that has no wavefront: all lenslets are lost."""
     sensor = estimator.calibration.bench.sensor
-    values = {"rms_rad": math.nan, "lost": float(sensor.lenslet_rows * sensor.lenslet_columns), "left_cell": 0.0}
-    return CaseResult(at={"curve": curve, "at": at}, values=values, problem=str(why))
+    return {"curve": curve, "at": at, "rms_rad": math.nan, "lost": sensor.lenslet_rows * sensor.lenslet_columns}
 
 
-def compared(
+def residual(
     wavefront: Wavefront,
     truth: Floats,
     *,
     curve: str,
-    at: Position,
-    views: Views = None,
+    at: float | str,
+    views: Booleans | None = None,
     lenslets: Booleans | None = None,
-) -> CaseResult:
-    """Compare with the truth, rad, (view_row, view_column, lenslet_row, lenslet_column); see `with_rms`.
+) -> Row:
+    """Compare with the truth, rad, (view_row, view_column, lenslet_row, lenslet_column).
 
     Without `views` (view_row, view_column) all of them count, without `lenslets` the valid ones.
     """
     lenslets = wavefront.displacement.valid if lenslets is None else lenslets
-    return with_rms(wavefront, mean_rms_within(wavefront.views - truth, lenslets, views), curve=curve, at=at)
+    error = np.where(lenslets, wavefront.views - truth, np.nan)
+    return row(wavefront, mean_rms(error if views is None else error[views]), curve=curve, at=at)
 
 
-def with_rms(wavefront: Wavefront, rms_rad: float, *, curve: str, at: Position, **more: float) -> CaseResult:
-    """Return an RMS with the counts of lost lenslets of a wavefront.
-
-    More are `asked_rad`, a limit of its own, and `coverage`, the share of lenslets within the error bar `rms_rad`.
-    """
+def row(wavefront: Wavefront, rms_rad: float, *, curve: str, at: float | str, **more: Any) -> Row:
+    """Return an RMS with the counts of lost lenslets of a wavefront."""
     outcome = wavefront.displacement.outcome
     lost, left_cell = np.sum(outcome != Outcome.CONVERGED), np.sum(outcome == Outcome.LEFT_CELL)
-    values = {"rms_rad": rms_rad, "lost": float(lost), "left_cell": float(left_cell)}
-    return CaseResult(at={"curve": curve, "at": at}, values=values | more)
-
-
-def mean_rms_within(difference: Floats, lenslets: Booleans, views: Views = None) -> float:
-    """Mean over the views of the RMS over the lenslets without piston; NaN if no view is known.
-
-    `difference` (view_row, view_column, lenslet_row, lenslet_column), rad; `lenslets` and `views` that count.
-    """
-    counted = np.where(lenslets, difference, np.nan)
-    return mean_rms(counted if views is None else counted[views])
+    return {"curve": curve, "at": at, "rms_rad": rms_rad, "lost": lost, "left_cell": left_cell, **more}
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,11 +137,16 @@ class EmCamera:
         signal -= np.float32(self.settings.loss_per_e) * signal**2
         return np.asarray(signal / np.float32(self.settings.electrons_per_count))
 
-    def linearity(self, electrons: Image, seed: int) -> Linearity:
-        """Nonlinearity as `svwfs calibrate --linearity` finds it.
+    def exposed(self, electrons: Image, seed: int, index: int) -> Image:
+        """Counts above the offset of one noisy frame of an image (row, column), electrons."""
+        settings = self.settings
+        with closing(Detector(settings, seed=seed)) as detector:
+            photons = electrons / np.float32(settings.quantum_efficiency)
+            counts = detector.counts(photons, exposure_of(settings, index))
+        return np.asarray(counts - np.float32(settings.offset_counts), np.float32)
 
-        It comes from exposures of an image (row, column) in electrons.
-        """
+    def linearity(self, electrons: Image, seed: int) -> Linearity:
+        """Nonlinearity as `svwfs calibrate --linearity` finds it in exposures of an image (row, column), electrons."""
         settings, index = self.settings, count()
         full_scale = 2**settings.bits - 1 - settings.offset_counts
         longest = electrons * np.float32(_FILL * full_scale / self.counts(electrons).max())
@@ -174,22 +160,41 @@ class EmCamera:
             exposures.add(*averaged(share), share)
         return exposures.fit(amplifier="", em_gain=1.0).linearity
 
-    def exposed(self, electrons: Image, seed: int, index: int) -> Image:
-        """Counts above the offset of one noisy frame of an image (row, column), electrons."""
-        settings = self.settings
-        with closing(Detector(settings, seed=seed)) as detector:
-            photons = electrons / np.float32(settings.quantum_efficiency)
-            counts = detector.counts(photons, exposure_of(settings, index))
-        return np.asarray(counts - np.float32(settings.offset_counts), np.float32)
-
     def reconstructor(self, bench: Bench, electrons: Image, warp: Warp | None = None, **more: Any) -> Reconstructor:
         """Prepare the reconstruction against a noise-free reference of electrons (row, column)."""
         return warp_estimator(bench, self.counts(electrons), warp, noise=self.noise, **more).reconstructor
 
 
 def camera(bench: Bench, speed: int = SLOW, em_gain: float = 1.0) -> EmCamera:
-    """Return the bench's camera with another read-out speed and gain.
-
-    Its exposure is allowed at every speed.
-    """
+    """Return the bench's camera with another read-out speed and gain; its exposure is allowed at every speed."""
     return EmCamera(replace(bench.camera_model, amplifier="em", readout_speed=speed, em_gain=em_gain, exposure_s=1.0))
+
+
+class Scatter(NamedTuple):
+    """Means over the views of the RMS over the lenslets."""
+
+    rms_rad: float  # standard deviation over the draws
+    error_bar_rad: float  # as the estimator predicts it
+    coverage: float  # share of the lenslets and draws within one error bar of the expected wavefront
+
+
+def scatter_of(wavefronts: Iterable[Wavefront], expected: Floats, views: Booleans | None = None) -> Scatter:
+    """Scatter of the wavefronts of several draws of noise, at least two.
+
+    `expected` (view_row, view_column, lenslet_row, lenslet_column), rad.
+    """
+    errors, sigmas = [], []
+    for wavefront in wavefronts:
+        valid = wavefront.displacement.valid
+        errors.append(without_piston(np.where(valid, wavefront.views - expected, np.nan)))
+        sigmas.append(np.where(valid, wavefront.sigma(), np.nan))
+    error, sigma = np.array(errors), np.array(sigmas)
+    if views is not None:
+        error, sigma = error[:, views], sigma[:, views]
+    known = np.isfinite(error)
+    draws, error_or_0 = np.count_nonzero(known, axis=0), np.where(known, error, 0.0)
+    with np.errstate(invalid="ignore"):  # lenslets lost in every draw
+        mean = error_or_0.sum(axis=0) / draws
+        variance = np.sum(np.where(known, error - mean, 0.0) ** 2, axis=0) / (draws - 1)
+    covered = float(np.mean((np.abs(error) < sigma)[known]))
+    return Scatter(mean_deviation_rad(np.sqrt(variance)), mean_deviation_rad(sigma), covered)

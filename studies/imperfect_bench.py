@@ -4,7 +4,7 @@ The reference and the frame have the imperfections, the bench's settings do not.
 lenslets, apart from the wavelengths: each has its own images, which add up.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,17 +14,15 @@ from scipy import ndimage
 from app.acquisition.devices import scene_of
 from app.bench.config import Bench
 from app.evaluation.frames import seeded, with_screen, with_source
-from app.evaluation.studies import CaseResult
-from app.evaluation.study.estimators import EmCamera, camera, compared, warp_estimator, with_rms, without_wavefront
-from app.evaluation.study.noise_limit import error_bar_rad
-from app.evaluation.study_kinds import Sweep
-from app.progress import Progress
+from app.evaluation.mask_accuracy import mean_deviation_rad
 from reconstruction.arrays import Floats, Image, PointField
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.wavefront import without_piston
 from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.rendering import Renderer
+from studies.estimators import EmCamera, camera, residual, row, warp_estimator, without_wavefront
+from studies.tables import Asked, Made, Row, curves, draw_curves, steps
 
 _PEAK_E = 1e5  # electrons in the reference's brightest pixel: noise counts little
 _DEGREE = 4  # of a lenslet's aberrations
@@ -72,16 +70,18 @@ _ALL = Imperfections(
 
 
 @dataclass(frozen=True, slots=True)
-class _Case:
+class Case:
+    """One bench."""
+
     name: str
     imperfections: Imperfections
-    is_distance_told: bool = False  # the bench's settings have the camera's distance as focal length
+    knows_distance: bool = False  # the bench's settings have the camera's distance as focal length
     is_calibrated: bool = False  # the camera's nonlinearity was measured
     brightness: float = 1.0  # of the light behind the frame, over that behind the reference
 
 
 _NAMES = {
-    "defocus": "defocus 4 %, not told",
+    "defocus": "defocus 4 %",
     "aberration_waves": "lenslets 0.03 waves",
     "bandwidth_m": "LED ±10.5 nm",
     "absorption_rms": "absorption 16 %",
@@ -93,16 +93,16 @@ _NAMES = {
     "nonlinearity": "nonlinear 1.2 %",
     "stray_light": "stray light 2 %",
 }
-_CASES = (
-    _Case("none", NONE),
-    *(_Case(name, replace(NONE, **{each: getattr(_ALL, each)})) for each, name in _NAMES.items()),
-    _Case("absorption 8 %", Imperfections(absorption_rms=0.08)),
-    _Case("absorption 4 %", Imperfections(absorption_rms=0.04)),
-    _Case("defocus 0.4 %, not told", Imperfections(defocus=0.004)),
-    _Case("defocus 4 %, told", Imperfections(defocus=_ALL.defocus), is_distance_told=True),
-    _Case("nonlinear 5 %, frame half as bright", Imperfections(nonlinearity=0.05), brightness=0.5),
-    _Case("the same, calibrated", Imperfections(nonlinearity=0.05), brightness=0.5, is_calibrated=True),
-    _Case("all, defocus told", _ALL, is_distance_told=True),
+CASES = (
+    Case("none", NONE),
+    *(Case(name, replace(NONE, **{each: getattr(_ALL, each)})) for each, name in _NAMES.items()),
+    Case("absorption 8 %", Imperfections(absorption_rms=0.08)),
+    Case("absorption 4 %", Imperfections(absorption_rms=0.04)),
+    Case("defocus 0.4 %", Imperfections(defocus=0.004)),
+    Case("defocus 4 %, in the settings", Imperfections(defocus=_ALL.defocus), knows_distance=True),
+    Case("nonlinear 5 %, frame half as bright", Imperfections(nonlinearity=0.05), brightness=0.5),
+    Case("the same, calibrated", Imperfections(nonlinearity=0.05), brightness=0.5, is_calibrated=True),
+    Case("all, defocus in the settings", _ALL, knows_distance=True),
 )
 
 
@@ -172,7 +172,7 @@ def _through(light: PointField, amplitude: NDArray[np.complex64]) -> PointField:
 def detected(images: tuple[Image, Image], imperfections: Imperfections, seed: int) -> tuple[Image, Image]:
     """Electrons of reference and frame, (row, column), that an imperfect detector collects.
 
-    Its read-out follows, and with it the nonlinearity, see `_camera`.
+    Its read-out follows, and with it the nonlinearity, see `camera_of`.
     """
     gain = 1 + imperfections.prnu * np.random.default_rng([seed, _STREAM, 1]).standard_normal(images[0].shape)
     scale = _PEAK_E / images[0].max()
@@ -187,62 +187,57 @@ def detected(images: tuple[Image, Image], imperfections: Imperfections, seed: in
     return reference, frame
 
 
-def _bench(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
-    """Residuals in one pass, free and over the layers found, error bars and flags."""
+def imperfect_bench(asked: Asked, cases: Sequence[Case] = CASES) -> Made:
+    """Residual, error bar and flags for each imperfection of a bench, and for all, behind a checkerboard."""
+    bench, rows = asked.bench, list[Row]()
     if bench.simulation.source.mask == "square":
         bench = with_source(bench, mask="checkerboard")
-    for done, screen in enumerate(seeded(bench, seeds)):
-        kept: tuple[Imperfections, tuple[Image, Image], Floats] | None = None  # of detectors' cases: the same optics
-        for index, case in enumerate(_CASES):
-            progress(case.name, (done + index / len(_CASES)) / len(seeds))
-            size = case.imperfections
-            if kept is None or kept[0] != size.of_optics:
-                kept = size.of_optics, *imperfect_images(screen, size.of_optics)
-            yield from _measured(screen, case, detected(kept[1], size, screen.simulation.seed), kept[2])
+    for screen in seeded(bench, asked.seeds):
+        images: dict[Imperfections, tuple[tuple[Image, Image], Floats]] = {}  # detectors' cases have the same optics
+        for case in steps(cases, "imperfections"):
+            optics = case.imperfections.of_optics
+            if optics not in images:
+                images[optics] = imperfect_images(screen, optics)
+            light, truth = images[optics]
+            rows += _measured(screen, case, detected(light, case.imperfections, screen.simulation.seed), truth)
+    table = curves(rows)
+    title = "Imperfect benches, checkerboard, one pass"
+    return table, draw_curves(table, title, "imperfection", left_out="error bar")
 
 
-def _camera(bench: Bench, nonlinearity: float) -> EmCamera:
+def camera_of(bench: Bench, nonlinearity: float) -> EmCamera:
     """Return the bench's camera that loses this share of the brightest pixel of the reference."""
     settings = camera(bench).settings
     whole_e = settings.electrons_per_count * (2**settings.bits - 1)
     return EmCamera(replace(settings, nonlinearity=nonlinearity * whole_e / _PEAK_E))
 
 
-def _measured(bench: Bench, case: _Case, images: tuple[Image, Image], truth: Floats) -> Iterator[CaseResult]:
+def _measured(bench: Bench, case: Case, images: tuple[Image, Image], truth: Floats) -> Iterator[Row]:
     """Yield a case's residuals from reference and frame, electrons, (row, column).
 
     `truth` is in rad, (view_row, view_column, lenslet_row, lenslet_column).
     """
-    em_camera, at = _camera(bench, case.imperfections.nonlinearity), case.name
+    em_camera, at = camera_of(bench, case.imperfections.nonlinearity), case.name
     if case.is_calibrated:
         bench = replace(bench, linearity=em_camera.linearity(images[0], bench.simulation.seed))
-    if case.is_distance_told:
-        told_m = bench.sensor.lenslet_focal_length_m * (1 + case.imperfections.defocus)
-        bench = replace(bench, sensor=replace(bench.sensor, lenslet_focal_length_m=told_m))
+    if case.knows_distance:
+        distance_m = bench.sensor.lenslet_focal_length_m * (1 + case.imperfections.defocus)
+        bench = replace(bench, sensor=replace(bench.sensor, lenslet_focal_length_m=distance_m))
     reference, seed = em_camera.counts(images[0]), bench.simulation.seed
     frame = em_camera.exposed(images[1] * np.float32(case.brightness), seed, 0)
     estimator = warp_estimator(bench, reference, None, noise=em_camera.noise)
     try:
         displacement = estimator.reconstructor.register(frame)
         samples = {"free": FREE, "layers": estimator.reconstructor.find_sample(displacement)}
-    except ReconstructionError as refusal:
-        yield without_wavefront(estimator, refusal, curve="layers", at=at)
+    except ReconstructionError:
+        yield without_wavefront(estimator, curve="layers", at=at)
         return
     for curve, sample in samples.items():
         wavefront = estimator.reconstructor.solve(displacement, sample=sample)
-        faults = estimator.judge(frame, wavefront.displacement).faults
-        found = compared(wavefront, truth, curve=curve, at=at)
-        yield replace(found, values={**found.values, "faults": float(faults)})
-        error = without_piston(np.where(wavefront.displacement.valid, wavefront.views - truth, np.nan))
-        covered = np.mean((np.abs(error) < wavefront.sigma())[np.isfinite(error)])
-        yield with_rms(wavefront, error_bar_rad(wavefront), curve=f"{curve}: error bar", at=at, coverage=float(covered))
-
-
-BENCH = Sweep(
-    name="bench",
-    title="Imperfect benches, checkerboard, one pass",
-    axis="imperfection",
-    left_out=("error bar",),
-    measure=_bench,
-    limits_rad={"free": {_CASES[-1].name: 0.05}, "layers": {_CASES[-1].name: 0.03}},
-)
+        flags = estimator.judge(frame, wavefront.displacement).faults.name
+        yield {**residual(wavefront, truth, curve=curve, at=at), "flags": flags or ""}
+        valid, sigma = wavefront.displacement.valid, wavefront.sigma()
+        error = without_piston(np.where(valid, wavefront.views - truth, np.nan))
+        coverage = float(np.mean((np.abs(error) < sigma)[np.isfinite(error)]))
+        bar_rad = mean_deviation_rad(np.where(valid, sigma, np.nan))
+        yield row(wavefront, bar_rad, curve=f"{curve}: error bar", at=at, coverage=coverage)

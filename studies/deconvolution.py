@@ -1,9 +1,9 @@
-"""Corrected images beside the truth: photographs through a screen near the sample, restored."""
+"""Corrected images next to the truth: photographs through a screen near the sample, restored."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,15 +11,14 @@ from matplotlib.figure import Figure
 
 from app.bench.config import Bench
 from app.evaluation.frames import NoiseFreeFrames, seeded, simulate, with_screen
-from app.evaluation.studies import CaseResult, Printed, Study
 from app.measurement.bench_reconstructor import BenchReconstructor
-from app.progress import Progress
 from reconstruction.arrays import Floats
 from reconstruction.deconvolution.corrected_image import PhaseAt, corrected_image, psf_reach_px
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
-from simulated_devices.optics.photograph import PupilField, cells, photographs, resolution_target, star_field, true_psf
 from simulated_devices.sample import Sample
+from studies.photograph import PupilField, cells, photographs, resolution_target, star_field, true_psf
+from studies.tables import Asked, Made, Row, steps
 
 # 20 mm behind the mask, so that the point-spread functions of the field have little in common
 _SCREEN: dict[str, Any] = {
@@ -38,12 +37,26 @@ _ITERATIONS = 60
 _WIDER_PX = 10  # reach of the true point-spread functions beyond that of ours
 
 
-def _measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
-    bench = with_screen(bench, **_SCREEN)
+def deconvolution(asked: Asked) -> Made:
+    """Peak signal-to-noise ratio within the field (dB) of photographs restored in several ways."""
+    bench = with_screen(asked.bench, **_SCREEN)
     bench = replace(bench, registration=RegistrationSettings(), reconstruction=ReconstructionSettings())
-    for done, each in enumerate(seeded(bench, seeds)):
-        progress(f"seed {each.simulation.seed}", done / len(seeds))
-        yield from _Photographs(each).results()
+    screens = steps(seeded(bench, asked.seeds), "photographs")
+    data = pd.DataFrame([each for screen in screens for each in _Photographs(screen).results()])
+    means = data.pivot_table("psnr_db", "object", "way", sort=False, dropna=False)
+    return means.dropna(axis="columns").reset_index(), _figure(data, means)
+
+
+def _figure(data: pd.DataFrame, means: pd.DataFrame) -> Figure:
+    """Draw the first repeat with a gamma of 1/2, a row per object, a column per way."""
+    figure = Figure(figsize=(2.4 * means.shape[1], 2.65 * means.shape[0]), layout="constrained")
+    first = data.drop_duplicates(["object", "way"])
+    axes = figure.subplots(*means.shape, squeeze=False)
+    for axis, way, mean_db, image in zip(axes.flat, first["way"], means.to_numpy().flat, first["image"], strict=True):
+        axis.imshow(np.sqrt(np.clip(image, 0, 1)), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+        axis.set_title(f"{way}, {mean_db:.1f} dB" if np.isfinite(mean_db) else way, fontsize=8)
+        axis.set_axis_off()
+    return figure
 
 
 class _Photographs:
@@ -58,10 +71,9 @@ class _Photographs:
         self._imaging = replace(unit, pixel_m=pixel_m)
         self._side = 2 * (round(bench.field.half_width_m / pixel_m) + _MARGIN_PX)
 
-    def results(self) -> Iterator[CaseResult]:
-        seed = self._bench.simulation.seed
-        generator = np.random.default_rng(seed)
-        side = self._side
+    def results(self) -> Iterator[Row]:
+        """Yield `object`, `way`, `psnr_db`, and `image` (row, column) over the object's peak."""
+        generator, side = np.random.default_rng(self._bench.simulation.seed), self._side
         objects = {
             "target": resolution_target(side),
             "cells": cells(side, generator),
@@ -72,8 +84,7 @@ class _Photographs:
             photograph = generator.poisson(mean).astype(np.float64)
             for way, image in self._restored(photograph, truth):
                 psnr_db = np.nan if way == "object" else self._psnr_db(image, truth)
-                values: dict[str, float | Floats] = {"psnr_db": psnr_db, "image": image / truth.max()}
-                yield CaseResult(at={"object": name, "way": way}, values=values, name=f"seed {seed}")
+                yield {"object": name, "way": way, "psnr_db": psnr_db, "image": image / truth.max()}
 
     def _restored(self, photograph: Floats, truth: Floats) -> Iterator[tuple[str, Floats]]:
         """Yield each way and its image, electrons, as photograph and truth: (row, column)."""
@@ -143,46 +154,3 @@ def pupil_field(sample: Sample, x_m: float, y_m: float) -> PupilField:
 def _constant(phase: Floats) -> PhaseAt:
     """Take a wavefront (lenslet_row, lenslet_column), rad, for that of the whole field."""
     return lambda _x_m, _y_m: phase
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhotographStudy(Study):
-    """Restored photographs of objects: `image` (row, column) over the object's peak, and `psnr_db`."""
-
-    dims: ClassVar = ("object", "way")
-    key: ClassVar = "photographs"
-
-    def summary(self, data: pd.DataFrame) -> pd.DataFrame:
-        """Mean, lowest and highest peak signal-to-noise ratio over the repeats, dB."""
-        psnr_db = data.groupby([*self.dims], observed=True)["psnr_db"]
-        summary = pd.DataFrame({"mean_db": psnr_db.mean(), "least_db": psnr_db.min(), "most_db": psnr_db.max()})
-        return summary.dropna().reset_index()
-
-    def printed(self, data: pd.DataFrame) -> Printed:
-        """Return a line for each object."""
-        means = self._means(data).dropna(axis="columns", how="all")
-        rows = zip(means.index, means.to_numpy(), strict=True)
-        lines = [[name, *(f"{each:.1f}" for each in row)] for name, row in rows]
-        return Printed(self.title, ("object", *means.columns), lines)
-
-    def figure(self, data: pd.DataFrame) -> Figure:
-        """Draw the first repeat with a gamma of 1/2, a row per object, a column per way."""
-        means = self._means(data)
-        figure = Figure(figsize=(2.4 * means.shape[1], 2.65 * means.shape[0]), layout="constrained")
-        axes = figure.subplots(*means.shape, squeeze=False)
-        first = data.drop_duplicates([*self.dims])
-        shown = zip(axes.flat, first["way"], means.to_numpy().flat, first["image"], strict=True)
-        for axis, way, mean_db, image in shown:
-            axis.imshow(np.sqrt(np.clip(image, 0, 1)), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
-            known = f", {mean_db:.1f} dB" if np.isfinite(mean_db) else ""
-            axis.set_title(f"{way}{known}", fontsize=8)
-            axis.set_axis_off()
-        return figure
-
-    def _means(self, data: pd.DataFrame) -> pd.DataFrame:
-        return data.pivot_table("psnr_db", *self.dims, observed=True, dropna=False)
-
-
-DECONVOLUTION = PhotographStudy(
-    name="deconvolution", title="Corrected images: peak signal-to-noise ratio within the field (dB)", measure=_measure
-)

@@ -1,4 +1,4 @@
-"""Residual of a corrector as predicted from one frame, against light that passes sample and corrector."""
+"""Correctors as predicted from one frame, against light through sample and corrector; distances of a layer."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 
 from app.bench.config import load_bench
 from app.evaluation.frames import simulate
-from app.evaluation.study.layers import predicted_and_simulated
 from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.arrays import Floats
 from reconstruction.geometry import centered_steps
@@ -18,20 +17,30 @@ from reconstruction.wavefront import rms
 from simulated_devices.optics.layered_light import LayeredLight, PlacedScreen
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.sample import make_sample
+from studies.layers import distances, predicted_and_simulated
+from studies.tables import Asked
 
 LAYER_M, F1_M = 0.195, 0.2
 BENCH = load_bench("small_demo", ("simulation.source.mask='checkerboard'",))
 
 
 @pytest.mark.slow
-@pytest.mark.long
 def test_predicted_residuals_agree_with_simulated_ones() -> None:
-    cases = [(Corrector("zernike", 10), share * LAYER_M) for share in (0.0, 0.5, 1.0)]
-    found = list(predicted_and_simulated(BENCH, cases, lambda *_: None))
-    predicted, simulated = ([float(each.values["rms_rad"]) for each in found[start::2]] for start in (0, 1))
-    assert [each.at["at"] for each in found[::2]] == [at_m for _, at_m in cases]
+    cases = [(Corrector("zernike", 10), share * LAYER_M) for share in (0.0, 1.0)]
+    found = list(predicted_and_simulated(BENCH, cases))
+    predicted, simulated = ([each["rms_rad"] for each in found[start::2]] for start in (0, 1))
+    assert [each["at"] for each in found[::2]] == [at_m * 1e3 for _, at_m in cases]
     assert simulated == pytest.approx(predicted, rel=0.1)
-    assert simulated[2] < 0.4 * simulated[0]
+    assert simulated[1] < 0.4 * simulated[0]
+
+
+@pytest.mark.slow
+def test_distances_of_a_layer_are_found_within_their_error_bars() -> None:
+    table, _ = distances(Asked(BENCH), (LAYER_M,))
+    found = table.set_index("case")
+    assert list(found.index) == ["checkerboard, 195 mm", "square, 195 mm"]
+    assert (found["error (%), worst"] < 20).all()
+    assert (found["error over its bar, worst"] < 4).all()
 
 
 @pytest.fixture(scope="module")

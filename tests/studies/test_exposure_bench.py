@@ -10,7 +10,7 @@ from support.stage_contract import StageContract
 from drivers.contract import camera as of_cameras
 from drivers.contract import light as of_lights
 from drivers.interface import Camera, LightSource, Range, Stage
-from simulated_devices.exposure_bench import LampScene, exposure_bench
+from studies.exposure_bench import LampScene, exposure_bench
 
 SCENE = LampScene(counts_per_a_s=1e6, exposure_range_s=Range(1e-3, 1.0))
 

@@ -3,46 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import svwfs
-from app.commands.study import print_results
 from app.evaluation.frames import NoiseFreeFrames
-from app.evaluation.studies import StudyResult, collect, files_of, write_newest
-from app.evaluation.study.deconvolution import DECONVOLUTION, pupil_field
 from reconstruction.arrays import Floats
 from reconstruction.deconvolution.corrected_image import corrected_image
 from reconstruction.deconvolution.imaging import Imaging
-from simulated_devices.optics.photograph import cells, photographs, true_psf
-
-
-@pytest.fixture(scope="module")
-def data() -> pd.DataFrame:
-    bench = svwfs.load_bench("paper_simulation", "simulation.source.mask='checkerboard'")
-    return collect(DECONVOLUTION.dims, DECONVOLUTION.measure(bench, range(1), lambda *_: None))
+from studies.deconvolution import deconvolution, pupil_field
+from studies.photograph import cells, photographs, true_psf
+from studies.tables import Asked
 
 
 @pytest.mark.slow
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["target", "cells", "stars"])
-def test_measured_psfs_are_far_better_than_one_and_as_good_as_the_true_ones(data: pd.DataFrame, name: str) -> None:
-    psnr_db = data[data["object"] == name].set_index("way")["psnr_db"]
-    assert psnr_db["measured PSFs"] > psnr_db["best single PSF"] + 3
-    assert psnr_db["measured PSFs"] > psnr_db["photograph"] + 3
-    assert psnr_db["measured PSFs"] > psnr_db["true PSFs"] - 0.5
-
-
-@pytest.mark.slow
-def test_study_writes_its_files(data: pd.DataFrame, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    result = StudyResult(DECONVOLUTION, data, 1)
-    write_newest([result], tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in files_of([DECONVOLUTION], tmp_path)}
-    print_results([result])
-    assert "best single PSF" in capsys.readouterr().out
+def test_measured_psfs_are_far_better_than_one_and_as_good_as_the_true_ones() -> None:
+    bench = svwfs.load_bench("paper_simulation", "simulation.source.mask='checkerboard'")
+    psnr_db = deconvolution(Asked(bench))[0].set_index("object")
+    assert set(psnr_db.index) == {"target", "cells", "stars"}
+    assert (psnr_db["measured PSFs"] > psnr_db["best single PSF"] + 3).all()
+    assert (psnr_db["measured PSFs"] > psnr_db["photograph"] + 3).all()
+    assert (psnr_db["measured PSFs"] > psnr_db["true PSFs"] - 0.5).all()
 
 
 @pytest.mark.slow

@@ -11,13 +11,13 @@ import pytest
 
 from app.bench.config import load_bench
 from app.evaluation.frames import NoiseFreeFrames
-from app.evaluation.study.estimators import WARPS, camera, warp_estimator
-from app.evaluation.study.noise_limit import without_prior
+from app.evaluation.mask_accuracy import without_prior
 from app.measurement.estimator import Estimator
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.wavefront import Wavefront, without_piston
+from studies.estimators import WARPS, camera, warp_estimator
 
 NORMAL = math.erf(math.sqrt(0.5))
 ASKED = 0.04

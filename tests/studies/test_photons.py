@@ -1,4 +1,4 @@
-"""Scatter over draws of noise, its error bars, and the Cramer-Rao bound."""
+"""Light and noise: scatter over draws, its error bars, and the Cramer-Rao bound."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ import pytest
 
 from app.bench.config import load_bench
 from app.evaluation.frames import NoiseFreeFrames
-from app.evaluation.studies import collect
-from app.evaluation.study import sweeps
-from app.evaluation.study.estimators import camera, warp_estimator
-from app.evaluation.study.noise_limit import bound_rad, scatter_of, without_prior
-from app.evaluation.study.sweeps import PHOTONS
+from app.evaluation.mask_accuracy import bound_rad, without_prior
 from reconstruction.wavefront import Wavefront
+from studies.estimators import camera, scatter_of, warp_estimator
+from studies.noise import em_gain, photons
+from studies.tables import Asked
 
 
 def drawn(errors: np.ndarray, sigma: float, valid: np.ndarray) -> list[Wavefront]:
@@ -66,16 +65,29 @@ def test_scatter_of_estimator_is_near_the_bound(small_toml: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.long
-def test_photons_study_compares_scatter_with_bound(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sweeps, "_PEAKS_E", (1e3,))
-    monkeypatch.setattr(sweeps, "_NOISE_DRAWS", 20)
+def test_photons_study_compares_scatter_with_bound(small_toml: Path) -> None:
     bench = load_bench(small_toml, ("simulation.source.mask='checkerboard'",))  # there is no bound on what a mask hides
-    data = collect(PHOTONS.dims, PHOTONS.measure(bench, range(1), lambda *_: None))
-    summary = PHOTONS.summary(data).set_index("curve")  # of one light level
-    scatter, bound, bar = (summary.loc[f"cubic, 45 modes: {row}"] for row in ("scatter", "bound", "error bar"))
-    assert scatter["asked_rad"] == pytest.approx(1.1 * bound["mean_rad"])
+    table, _ = photons(Asked(bench), (1e3,), noise_draws=20)
+    found = table.set_index("curve")
+    scatter, bound, bar = (found.loc[f"cubic, 45 modes: {row}"] for row in ("scatter", "bound", "error bar"))
     assert 0.85 < scatter["mean_rad"] / bound["mean_rad"] < 1.2
     assert bar["coverage"] == pytest.approx(0.7, abs=0.08)
-    assert summary.loc["cubic refined", "asked_rad"] == 0.035
-    assert 0.4 < summary.loc["automatic warp: error bar", "coverage"] < 0.9
+    assert 0.4 < found.loc["automatic warp: error bar", "coverage"] < 0.9
+    assert found.loc["automatic warp", "observations"] == 3
+
+
+@pytest.mark.slow
+def test_gain_lifts_a_dim_frame_above_the_read_noise(small_toml: Path) -> None:
+    table, _ = em_gain(Asked(load_bench(small_toml, ("simulation.source.mask='checkerboard'",))), (1.0, 30.0))
+    found = table.set_index(["curve", "at"])["mean_rad"]
+    dim = "37 e- read noise, 100 e-"
+    assert found[dim, 30.0] < 0.7 * found[dim, 1.0]
+
+
+@pytest.mark.parametrize(("em_gain", "light_e"), [(1.0, 900.0), (30.0, 100.0)])
+def test_camera_noise_matches_noise_model(small_toml: Path, em_gain: float, light_e: float) -> None:
+    seen = camera(load_bench(small_toml), 3, em_gain)
+    electrons = np.full((200, 300), light_e, np.float32)
+    counts = seen.exposed(electrons, seed=5, index=0)
+    assert counts.mean() == pytest.approx(seen.counts(electrons).mean(), rel=0.01)
+    assert counts.var() == pytest.approx(seen.noise.variance(seen.counts(electrons)).mean(), rel=0.03)

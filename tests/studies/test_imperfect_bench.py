@@ -1,4 +1,4 @@
-"""`svwfs study bench`: images of imperfect benches, and the study itself."""
+"""Images of imperfect benches, and the study of them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ import pytest
 
 from app.acquisition.devices import scene_of
 from app.bench.config import Bench, load_bench
-from app.evaluation.studies import collect
-from app.evaluation.study import bench as study
-from app.evaluation.study.bench import BENCH, NONE, Imperfections, detected, imperfect_images
 from reconstruction.arrays import Floats, Image
-from reconstruction.quality.verdict import Fault
 from simulated_devices.rendering import Renderer
+from studies.imperfect_bench import CASES, NONE, Imperfections, camera_of, detected, imperfect_bench, imperfect_images
+from studies.tables import Asked
 
 MASK = "checkerboard"
 
@@ -78,7 +76,7 @@ def test_absorption_changes_the_frame_alone(bench: Bench) -> None:
     assert 0.05 < np.std(its_frame - frame) / np.std(frame) < 0.5
 
 
-def test_detector_loses_what_it_is_told() -> None:
+def test_detector_loses_light() -> None:
     flat = np.full((80, 80), 2.0, np.float32)
     flat[:, 40:] = 1.0
     noisy, _ = detected((flat, flat), Imperfections(prnu=0.01), 1)
@@ -94,7 +92,7 @@ def test_detector_loses_what_it_is_told() -> None:
 
 
 def test_camera_loses_its_share_of_the_brightest_pixel(bench: Bench) -> None:
-    em_camera = study._camera(bench, 0.1)
+    em_camera = camera_of(bench, 0.1)
     electrons = np.full((80, 80), 1e5, np.float32)
     electrons[:, 40:] = 0.5e5
     counts = em_camera.counts(electrons) * em_camera.settings.electrons_per_count
@@ -105,28 +103,21 @@ def test_camera_loses_its_share_of_the_brightest_pixel(bench: Bench) -> None:
 
 
 def test_calibrated_camera_knows_its_light(bench: Bench) -> None:
-    em_camera, light = study._camera(bench, 0.02), np.linspace(0, 2e5, 300, dtype=np.float32)
+    em_camera, light = camera_of(bench, 0.02), np.linspace(0, 2e5, 300, dtype=np.float32)
     electrons = np.tile(light, (200, 1))
     measured = em_camera.linearity(electrons, 1).light(em_camera.counts(light))
     assert measured * em_camera.settings.electrons_per_count == pytest.approx(light, rel=2e-3, abs=300)
 
 
 @pytest.mark.slow
-@pytest.mark.long
-def test_study_shows_residual_error_bar_and_flags(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    chosen = [each for each in study._CASES if each.name in {"none", "absorption 16 %", "defocus 4 %, not told"}]
-    monkeypatch.setattr(study, "_CASES", tuple(chosen))
-    data = collect(BENCH.dims, BENCH.measure(bench, range(1), lambda *_: None))
-    summary = BENCH.summary(data).set_index(["curve", "at"])
-    assert len(summary) == 12
-    mean_rad = summary["mean_rad"]
-    assert mean_rad["free", "defocus 4 %, not told"] > 2 * mean_rad["free", "none"]
+def test_study_shows_residual_error_bar_and_flags(bench: Bench) -> None:
+    chosen = [each for each in CASES if each.name in {"none", "absorption 16 %", "defocus 4 %"}]
+    table, _ = imperfect_bench(Asked(bench), chosen)
+    found = table.set_index(["curve", "at"])
+    assert len(found) == 12
+    mean_rad = found["mean_rad"]
+    assert mean_rad["free", "defocus 4 %"] > 2 * mean_rad["free", "none"]
     assert mean_rad["free", "absorption 16 %"] < 1.2 * mean_rad["free", "none"]  # its brightness is fitted
-    assert summary.loc[("layers", "none"), "flags"] == ""
-    assert 0 <= summary.loc[("layers: error bar", "none"), "coverage"] <= 1
-    data["faults"] = float(Fault.MISFIT)
-    lines = BENCH.printed(data).lines
-    assert [line[0] for line in lines] == ["free", "free: error bar", "layers", "layers: error bar"]
-    assert any("MISFIT" in cell for line in lines for cell in line)
-    lines = BENCH.printed(data[data["curve"] == "free"]).lines  # fewer than the imperfections: a line for each of these
-    assert [line[0] for line in lines] == [each.name for each in chosen]
+    assert found.loc[("layers", "none"), "flags"] == ""
+    assert "SCALE" in found.loc[("free", "defocus 4 %"), "flags"]
+    assert 0 <= found.loc[("layers: error bar", "none"), "coverage"] <= 1
