@@ -14,7 +14,6 @@ from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
 
 SKIPPED = "skipped: the computer was too slow"  # stored in recordings
-_SKIPPED_BEFORE = "passed over: the computer was behind, and a newer frame was there"  # in old recordings
 _COUNTS = {1: "one layer", 2: "two layers"}
 
 RefinementStage = Literal["off", "preparing", "applied", "moved", "worse", "failed"]
@@ -86,12 +85,7 @@ class Measurement:
     @property
     def is_skipped(self) -> bool:
         """True if the frame was not reconstructed because a newer one was there."""
-        return is_skipped(self.problem)
-
-
-def is_skipped(problem: str) -> bool:
-    """True if the problem of a frame, as stored by any version, is that it was skipped."""
-    return problem in {SKIPPED, _SKIPPED_BEFORE}
+        return self.problem == SKIPPED
 
 
 def sample_sentence(sample: AssumedSample, field: Field) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from app.bench.config import Bench, parse_bench, write_bench
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import Measurement, is_skipped
+from app.measurement.measurement import SKIPPED, Measurement
 from app.progress import Progress, counted
 from app.recording.folder import version_of
 from app.recording.frame_lines import FrameLine
@@ -54,7 +54,7 @@ class Verification:
     def take(self, frame: Measurement) -> None:
         """Compare one frame, unless it was skipped live."""
         line = self._recording.line(frame.index)
-        if line.calibration is None or is_skipped(line.problem):
+        if line.calibration is None or line.problem == SKIPPED:
             self._skipped += 1
             return
         self.frames += 1

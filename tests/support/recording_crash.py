@@ -1,9 +1,6 @@
-"""Kill a recording program at random moments and check what it leaves on disk.
+"""Kill a recording program and check what it leaves on disk.
 
-    PYTHONPATH=tests python -m support.recording_crash --kills 20
-
-uses the bench `live_demo` at 70 frames a second. The program reports every acquired frame through a pipe, so the
-number of acquired frames is known.
+The program reports every acquired frame through a pipe, so the number of acquired frames is known.
 """
 
 from __future__ import annotations
@@ -14,21 +11,17 @@ import signal
 import struct
 import subprocess
 import sys
-import tempfile
 import time
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from app.acquisition.devices import open_devices
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.recording.reader import Recording
-from app.recording.recover import recover
 from drivers.interface import Devices, Frame
 from support.patience import HANG_S
 
@@ -112,27 +105,14 @@ def record(bench: Bench, folder: Path, pipe: int) -> None:
 
 
 def main() -> None:
-    """Record, as the program to be killed, or kill it some times."""
+    """Record, as the program to be killed."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--record", type=Path)
     parser.add_argument("--pipe", type=int)
-    parser.add_argument("--bench", default="live_demo")
-    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--bench")
     parser.add_argument("settings", nargs="*")
     given = parser.parse_args()
-    if given.record is not None:
-        record(load_bench(given.bench, tuple(given.settings)), given.record, given.pipe)
-        return
-    random = np.random.default_rng()
-    for kill in range(given.kills):
-        with tempfile.TemporaryDirectory() as folder:
-            left = kill_one(given.bench, tuple(given.settings), Path(folder) / "r", after_s=random.uniform(0.5, 5))
-            found = recover(Path(folder) / "r")
-            assert recover(Path(folder) / "r").was_complete
-        sys.stdout.write(f"{kill + 1:3d}: {left}; recovered {found.frames} frames\n")
-        sys.stdout.flush()
-        assert left.wrong == 0
-        assert left.missing <= 2
+    record(load_bench(given.bench, tuple(given.settings)), given.record, given.pipe)
 
 
 if __name__ == "__main__":

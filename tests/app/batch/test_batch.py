@@ -164,18 +164,6 @@ def test_interrupted_run_is_continued(recordings: list[Recording], tmp_path: Pat
     assert_equals_replay(out, recordings[0], tmp_path)
 
 
-def test_store_cut_short_while_it_was_made_is_made_again(
-    recordings: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "r.zarr"
-    with monkeypatch.context() as patch:
-        patch.setattr("app.batch.store.asdict", lambda _: 1 / 0)  # the last step
-        with pytest.raises(ZeroDivisionError):
-            batch(out, recordings[1])
-    assert (out / "zarr.json").exists()
-    assert batch(out, recordings[1]).wavefronts == 3
-
-
 def _cut_pixels(mine: Recording) -> None:
     path = mine.folder / "frames.zarr/0/c/6/0/0"
     path.write_bytes(path.read_bytes()[:100])

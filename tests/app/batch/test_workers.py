@@ -92,28 +92,6 @@ class Killing:
 
 @pytest.mark.slow
 @pytest.mark.long
-def test_what_killed_processes_were_writing_is_removed(
-    recording: Recording, alone: dict[str, bytes], tmp_path: Path
-) -> None:
-    """Both what an earlier run left and what a worker of this one leaves."""
-    out = tmp_path / "r.zarr"
-    batch(out, recording)
-    (out / "state" / "c" / "0" / "1").unlink()
-    earlier, now = (out / "state" / "c" / "0" / f".{token}.partial" for token in ("0123", "4567"))
-    earlier.write_bytes(b"half")
-
-    def leaving(function: Any, items: Any) -> Iterator[Any]:
-        for each in items:
-            now.write_bytes(b"half")
-            yield each, function(each)
-
-    assert batch(out, recording, evaluate=leaving).computed == BLOCK
-    assert differing(out, alone) == []
-    assert not earlier.exists()
-
-
-@pytest.mark.slow
-@pytest.mark.long
 def test_three_killed_workers_change_nothing(
     recording: Recording, two_workers: Workers, alone: dict[str, bytes], tmp_path: Path
 ) -> None:

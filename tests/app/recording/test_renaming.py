@@ -46,21 +46,6 @@ def test_everything_is_found_under_the_new_name(
     assert copy.folder.name == "mouse 7"
 
 
-def test_another_thread_may_find_the_new_name_first(
-    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    copy = Recording(shutil.copytree(recording.folder, tmp_path / "run"))
-    is_renamed = Recording._is_renamed
-
-    def is_renamed_second(copy: Recording, before: Path) -> bool:
-        is_renamed(copy, copy.folder)  # the other thread
-        return is_renamed(copy, before)
-
-    monkeypatch.setattr(Recording, "_is_renamed", is_renamed_second)
-    copy.folder.rename(tmp_path / "mouse 7")
-    assert copy.line(1) == recording.line(1)
-
-
 def test_removed_recording_is_an_error(recording: Recording, tmp_path: Path) -> None:
     copy = Recording(shutil.copytree(recording.folder, tmp_path / "run"))
     shutil.rmtree(copy.folder)
