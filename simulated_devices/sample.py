@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, PointField
 from reconstruction.geometry import Field, Sensor, require
-from simulated_devices.optics.layered_light import PlacedScreen
 from simulated_devices.optics.phase_screen import (
     PhaseScreen,
     edge_is_final,
@@ -31,6 +30,15 @@ SampleLight: TypeAlias = ScreenLight | PropagatedLight
 _LARGEST_SIDE = 8_000  # samples; takes 2 GB and half a minute on two cores
 _EXTREME = 4.0  # largest slope of a screen over the RMS of its slopes
 _TRANSMISSION_STREAM = 1  # of the random numbers of a seed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlacedScreen:
+    """A thin screen in pupil coordinates, `distance_m` in front of the lenslets (negative: behind them)."""
+
+    phase: PhaseScreen
+    distance_m: float
+    amplitude: PhaseScreen | None = None  # square root of the transmission
 
 
 @dataclass(frozen=True, slots=True)

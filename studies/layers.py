@@ -16,11 +16,12 @@ from reconstruction.geometry import centered_steps
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
 from reconstruction.layers.layer_search import search_layers
 from reconstruction.wavefront import Wavefront, rms
-from simulated_devices.optics.layered_light import LayeredLight, PlacedScreen
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.rendering import Renderer
+from simulated_devices.sample import PlacedScreen
 from simulated_devices.settings import Mask
 from studies.estimators import camera, row
+from studies.layered_light import LayeredLight
 from studies.tables import Asked, Made, Row, curves, draw_curves, steps, trial, trials
 
 _DISTANCES_M = 0.06, 0.1, 0.195, 0.3  # in front of the lenslets

@@ -14,9 +14,9 @@ from reconstruction.arrays import Floats
 from reconstruction.geometry import centered_steps
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
 from reconstruction.wavefront import rms
-from simulated_devices.optics.layered_light import LayeredLight, PlacedScreen
 from simulated_devices.optics.phase_screen import PhaseScreen
-from simulated_devices.sample import make_sample
+from simulated_devices.sample import PlacedScreen, make_sample
+from studies.layered_light import LayeredLight
 from studies.layers import distances, predicted_and_simulated
 from studies.tables import Asked
 

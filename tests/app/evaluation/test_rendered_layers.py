@@ -14,10 +14,10 @@ from app.measurement.calibration import Calibration
 from reconstruction.arrays import Floats
 from reconstruction.layers.layer_search import search_layers
 from reconstruction.layers.layer_solver import FrameEquations
-from simulated_devices.optics.layered_light import LayeredLight
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.rendering import Renderer
 from simulated_devices.sample import make_sample
+from studies.layered_light import LayeredLight
 
 
 def rendered(preset: str, distances_m: tuple[float, ...], **settings: Any) -> tuple[FrameEquations, list[PhaseScreen]]:

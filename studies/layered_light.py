@@ -7,7 +7,6 @@ point has a field of its own.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +23,7 @@ from simulated_devices.optics.propagated_light import (
     unwrapped_phase,
 )
 from simulated_devices.optics.screen_light import RayMap, ScreenLight
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlacedScreen:
-    """A thin screen in pupil coordinates, `distance_m` in front of the lenslets (negative: behind them)."""
-
-    phase: PhaseScreen
-    distance_m: float
-    amplitude: PhaseScreen | None = None  # square root of the transmission
+from simulated_devices.sample import PlacedScreen
 
 
 class LayeredLight:

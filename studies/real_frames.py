@@ -1,6 +1,6 @@
 """Compare lattices and displacements in public frames of real sensors with plain centroids: docs/real_frames.md.
 
-    PYTHONPATH=tests python -m support.real_frames FOLDER
+    python -m studies.real_frames FOLDER
 
 FOLDER holds checkouts of the repositories that the page names. The centroids use SciPy alone, not the package.
 """
@@ -190,8 +190,8 @@ def sky(folder: Path) -> None:
     reconstructor = BenchReconstructor(bench, blurred, full_scale=np.inf)
     wavefront = reconstructor(frame)
     lattice, sensor = reconstructor.bench.lattice, bench.sensor
-    assert lattice is not None
-    assert wavefront.coefficients is not None
+    if lattice is None or wavefront.coefficients is None:
+        raise ValueError("the bench of real frames must be modal")
     center_px = lattice.lenslet_centers_px(*HECTO.lenslets)
     spots = []
     for image, smooth_px in ((reference, HECTO.smooth_px), (frame, SKY.smooth_px)):
