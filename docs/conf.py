@@ -1,23 +1,17 @@
 """Sphinx settings of the documentation, and the pages that are made from the program itself."""
 
-import inspect
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import MISSING, is_dataclass
 from importlib.metadata import version as version_of
-from types import SimpleNamespace
-from typing import Literal, get_args, get_origin
 
 import typer.main
 from sphinx.application import Sphinx
 
 import svwfs
-from app.bench.config import Bench
-from app.bench.device_kinds import DRIVERS
-from app.bench.settings_form import unit_of
+from app.bench.config import bench_schema
+from app.bench.settings_schema import allowed, unit_of
 from app.cli.application import cli
-from reconstruction.annotated_settings import Limit, Setting, settings_of
 
 project = "svwfs"
 author = "the authors of svwfs"
@@ -91,42 +85,39 @@ def _without_arguments(_sphinx: Sphinx, kind: str, *facts: object) -> tuple[str,
 
 def _settings() -> Iterator[str]:
     """Return every section of a bench as a table; camera and light once for each driver."""
-    for section in settings_of(Bench):
-        if section.name not in DRIVERS:
-            yield from _tables(section.name, section.kind, f"## `[{section.name}]`")
-        for driver, kind in DRIVERS.get(section.name, {}).items():
-            yield from _tables(section.name, kind.settings, f'## `[{section.name}]` with `driver = "{driver}"`')
+    for name, section in bench_schema()["properties"].items():
+        if "oneOf" not in section:
+            yield from _tables(name, section, f"## `[{name}]`")
+        for each in section.get("oneOf", ()):
+            driver = each["properties"]["driver"]["const"]
+            yield from _tables(name, each, f'## `[{name}]` with `driver = "{driver}"`')
 
 
-def _tables(path: str, cls: type, title: str) -> Iterator[str]:
-    """Return the table of a settings class, and those of its parts."""
-    settings = [one for one in settings_of(cls) if not one.section and one.name != "driver"]
-    parts = [one for one in settings if is_dataclass(one.kind) and not one.is_optional]
-    usual = SimpleNamespace(**{one.name: one.default for one in settings})
-    rows = [_cells(one, one.limit(usual)) for one in settings if one not in parts]
+def _tables(path, schema, title) -> Iterator[str]:
+    """Return the table of a section, and those of its parts."""
+    settings = {name: each for name, each in schema["properties"].items() if name != "driver"}
+    parts = [name for name, each in settings.items() if "properties" in each and "required" not in each]
+    rows = [_cells(name, each, schema) for name, each in settings.items() if name not in parts]
     head = [("setting", "unit", "default", "is"), ("---",) * 4] if rows else []
-    yield f"{title}\n\n{inspect.getdoc(cls).splitlines()[0]}\n"
+    yield f"{title}\n\n{schema['description']}\n"
     yield from ("| " + " | ".join(cells) + " |" for cells in head + rows)
     yield ""
-    for one in parts:
-        yield from _tables(f"{path}.{one.name}", one.kind, f"### `[{path}.{one.name}]`")
+    for name in parts:
+        yield from _tables(f"{path}.{name}", settings[name], f"### `[{path}.{name}]`")
 
 
-def _cells(setting: Setting, limit: Limit | None) -> tuple[str, str, str, str]:
-    if get_origin(setting.kind) is Literal:
-        allowed = ", ".join(f"`{choice}`" for choice in get_args(setting.kind) if choice)
-    else:
-        allowed = "" if limit is None else limit.words().capitalize().replace("Must be finite", "")
-    meaning = ". ".join(filter(None, (re.sub(r"([|*<])", r"\\\1", setting.help), allowed)))
-    return f"`{setting.name}`", unit_of(setting.name)[1], _default(setting), meaning
+def _cells(name, setting, section) -> tuple[str, str, str, str]:
+    choices = ", ".join(f"`{choice}`" for choice in setting.get("enum", ()) if choice)
+    meaning = re.sub(r"([|*<])", r"\\\1", setting.get("description", ""))
+    text = ". ".join(filter(None, (meaning, choices or allowed(setting).capitalize())))
+    return f"`{name}`", unit_of(name)[1], _default(name, setting, section), text
 
 
-def _default(setting: Setting) -> str:
-    if setting.default is MISSING:
+def _default(name, setting, section) -> str:
+    if name in section.get("required", ()):
         return "**required**"
-    if setting.default is None or setting.default == "":
-        return "omitted"
-    return f"`{json.dumps(setting.default)}`"  # which is TOML, too
+    default = setting.get("default", "")
+    return "omitted" if default == "" else f"`{json.dumps(default)}`"  # which is TOML, too
 
 
 _MADE = {"api": _names, "bench": _settings, "commands": _commands}

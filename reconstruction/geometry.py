@@ -7,7 +7,7 @@ camera. Every vector has (x, y) as its last axis; every image is [row, column] w
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
@@ -45,7 +45,7 @@ class Sensor(Checked):
     lenslet_focal_length_m: Annotated[float, Ge(1e-5), Le(2), Doc("At the wavelength; the camera lies in that plane")]
     wavelength_m: Annotated[float, Ge(100e-9), Le(20e-6), Doc("Of the light, in vacuum")]
     pixel_pitch_m: Annotated[float, Ge(1e-7), Le(1e-3), Doc("Of the camera; binned pixels are larger")]
-    arrangement: Arrangement = field(default="square", metadata={"section": "lattice"})  # where bench files have it
+    arrangement: Arrangement = "square"  # bench files have it in [lattice]
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
-from reconstruction.annotated_settings import Checked, OwnNames
+from reconstruction.annotated_settings import Checked
 from reconstruction.geometry import STAR_SPACING_M, STARS
 from reconstruction.runtime.threads import THREADS
 
@@ -25,7 +25,6 @@ class RegistrationSettings(Checked):
 
     method: Annotated[
         Method,
-        OwnNames(),
         Doc(
             "Match of the subimages with the reference: Gauss-Newton is this instrument's own; the others come from the"
             " paper and related software, and some are too slow for live use"
@@ -61,9 +60,7 @@ class ReconstructionSettings(Checked):
     method: Annotated[
         Literal["zonal", "modal"], Doc("Wavefront from the slopes: lenslet by lenslet, or as polynomials")
     ] = "modal"
-    basis: Annotated[PupilBasis, OwnNames(), Doc("Modal: Legendre for a square pupil, Zernike for a circular one")] = (
-        "legendre"
-    )
+    basis: Annotated[PupilBasis, Doc("Modal: Legendre for a square pupil, Zernike for a circular one")] = "legendre"
     pupil_modes: (
         Annotated[
             int,

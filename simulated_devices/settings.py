@@ -3,16 +3,17 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
-from annotated_types import Ge, Gt, Interval, Le
+from annotated_types import Ge, Gt, Le
 from typing_extensions import Doc
 
 from drivers.interface import Range
-from reconstruction.annotated_settings import Checked, Depending
+from reconstruction.annotated_settings import Checked
 from reconstruction.geometry import STAR_SPACING_M, STARS
 
 Amplifier = Literal["normal", "em"]
+_Noise = Annotated[float, Ge(0), Le(1e5)]  # electrons
 
 Mask = Literal["square", "stars", "checkerboard", "optimised", "circle", "ellipse", "octagon", "peaks", "image"]
 MASKS: tuple[Mask, ...] = get_args(Mask)
@@ -24,13 +25,7 @@ _EXPOSURE_RANGE_S = {1: Range(0.42147, 7200.0), 2: Range(0.02713, 7200.0), 3: Ra
 
 def exposure_range_s(amplifier: Amplifier, readout_speed: int) -> Range:
     """Exposure times (s) that the C9100-23B allows; its normal amplifier always has read-out speed 1."""
-    return _EXPOSURE_RANGE_S[1 if amplifier == "normal" else readout_speed]
-
-
-def _exposures(camera: Any) -> Interval:
-    speed = camera.readout_speed if camera.readout_speed in {1, 2, 3} else 3  # checked after the exposure
-    allowed = exposure_range_s(camera.amplifier, speed)
-    return Interval(ge=allowed.minimum, le=allowed.maximum)
+    return _EXPOSURE_RANGE_S.get(1 if amplifier == "normal" else readout_speed, _EXPOSURE_RANGE_S[3])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,7 +124,7 @@ class SimulatedCameraSettings(Checked):
     driver: Literal["simulated"] = "simulated"
     rows: Annotated[int, Ge(8), Le(8192)] = 512
     columns: Annotated[int, Ge(8), Le(8192)] = 512
-    exposure_s: Annotated[float, Depending(_exposures, "with this amplifier and speed")] = 1 / 70
+    exposure_s: Annotated[float, Ge(0.0139), Le(7200), Doc("The range depends on amplifier and speed")] = 1 / 70
     amplifier: Amplifier = "em"
     readout_speed: Annotated[int, Ge(1), Le(3), Doc("Of the EM amplifier; the normal one has speed 1 only")] = 3
     em_gain: Annotated[float, Ge(1), Le(1e5)] = 1.0
@@ -137,7 +132,7 @@ class SimulatedCameraSettings(Checked):
     quantum_efficiency: Annotated[float, Gt(0), Le(1), Doc("At 462 nm")] = 0.8
     dark_current_e_per_s: Annotated[float, Ge(0), Le(1e6)] = 0.005
     clock_induced_charge_e: Annotated[float, Ge(0), Le(1e3), Doc("Per pixel and frame")] = 0.0015
-    em_read_noise_e: Annotated[tuple[float, float, float], Ge(0), Le(1e5), Doc("At speed 1, 2, 3")] = (8.0, 25.0, 37.0)
+    em_read_noise_e: Annotated[tuple[_Noise, _Noise, _Noise], Doc("At speed 1, 2, 3")] = (8.0, 25.0, 37.0)
     normal_read_noise_e: Annotated[float, Ge(0), Le(1e5)] = 10.0
     full_well_e: Annotated[float, Ge(1), Le(1e9)] = 370e3
     register_full_well_e: Annotated[float, Ge(1), Le(1e9), Doc("Of the multiplication register")] = 800e3
@@ -149,6 +144,10 @@ class SimulatedCameraSettings(Checked):
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
+        allowed = exposure_range_s(self.amplifier, self.readout_speed)
+        if not allowed.minimum <= self.exposure_s <= allowed.maximum:
+            limits = f"{allowed.minimum:.3g} ... {allowed.maximum:g}"
+            yield "exposure_s", f"must be {limits} s with this amplifier and speed"
         if self.em_gain > self.maximum_em_gain:
             yield "em_gain", f"must be 1 ... {self.maximum_em_gain:g} (maximum_em_gain)"
         if self.em_gain != 1 and self.amplifier != "em":
@@ -170,10 +169,11 @@ class SimulatedLightSettings(Checked):
     current_a: Annotated[float, Ge(0), Le(1e3)] = 0.35
     maximum_current_a: Annotated[float, Ge(1e-15), Le(1e3)] = 1.0
     wavelengths_m: Annotated[
-        tuple[float, ...], Ge(1e-7), Le(1e-4), Doc("Lines of a broad LED, about sensor.wavelength_m; none: it alone")
+        tuple[Annotated[float, Ge(1e-7), Le(1e-4)], ...],
+        Doc("Lines of a broad LED, about sensor.wavelength_m; none: it alone"),
     ] = ()
     weights: Annotated[
-        tuple[float, ...], Ge(0), Le(1e12), Doc("Light of each line as the camera sees it; none: all alike")
+        tuple[Annotated[float, Ge(0), Le(1e12)], ...], Doc("Light of each line as the camera sees it; none: all alike")
     ] = ()
 
     def faults(self) -> Iterator[tuple[str, str]]:

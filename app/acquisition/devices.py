@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from app.acquisition.guarded_light import GuardedLight
-from app.bench.config import Bench
+from app.bench.config import Bench, check_device
 from app.bench.device_kinds import DRIVERS, DeviceKind, DeviceSettings, RecordingSettings
 from app.cache import cache_folder
 from app.errors import InputError
@@ -13,7 +13,7 @@ from app.recording.reader import Recording
 from app.recording.recorded_devices import recorded_devices
 from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource
 from drivers.stage import ManualStage
-from reconstruction.annotated_settings import SettingError, check
+from reconstruction.annotated_settings import SettingError
 from simulated_devices.bench import SimulatedBench, SimulatedLight, SimulatedStage
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import Clock
@@ -91,9 +91,9 @@ def open_light(settings: DeviceSettings) -> LightSource:
 def _kind(section: str, settings: DeviceSettings) -> DeviceKind:
     """Return what opens the device of these settings, after checking them: they may come from no bench."""
     try:
-        check(settings)
+        check_device(section, settings)
     except SettingError as error:
-        raise InputError(f"{section}.{error}") from error
+        raise InputError(str(error)) from error
     kind = DRIVERS[section][settings.driver]
     if not kind.device:
         raise InputError(f"{section}.driver = {settings.driver!r} has no device of its own")

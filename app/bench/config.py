@@ -4,25 +4,27 @@ An invalid file raises one sentence that names the key and what is allowed. Noth
 becomes a number, and no 1 becomes true.
 """
 
+import copy
 import dataclasses
 import ipaddress
 import math
-import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, get_type_hints
 
 import tomli_w
 from annotated_types import Ge, Le
 from typing_extensions import Doc
 
 from app.bench.bench_files import BenchError, bench_file, line_of_setting, line_of_syntax, read_bench_text
-from app.bench.device_kinds import DRIVERS, DeviceSettings, RecordingSettings
+from app.bench.device_kinds import DRIVERS, CameraSettings, DeviceSettings, LightSettings, RecordingSettings
+from app.bench.settings_schema import Schema, read_section, section_schema, settings_class, unknown_key
 from app.errors import InputError
 from app.files import in_words, write_whole
 from drivers.manual_light import ManualLightSettings
-from reconstruction.annotated_settings import Checked, Limit, SettingError, settings_of
+from reconstruction.annotated_settings import Checked, SettingError, check
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.frame.linearity import Linearity
 from reconstruction.geometry import Field, Lattice, Sensor, nominal_lattice
@@ -37,12 +39,12 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 
 _SAME_WAVELENGTH = 0.01  # relative; see docs/estimator.md
 AUTOMATIC = "automatic"  # same as omitting the setting
-_CHOSEN_IF_OMITTED = (("registration", "warp"), ("reconstruction", "pupil_modes"))
-_EXACT: dict[Any, str] = {int: "a whole number", bool: "true or false", str: "text in quotes"}
+CHOSEN_IF_OMITTED = (("registration", "warp"), ("reconstruction", "pupil_modes"))
+_OWN_NAMES = {"registration": ("method",), "reconstruction": ("basis",)}  # Python may give that of an own method
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
-class StreamSettings:
+class StreamSettings(Checked):
     """Port for other programs; without one nothing is published and no socket opened.
 
     `address` is this computer's on the network to be served; by default only this computer can connect.
@@ -60,7 +62,7 @@ class StreamSettings:
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
-class Bench(Checked):
+class Bench:
     """A whole configuration; the attributes are the sections of the TOML file."""
 
     sensor: Sensor
@@ -68,12 +70,21 @@ class Bench(Checked):
     lattice: Lattice | None = None  # None: found in the reference
     registration: RegistrationSettings = RegistrationSettings()
     reconstruction: ReconstructionSettings = ReconstructionSettings()
-    camera: DeviceSettings = SimulatedCameraSettings()
-    light: DeviceSettings = SimulatedLightSettings()
+    camera: CameraSettings = SimulatedCameraSettings()
+    light: LightSettings = SimulatedLightSettings()
     simulation: Simulation = Simulation()
     streams: StreamSettings = StreamSettings()
     imaging: Imaging | None = None  # of images to be corrected
     linearity: Linearity | None = None  # of the camera; None: counts are proportional to light
+
+    def __post_init__(self) -> None:
+        for name in _SECTIONS:
+            if (section := getattr(self, name)) is not None:
+                values = dataclasses.asdict(section)
+                for key in _OWN_NAMES.get(name, ()):
+                    del values[key]
+                read_section(_class_of(name, values), values, name)
+        check(self)
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict those of other sections, and why."""
@@ -155,6 +166,35 @@ class Bench(Checked):
         return self.light if isinstance(self.light, SimulatedLightSettings) else SimulatedLightSettings()
 
 
+_SECTIONS = {
+    field.name: settings_class(hint)
+    for field, hint in zip(dataclasses.fields(Bench), get_type_hints(Bench).values(), strict=True)
+}
+
+
+def _class_of(name: str, values: object) -> Any:
+    """Return the class of a section, which of a camera or a light depends on the driver."""
+    if name not in DRIVERS or not isinstance(values, dict):
+        return _SECTIONS[name]
+    driver, kinds = values.get("driver", "simulated"), DRIVERS[name]
+    if driver not in list(kinds):
+        known = ", ".join(f'"{each}"' for each in kinds)
+        raise SettingError(f"{name}.driver", f"= {driver!r} is unknown; known are {known}")
+    return kinds[driver].settings
+
+
+def _read(tree: Mapping[str, Any]) -> Bench:
+    """Read all sections; `SettingError` with the path of the wrong key."""
+    for name in tree:
+        if name not in _SECTIONS:
+            raise SettingError(name, unknown_key(name, _SECTIONS))
+    for field in dataclasses.fields(Bench):
+        if field.default is dataclasses.MISSING and field.name not in tree:
+            raise SettingError(field.name, "is missing")
+    given = [name for name in _SECTIONS if name in tree]
+    return Bench(**{name: read_section(_class_of(name, tree[name]), tree[name], name) for name in given})
+
+
 def load_bench(source: str | Path, overrides: tuple[str, ...] = ()) -> Bench:
     """Read a bench from a TOML file or a preset; see `parse_bench`."""
     return parse_bench(read_bench_text(bench_file(source)), str(source), overrides)
@@ -182,72 +222,20 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
         raise BenchError(f"{name}: not valid TOML: {sentence}", line_of_syntax(text, sentence)) from error
     for override in overrides:
         _override(tree, override)
-    for section, key in _CHOSEN_IF_OMITTED:
+    for section, key in CHOSEN_IF_OMITTED:
         if isinstance(tree.get(section), dict) and tree[section].get(key) == AUTOMATIC:
             del tree[section][key]
     _arrange(tree, name)
     try:
-        bench: Bench = _read(Bench, tree)
+        bench = _read(tree)
     except SettingError as error:
         path = error.path.replace("sensor.arrangement", "lattice.arrangement")
         line = None if overrides else line_of_setting(text, path)  # an override may be at fault
-        fault = SettingError(path, error.why, error.limit)
-        chosen = f', or "{AUTOMATIC}"' if tuple(path.split(".")) in _CHOSEN_IF_OMITTED else ""
+        why = error.why.replace(", arrangement", "") if path.startswith("sensor.") else error.why
+        fault = SettingError(path, why, error.limit)
+        chosen = f', or "{AUTOMATIC}"' if tuple(path.split(".")) in CHOSEN_IF_OMITTED else ""
         raise BenchError(f"{name}: {fault}{chosen}", line, fault) from error
     return bench
-
-
-def _read(cls: Any, tree: Any, path: str = "") -> Any:
-    """Read a section of a TOML file into a settings class; `SettingError` with the path of the wrong key."""
-    if path in DRIVERS and isinstance(tree, dict):
-        driver, known_drivers = tree.get("driver", "simulated"), DRIVERS[path]
-        if driver not in list(known_drivers):
-            known = ", ".join(f'"{name}"' for name in known_drivers)
-            raise SettingError(f"{path}.driver", f"= {driver!r} is unknown; known are {known}")
-        cls = known_drivers[driver].settings
-    if not isinstance(tree, dict):
-        raise SettingError(path, "must be a section")
-    within, settings, values = f"{path}." if path else "", settings_of(cls), {}
-    for key in tree:
-        if not any(key == setting.name for setting in settings):
-            known = ", ".join(setting.name for setting in settings)
-            raise SettingError(f"{within}{key}", f"is an unknown key; known are {known}")
-    for setting in settings:
-        if setting.name in tree:
-            values[setting.name] = _value(setting.kind, tree[setting.name], f"{within}{setting.name}")
-        elif setting.default is dataclasses.MISSING:
-            raise SettingError(f"{within}{setting.name}", "is missing")
-    try:
-        return cls(**values)
-    except SettingError as error:
-        raise SettingError(f"{within}{error.path}", error.why, error.limit) from error
-
-
-def _value(kind: Any, value: Any, path: str) -> Any:
-    parts = get_args(kind)
-    if dataclasses.is_dataclass(kind) or kind is DeviceSettings:
-        return _read(kind, value, path)
-    if kind is float:
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not is_number or not abs(value) <= sys.float_info.max:  # true for NaN, too
-            raise SettingError(path, "must be a finite number")
-        return float(value)
-    if get_origin(kind) is Literal and value not in parts:
-        limit = Limit(choices=parts)
-        raise SettingError(path, limit.words(), limit)
-    if get_origin(kind) is tuple:
-        kinds = parts[:1] * len(value) if isinstance(value, list) and parts[-1] is ... else parts
-        if not isinstance(value, list) or len(value) != len(kinds):
-            raise SettingError(path, "must be a list" + f" of {len(parts)}" * (parts[-1] is not ...))
-        return tuple(_value(part, each, path) for part, each in zip(kinds, value, strict=True))
-    if get_origin(kind) is dict:
-        if not isinstance(value, dict):
-            raise SettingError(path, "must be a section")
-        return {key: _value(parts[1], each, f"{path}.{key}") for key, each in value.items()}
-    if kind in _EXACT and (type(value) is not kind or "\0" in str(value)):
-        has_null = isinstance(value, str) and "\0" in value  # no name of a file or a device has one
-        raise SettingError(path, f"must be {_EXACT[kind]}{' without null characters' * has_null}")
-    return value
 
 
 def with_known(settings: Settings, values: Mapping[str, object]) -> Settings:
@@ -269,6 +257,29 @@ def changes_in_words(before: Bench, after: Bench) -> str:
         "the nonlinearity": before.linearity != after.linearity,
     }
     return ", ".join(texts) or next((name for name, is_new in others.items() if is_new), "the same settings")
+
+
+def check_device(section: str, settings: DeviceSettings) -> None:
+    """Raise `SettingError` if a camera or a light cannot have these settings, which may come from no bench."""
+    read_section(type(settings), dataclasses.asdict(settings), section)
+    try:
+        check(settings)
+    except SettingError as error:
+        raise SettingError(f"{section}.{error.path}", error.why) from error
+
+
+@cache
+def bench_schema() -> Schema:
+    """Return the JSON schema of a bench file."""
+    sections: dict[str, Any] = {
+        name: {"oneOf": [section_schema(kind.settings) for kind in DRIVERS[name].values()]}
+        if name in DRIVERS
+        else copy.deepcopy(section_schema(cls))
+        for name, cls in _SECTIONS.items()
+    }
+    del sections["sensor"]["properties"]["arrangement"]  # which stands in [lattice]
+    needed = [field.name for field in dataclasses.fields(Bench) if field.default is dataclasses.MISSING]
+    return {"type": "object", "properties": sections, "required": needed, "additionalProperties": False}
 
 
 def save_bench(path: Path, bench: Bench) -> None:

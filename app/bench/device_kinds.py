@@ -117,5 +117,7 @@ _LIGHTS = (
     ),
     DeviceKind(ManualLightSettings, "drivers.manual_light.ManualLight"),
 )
+CameraSettings = SimulatedCameraSettings | DcamSettings | GenicamSettings | MicroManagerSettings | RecordingSettings
+LightSettings = SimulatedLightSettings | DC4100Settings | DC2200Settings | CoolLEDSettings | ManualLightSettings
 DRIVERS = {"camera": _by_driver(_CAMERAS), "light": _by_driver(_LIGHTS)}  # by section of a bench and name
 KINDS = tuple(kind for kinds in DRIVERS.values() for kind in kinds.values() if kind.heading)

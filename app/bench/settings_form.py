@@ -2,38 +2,22 @@
 
 import copy
 import dataclasses
-import inspect
 import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from types import SimpleNamespace
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal
 
 import tomli_w
 
 from app.bench.bench_files import BenchError
-from app.bench.config import Bench, parse_bench, write_bench
+from app.bench.config import Bench, bench_schema, parse_bench, write_bench
 from app.bench.device_kinds import DRIVERS
+from app.bench.settings_schema import Schema, allowed, unit_of
 from app.errors import InputError
-from drivers.camera import Region
 from drivers.device import DiscoveredDevice
-from reconstruction.annotated_settings import Setting, settings_of
 from reconstruction.modes.pupil_modes import BASES
 
-_UNITS = {  # by the end of a name; the first that fits
-    "_m_per_s": "m/s",
-    "_e_per_s": "electrons/s",
-    "_nm": "nm",
-    "_m": "m",
-    "_s": "s",
-    "_a": "A",
-    "_px": "px",
-    "_rad": "rad",
-    "_hz": "Hz",
-    "_e": "electrons",
-    "_counts": "counts",
-}
 _PREFIXES = {"n": 1e-9, "\N{MICRO SIGN}": 1e-6, "m": 1e-3, "": 1.0}
 _TYPED_PREFIXES = {**_PREFIXES, "u": 1e-6, "\N{GREEK SMALL LETTER MU}": 1e-6}
 _WORDS = {"rms": "RMS", "pv": "PV", "em": "EM", "center": "centre"}
@@ -50,7 +34,7 @@ _NUMBER = re.compile(r"([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(\D*)")
 _OF_LENSLETS = ("sensor", "field")  # sections without useful defaults
 
 Kind = Literal["switch", "choice", "integer", "number", "text", "toml"]
-_KINDS: dict[Any, Kind] = {bool: "switch", int: "integer", str: "text", float: "number"}
+_KINDS: dict[str, Kind] = {"boolean": "switch", "integer": "integer", "string": "text", "number": "number"}
 
 
 def name_of(value: str) -> str:
@@ -147,20 +131,21 @@ class SettingsForm:
         A new bench has none of the simulation, and the fields that must be typed are empty.
         """
         self._shown = copy.deepcopy(self._tree)
-        return tuple(
-            self._emptied(section)
-            for setting in settings_of(Bench)
-            for section in _sections(
-                setting.name, self._class(setting), self._tree.get(setting.name, {}), is_optional=setting.is_optional
-            )
-            if not (self._is_new and setting.name == "simulation")
-        )
+        sections: list[FormSection] = []
+        for name, schema in bench_schema()["properties"].items():
+            values, may_lack = self._tree.get(name, {}), "required" in schema and name not in _OF_LENSLETS
+            chosen = schema
+            if "oneOf" in schema:
+                driver = values.get("driver", "simulated")
+                chosen = next(each for each in schema["oneOf"] if each["properties"]["driver"]["const"] == driver)
+            if not (self._is_new and name == "simulation"):
+                sections += map(self._emptied, _sections(name, chosen, values, is_optional=may_lack))
+        return tuple(sections)
 
     def _emptied(self, section: FormSection) -> FormSection:
         if not self._is_new or section.path not in _OF_LENSLETS:
             return section
-        cls = next(setting.kind for setting in settings_of(Bench) if setting.name == section.path)
-        mandatory = (setting.name for setting in settings_of(cls) if setting.default is dataclasses.MISSING)
+        mandatory = bench_schema()["properties"][section.path]["required"]
         wanted = {f"{section.path}.{name}" for name in mandatory} - self._typed
         fields = (
             dataclasses.replace(field, text="", example=field.text) if field.path in wanted else field
@@ -197,11 +182,6 @@ class SettingsForm:
         tree = {name: section for name, section in self._tree.items() if section}
         return parse_bench(tomli_w.dumps(tree), "the settings")
 
-    def _class(self, setting: Setting) -> Any:
-        if setting.name not in DRIVERS:
-            return setting.kind
-        return DRIVERS[setting.name][self._tree.get(setting.name, {}).get("driver", "simulated")].settings
-
 
 def fault_path(error: InputError) -> str:
     """Return the path of the setting that an error of a form's bench names; empty if it names none."""
@@ -218,7 +198,7 @@ def fault_in_words(error: InputError, fields: Mapping[str, FormField]) -> str:
         return str(error).removeprefix("the settings: ")
     field, why = fields[fault.path], fault.why
     if fault.limit is not None:
-        return f"{field.label} {fault.limit.words(field.unit, field.factor)}"
+        return f"{field.label} {allowed(fault.limit, field.unit, field.factor)}"
     for path, other in sorted(fields.items(), key=lambda item: -len(item[0])):
         section, _, key = path.rpartition(".")
         why = why.replace(path, f"{other.label} ({section})")
@@ -227,40 +207,41 @@ def fault_in_words(error: InputError, fields: Mapping[str, FormField]) -> str:
     return f"{field.label} {why}"
 
 
-def unit_of(name: str) -> tuple[str, str]:
-    """Return the end of a setting's name that is its unit, and the unit in words; both may be empty."""
-    return next(((end, unit) for end, unit in _UNITS.items() if name.endswith(end)), ("", ""))
-
-
-def _sections(path: str, cls: Any, values: Mapping[str, Any], *, is_optional: bool = False) -> Iterator[FormSection]:
-    settings = [setting for setting in settings_of(cls) if not setting.section]
-    present = {setting.name: values.get(setting.name, setting.default) for setting in settings}
-    nested = [setting for setting in settings if dataclasses.is_dataclass(setting.kind) and not setting.is_optional]
+def _sections(
+    path: str, schema: Schema, values: Mapping[str, Any], *, is_optional: bool = False
+) -> Iterator[FormSection]:
+    """Yield a section with its present values, and those in it."""
+    settings, required = schema["properties"], schema.get("required", ())
+    nested = [name for name, each in settings.items() if "properties" in each and "required" not in each]
     fields = [
-        _field(path, setting, present, is_optional=is_optional or setting.is_optional)
-        for setting in settings
-        if setting not in nested
+        _field(
+            f"{path}.{name}",
+            each,
+            values.get(name, each.get("default")),
+            is_optional=is_optional or (name not in required and "default" not in each),
+        )
+        for name, each in settings.items()
+        if name not in nested
     ]
-    yield FormSection(path, (inspect.getdoc(cls) or "").splitlines()[0], tuple(fields))
-    for setting in nested:
-        yield from _sections(f"{path}.{setting.name}", setting.kind, values.get(setting.name, {}))
+    yield FormSection(path, schema["description"], tuple(fields))
+    for name in nested:
+        yield from _sections(f"{path}.{name}", settings[name], values.get(name, {}))
 
 
-def _field(path: str, setting: Setting, present: Mapping[str, Any], *, is_optional: bool) -> FormField:
-    """Make a field of a setting, beside the present values of its section."""
-    name, value, kind = setting.name, present[setting.name], _KINDS.get(setting.kind, "toml")
-    limit, (end, unit), factor = setting.limit(SimpleNamespace(**present)), unit_of(name), 1.0
-    choices: tuple[str, ...] = ()
-    if name == "driver":
-        kind, choices, limit = "choice", tuple(DRIVERS[path]), None
-    elif get_origin(setting.kind) is Literal:
-        kind, choices, limit = "choice", ("",) * setting.is_optional + get_args(setting.kind), None
+def _field(path: str, schema: Schema, value: Any, *, is_optional: bool) -> FormField:
+    """Make a field of a setting with its present value."""
+    section, _, name = path.rpartition(".")
+    kind, (end, unit), factor, limit = _KINDS.get(schema.get("type", ""), "toml"), unit_of(name), 1.0, allowed(schema)
+    choices = tuple(DRIVERS[section]) if name == "driver" else tuple(schema.get("enum", ()))
+    if choices:
+        kind, limit = "choice", ""
+        choices = ("",) * (is_optional and "" not in choices) + choices
     elif kind == "number" and unit in _PREFIXED:
         prefix = next((usual for of, usual in _USUAL.items() if name.endswith(of)), _prefix(value))
         unit, factor = prefix + unit, _PREFIXES[prefix]
-    allowed = "" if limit is None or limit.words() == "must be finite" else _sentence(limit.words(unit, factor))
+        limit = allowed(schema, unit, factor)
     return FormField(
-        f"{path}.{name}",
+        path,
         _sentence(" ".join(_WORDS.get(word, word) for word in name.removesuffix(end).split("_"))),
         kind,
         _text(kind, value, factor),
@@ -268,30 +249,29 @@ def _field(path: str, setting: Setting, present: Mapping[str, Any], *, is_option
         factor,
         choices,
         is_optional or (kind == "text" and value == ""),
-        ". ".join(filter(None, (setting.help, allowed))),
+        ". ".join(filter(None, (schema.get("description"), _sentence(limit)))),
     )
 
 
 def _prefix(value: Any) -> str:
     """Return the prefix with which a value has one to three digits before the point; none for zero."""
     if not isinstance(value, float) or value == 0:
-        return "m" if value is None or value is dataclasses.MISSING else ""
+        return "m" if value is None else ""
     return next((prefix for prefix, factor in reversed(_PREFIXES.items()) if abs(value) >= 0.9999 * factor), "n")
 
 
 def _text(kind: Kind, value: Any, factor: float) -> str:
-    if value is None or value is dataclasses.MISSING:
+    if value is None:
         return ""
     if kind == "switch":
         return "true" if value else "false"
     if kind == "number":
         return f"{value / factor:.10g}"
     if kind == "toml":
-        plain = dataclasses.asdict(value) if isinstance(value, Region) else value
-        if isinstance(plain, Mapping):
-            parts = (f"{key} = {tomli_w.dumps({'v': one})[4:].strip()}" for key, one in plain.items())
+        if isinstance(value, Mapping):
+            parts = (f"{key} = {tomli_w.dumps({'v': one})[4:].strip()}" for key, one in value.items())
             return f"{{ {', '.join(parts)} }}"
-        return str(list(plain)) if len(plain) else ""
+        return str(value) if value else ""
     return str(value)
 
 

@@ -8,7 +8,8 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from app.bench.config import load_bench, save_bench
+from app.bench.bench_files import read_bench_text
+from app.bench.config import parse_bench, save_bench
 from app.errors import InputError
 from app.files import atomic_write, check_readable, in_words, sync
 from app.images import MOST_COUNTS
@@ -42,7 +43,7 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
 
 def read_calibration(folder: Path) -> Calibration:
     """Read a calibration; `InputError` if it is missing or damaged."""
-    bench = load_bench(folder / "bench.toml")
+    bench = parse_bench(read_bench_text(folder / "bench.toml"), str(folder / "bench.toml"))
     check_readable(folder / "camera.json")
     try:
         full_scale = float(json.loads((folder / "camera.json").read_text("utf-8"))["full_scale"])

@@ -2,14 +2,12 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-from reconstruction.annotated_settings import Checked
 from reconstruction.arrays import Floats, Image
 
 _FEWEST_FRAMES = 4  # with fewer, a pixel's variance is too uncertain
@@ -25,12 +23,12 @@ _CHANCE = 4.0  # standard errors below which a bend counts as noise
 
 
 @dataclass(frozen=True, slots=True)
-class CameraNoise(Checked):
+class CameraNoise:
     """Shot noise, amplified by the electron-multiplying register if there is one, and read noise."""
 
-    counts_per_electron: Annotated[float, Gt(0)]  # per photoelectron, including the register's gain
-    read_noise_counts: Annotated[float, Ge(0)]  # standard deviation of a dark pixel
-    excess_noise: Annotated[float, Ge(1), Le(2)] = 1.0  # F^2, the register's factor on the variance of light
+    counts_per_electron: float  # per photoelectron, including the register's gain
+    read_noise_counts: float  # standard deviation of a dark pixel
+    excess_noise: float = 1.0  # 1 ... 2, F^2, the register's factor on the variance of light
 
     @property
     def counts_per_light(self) -> float:

@@ -202,3 +202,8 @@ def test_bad_transmission_is_refused(tmp_path: Path, values: Floats, sentence: s
     simulation = replace(STILL, screen=replace(STILL.screen, transmission_file=str(tmp_path / "t.npy")))
     with pytest.raises(ValueError, match=sentence):
         make_sample(simulation, SENSOR, FIELD)
+
+
+def test_screen_after_the_mask_is_not_behind_it() -> None:
+    with pytest.raises(ValueError, match=r"^distance_m must be 0 or more"):
+        Screen(distance_m=-0.1, placement="source")

@@ -43,11 +43,7 @@ def test_shares_are_normalised_and_dark_lines_left_out() -> None:
     [
         ((4e-7, 5e-7), (1.0,), "weights must be as many as wavelengths_m, 2"),
         ((), (1.0,), "weights must be as many as wavelengths_m, 0"),
-        ((4e-7, 5e-7), (1.0, -1.0), "weights must be 0 ..."),
-        ((4e-7, 5e-7), (1.0, np.nan), "weights must be 0 ..."),
         ((4e-7, 5e-7), (0.0, 0.0), "weights must not all be 0"),
-        ((4e-7, np.inf), (), "wavelengths_m must be"),
-        ((4e-7, 462.0), (), "wavelengths_m must be 1e-7 ... 0.0001"),
     ],
 )
 def test_impossible_spectra_are_refused(wavelengths_m: tuple[float, ...], weights: tuple[float, ...], why: str) -> None:

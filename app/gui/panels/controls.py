@@ -21,7 +21,7 @@ from app.gui.widgets.texts import label, mark_wanted
 from app.measurement.auto_exposure import FILL
 from app.measurement.averages import AVERAGED_FRAMES, FRAMES
 from drivers.interface import Range
-from reconstruction.annotated_settings import settings_of
+from reconstruction.annotated_settings import help_of
 from reconstruction.settings import (
     FIELD_MODES,
     PUPIL_MODES,
@@ -34,9 +34,9 @@ from reconstruction.settings import (
 _GAP_PX, _GROUP_GAP_PX = 4, 8  # between controls, and between groups of them
 _DIM = 0.3  # share of full scale below which noise matters
 _HELP = {
-    f"{section}.{setting.name}": f"<p>{setting.help}</p>"  # Qt wraps the lines of a paragraph
+    f"{section}.{name}": f"<p>{text}</p>"  # Qt wraps the lines of a paragraph
     for section, cls in (("registration", RegistrationSettings), ("reconstruction", ReconstructionSettings))
-    for setting in settings_of(cls)
+    for name, text in help_of(cls).items()
 }
 _CHOICES = {  # tool tips by the names of the requests
     "amplifier": "Output amplifier; a change restarts the camera",

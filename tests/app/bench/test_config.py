@@ -67,8 +67,16 @@ def test_arrangement_belongs_to_sensor_and_lattice() -> None:
 
 
 FAULTS = {
-    "unknown section": ("[sensor]", "[sensors]", "sensors is an unknown key; known are sensor, field"),
-    "misspelt key": ("lenslet_rows", "lenslet_row", "sensor.lenslet_row is an unknown key; known are lenslet_rows"),
+    "unknown section": (
+        "[sensor]",
+        "[sensors]",
+        "sensors is an unknown key: did you mean sensor? Known are sensor, field",
+    ),
+    "misspelt key": (
+        "lenslet_rows",
+        "lenslet_row",
+        "sensor.lenslet_row is an unknown key: did you mean lenslet_rows? Known are lenslet_rows",
+    ),
     "key of version 0.2": ("[registration]", "[registration]\nconserve_flux = true", "conserve_flux is an unknown key"),
     "missing key": ("wavelength_m = 462e-9\n", "", "sensor.wavelength_m is missing"),
     "text for a number": ("lenslet_rows = 15", 'lenslet_rows = "15"', "sensor.lenslet_rows must be a whole number"),
@@ -111,7 +119,7 @@ DC4100 = '\n[light]\ndriver = "thorlabs_dc4100"\nport = "/dev/ttyUSB0"\nlimit_a 
 BAD_DEVICES = {
     "a key of another driver": (
         GENICAM + "em_gain = 4.0\n" + DC4100,
-        "camera.em_gain is an unknown key; known are driver, de",
+        r"camera.em_gain is an unknown key: did you mean gain\? Known are driver, de",
     ),
     "a value it cannot have": (GENICAM + "binning = 0\n" + DC4100, "camera.binning must be 1"),
     "a number for a region": (GENICAM + "region = 3\n" + DC4100, "camera.region must be a section"),

@@ -16,7 +16,7 @@ import typer.main
 from support.command_line import run
 
 from app.bench.config import load_bench, write_bench
-from app.bench.device_kinds import DeviceSettings
+from app.bench.device_kinds import CameraSettings, LightSettings
 from app.cli.application import cli
 from drivers.dcam import DcamSettings
 from drivers.genicam import GenicamSettings
@@ -82,7 +82,7 @@ def test_help_of_command_has_valid_examples(
         command.make_context(name, words[len(name.split()) :])  # exits if it cannot be parsed
 
 
-REAL_DEVICES: list[tuple[DeviceSettings, DeviceSettings]] = [
+REAL_DEVICES: list[tuple[CameraSettings, LightSettings]] = [
     (DcamSettings(), DC4100Settings(port="COM1")),
     (GenicamSettings(), DC2200Settings()),
     (GenicamSettings(), CoolLEDSettings(port="COM1")),
@@ -153,8 +153,8 @@ STATISTICS = ("scipy.optimize", "scipy.signal", "scipy.stats")
 @pytest.mark.parametrize(
     ("rooms", "unwanted"),
     [
-        pytest.param(MEASURE, ("PyQt6", "matplotlib", *STATISTICS), id="measure"),
-        pytest.param(WINDOW, ("matplotlib", "xarray", "pandas", "h5py", "zarr", *STATISTICS), id="window"),
+        pytest.param(MEASURE, ("PyQt6", "matplotlib", "pydantic", *STATISTICS), id="measure"),
+        pytest.param(WINDOW, ("matplotlib", "pydantic", "xarray", "pandas", "h5py", "zarr", *STATISTICS), id="window"),
     ],
 )
 def test_first_picture_waits_for_nothing_that_it_does_not_need(rooms: str, unwanted: tuple[str, ...]) -> None:

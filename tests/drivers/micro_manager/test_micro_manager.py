@@ -343,15 +343,9 @@ def test_refused_setting_says_what_to_do(
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"adapter": ""}, "adapter must not be empty"),
-        ({"device": ""}, "device must not be empty"),
         ({"adapter": "x/evil"}, "adapter must be a name of letters, digits"),
         ({"adapter": "..\\evil"}, "adapter must be a name of letters, digits"),
         ({"adapter": "DemoCamera\n"}, "adapter must be a name of letters, digits"),
-        ({"exposure_s": 0.0}, "exposure_s must be above 0"),
-        ({"full_scale": 0}, r"full_scale must be 1 \.\.\. 65535"),
-        ({"binning": 0}, r"binning must be 1 \.\.\. 64"),
-        ({"ring_frames": 3}, r"ring_frames must be 4 \.\.\. 10000"),
     ],
 )
 def test_impossible_setting_names_its_key(settings: dict[str, Any], sentence: str) -> None:

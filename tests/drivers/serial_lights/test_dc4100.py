@@ -323,14 +323,7 @@ def test_unplugged_during_command_raises(device: DC4100Wire, light: ThorlabsDC41
 
 
 @pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({}, "port must be given"),
-        ({"port": "COM1", "serial_number": "A"}, "not both"),
-        ({"port": "COM1", "channel": 4}, "channel"),
-        ({"port": "COM1", "limit_a": 0.0}, "limit_a"),
-        ({"port": "COM1", "limit_a": float("nan")}, "limit_a"),
-    ],
+    ("wrong", "words"), [({}, "port must be given"), ({"port": "COM1", "serial_number": "A"}, "not both")]
 )
 def test_invalid_settings_are_refused(wrong: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):

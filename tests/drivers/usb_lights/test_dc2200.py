@@ -18,7 +18,6 @@ from support.wires.usbtmc import UsbFault, UsbFaultKind
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported, WrongState
 from drivers.usb_lights import DC2200Settings
 from drivers.usb_lights.thorlabs_dc2200 import ThorlabsDC2200, discover
-from reconstruction.annotated_settings import check
 from simulated_devices.clock import ManualClock
 
 
@@ -359,12 +358,6 @@ def test_device_without_permission_is_reported(device: DC2200Wire, clock: Manual
     plug.is_allowed, plug.is_taken = True, True
     with pytest.raises(Busy):
         ThorlabsDC2200(DC2200Settings(), backend=Bus(plug, clock=clock))
-
-
-@pytest.mark.parametrize("wrong", [{"terminal": 3}, {"gate": "external"}, {"limit_a": -1.0}, {"limit_a": float("inf")}])
-def test_invalid_settings_are_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        check(DC2200Settings(**wrong))
 
 
 class Storm(HeatStorm):
