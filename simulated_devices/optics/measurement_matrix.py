@@ -26,7 +26,7 @@ _BLOCK_POINTS = 16  # 14 MB of a 465 x 465 camera, and enough rows for an effici
 class MeasurementMatrix:
     """A complete matrix on disk, dimensionless: m^2 on a pixel per m^2 emitting.
 
-    Opening or reading a damaged one raises a `ValueError` of one sentence.
+    Opening a folder that holds none, or only a part of one, raises a `ValueError` of one sentence.
     """
 
     def __init__(self, path: Path) -> None:
@@ -34,20 +34,9 @@ class MeasurementMatrix:
             array = zarr.open_array(str(path), mode="r", zarr_format=3)
             position_m = np.array(array.attrs["position_m"], np.float64)
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"{path} is not a measurement matrix: {_first_line(error)}") from error
-        require(
-            {
-                f"{path} is not a measurement matrix: it is no float32 array (point, row, column)": (
-                    array.ndim == 3 and array.dtype == np.float32
-                ),
-                f"{path} is not a measurement matrix: it has not one (x, y) for each point": (
-                    position_m.shape == (array.shape[0], 2)
-                ),
-                f"{path} is incomplete: {array.nchunks_initialized} of {array.nchunks} blocks are there": (
-                    array.nchunks_initialized == array.nchunks
-                ),
-            }
-        )
+            raise ValueError(f"{path} is not a measurement matrix: {error}") from error
+        count = array.nchunks_initialized  # zarr would read the others as darkness
+        require({f"{path} is incomplete: {count} of {array.nchunks} blocks are there": count == array.nchunks})
         self.path = path
         self.position_m = position_m  # (point, xy)
         self.shape = array.shape
@@ -65,15 +54,15 @@ class MeasurementMatrix:
     ) -> Self:
         """Compute and write the matrix of `model` behind `field` (None: the reference) for points (point, xy).
 
-        The folder `path` appears when it is complete and replaces an earlier matrix. `progress` receives 0 ... 1; an
-        exception that it raises ends the computation and leaves nothing behind.
+        The folder `path`, which may not exist, appears when it is complete. `progress` receives 0 ... 1; an exception
+        that it raises ends the computation and leaves nothing behind.
         """
-        require({"position_m must be one (x, y) a point": position_m.ndim == 2 and position_m.shape[1:] == (2,)})
-        if path.exists():
-            try:
-                cls(path)
-            except ValueError as error:
-                raise ValueError(f"{path} exists and is no measurement matrix; it is left alone") from error
+        require(
+            {
+                "position_m must be one (x, y) a point": position_m.ndim == 2 and position_m.shape[1:] == (2,),
+                f"{path} exists: delete it, or choose another name": not path.exists(),
+            }
+        )
         points = len(position_m)
         part = path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
         try:
@@ -92,23 +81,14 @@ class MeasurementMatrix:
                 array[start:end] = model.point_irradiances(position_m[start:end], field)
                 if progress is not None:
                     progress(end / points)
-            old = part.with_suffix(".old")
-            if path.exists():
-                path.rename(old)
             part.rename(path)
-            shutil.rmtree(old, ignore_errors=True)
         finally:
             shutil.rmtree(part, ignore_errors=True)
         return cls(path)
 
     def block(self, start: int, end: int) -> NDArray[np.float32]:
         """Read the images of the points start ... end - 1, (point, row, column)."""
-        if self._array.nchunks_initialized < self._array.nchunks:  # zarr would read darkness
-            raise ValueError(f"{self.path} is damaged: a block has gone")
-        try:
-            return np.asarray(self._array[start:end], np.float32)
-        except (OSError, ValueError) as error:
-            raise ValueError(f"{self.path} is damaged: {_first_line(error)}") from error
+        return np.asarray(self._array[start:end], np.float32)
 
     def multiply(self, area_m2: Floats) -> NDArray[np.float32]:
         """Irradiance (row, column), m^2, of an object with that emitting area (m^2) at each point.
@@ -127,7 +107,3 @@ class MeasurementMatrix:
             images = self.block(start, start + _BLOCK_POINTS)
             total += np.tensordot(area_m2[start : start + len(images)].astype(np.float32), images, axes=1)
         return total.astype(np.float32)
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error) or type(error).__name__).splitlines()[0]
