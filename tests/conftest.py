@@ -5,8 +5,10 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
+import threading
+import time
 from collections.abc import Generator, Iterator
-from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
@@ -14,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
-from support.leftovers import no_leftovers
 from support.optics import PAPER, SmallBench, checkerboard
+from support.paths import SMALL_TOML
 
 from app.acquisition.devices import simulated_bench
 from app.bench.config import load_bench
@@ -33,9 +35,11 @@ if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
     from app.acquisition.remote.server import Server
     from app.gui.shell.main_window import MainWindow
 
+_END_S = 30.0  # for threads that are about to end, at low priority beside other tests
+_LASTING = ("zarr_io", "asyncio_", "reconstruction_")  # Zarr's, and those of `worker_pool`
 _WATCHED = {"gui", "acquisition", "remote"}  # others leave threads of Dask and of process pools
 
-pytest_plugins = ["support.driver_fixtures", "support.streams"]
+pytest_plugins = ["support.driver_fixtures"]
 
 # Each run tries the same examples, however slow the computer is; with `--hypothesis-profile=random`, each time others.
 _PATIENT = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -105,9 +109,38 @@ def _finders_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True)
 def _no_leftovers(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Fail if a thread or a window outlives a test of the rooms that make them."""
-    with no_leftovers() if request.path.parent.name in _WATCHED else nullcontext():
-        yield
+    """Fail if a top-level widget outlives a test, or a thread one of the folders that end theirs."""
+    before = set(threading.enumerate())
+    yield
+    windows = _left_windows()
+    assert not windows, f"windows outlive the test: {windows}"
+    if request.path.parent.name not in _WATCHED:
+        return
+    deadline_s = time.monotonic() + _END_S
+    started = [each for each in threading.enumerate() if each not in before and not _lasts(each)]
+    for thread in started:
+        thread.join(max(0.0, deadline_s - time.monotonic()))
+    threads = [thread.name for thread in started if thread.is_alive()]
+    assert not threads, f"threads outlive the test: {threads}"
+
+
+def _left_windows() -> list[str]:
+    """Top-level widgets; those without an owner are freed first."""
+    if "PyQt6.QtWidgets" not in sys.modules:  # only tests of the window load Qt
+        return []
+    from PyQt6.QtCore import QEvent  # noqa: PLC0415 - it is loaded
+    from PyQt6.QtWidgets import QApplication  # noqa: PLC0415 - it is loaded
+
+    if QApplication.instance() is None or not QApplication.topLevelWidgets():
+        return []
+    QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
+    gc.collect()
+    return [f"{type(each).__name__} {each.windowTitle()}".strip() for each in QApplication.topLevelWidgets()]
+
+
+def _lasts(thread: threading.Thread) -> bool:
+    """True for threads that last as long as the process, and those that Python has not started and cannot join."""
+    return isinstance(thread, threading._DummyThread) or thread.name.startswith(_LASTING)
 
 
 @pytest.fixture
@@ -252,44 +285,3 @@ def server(fake_camera: FakeCamera, runtime_folder: Path) -> Iterator[Server]:  
 def no_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     """The light may be switched on as soon as it is off."""
     monkeypatch.setattr("app.gui.shell.light_control._REST_S", 0.0)
-
-
-SMALL_TOML = """
-[sensor]
-lenslet_rows = 5
-lenslet_columns = 7
-lenslet_pitch_m = 500e-6
-lenslet_focal_length_m = 46.7e-3
-wavelength_m = 462e-9
-pixel_pitch_m = 16e-6
-
-[lattice]
-center_x_px = 121.3
-center_y_px = 84.6
-pitch_px = 31.25
-rotation_rad = 0.003
-
-[field]
-collimator_focal_length_m = 0.2
-half_width_m = 0.6e-3
-
-[registration]
-warp = "quadratic"
-
-[reconstruction]
-pupil_modes = 15
-
-[camera]
-driver = "simulated"
-rows = 172
-columns = 240
-exposure_s = 0.02
-em_gain = 8.0
-
-[simulation]
-object_samples = 13
-pupil_samples = 10
-
-[simulation.screen]
-rms_rad = 1.5
-"""

@@ -19,14 +19,12 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 import pytest
 import typer.main
-from conftest import SMALL_TOML
 from packaging.version import Version
 from support.batches import Counting, batch
 from support.command_line import run
-from support.documents import commands, named_commands, python_blocks
 from support.gui_bench import FakeCamera
 from support.optics import SmallBench
-from support.paths import DOCS, FOREIGN_FRAMES, ROOT
+from support.paths import DOCS, FOREIGN_FRAMES, ROOT, SMALL_TOML
 from support.patience import HANG_S
 from support.recordings import record
 from support.served import served
@@ -38,6 +36,25 @@ from app.bench.presets import PRESETS
 from app.cli.application import cli
 from reconstruction.registration import prepare_registration
 from reconstruction.settings import RegistrationSettings
+
+
+def python_blocks(path: Path) -> str:
+    """Return the Python blocks of a document as one program, without those that need hardware."""
+    blocks = r"(?<!<!-- needs hardware -->\n)^```python\n(.*?)^```"
+    return "\n".join(re.findall(blocks, path.read_text("utf-8"), re.DOTALL | re.MULTILINE))
+
+
+def commands(path: Path) -> list[str]:
+    """Return the commands of a document, one line each, without `svwfs` and comments."""
+    joined = path.read_text("utf-8").replace("\\\n", " ")
+    found = re.findall(r"^    svwfs ((?:(?!  +# ).)+)", joined, re.MULTILINE)
+    return [" ".join(command.split()) for command in found]
+
+
+def named_commands(path: Path) -> list[str]:
+    """Return the commands that sentences and tables name, without `svwfs`."""
+    return re.findall(r"`svwfs ([^`]+)`", path.read_text("utf-8").replace("\n", " "))
+
 
 DOCUMENTS = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 # These have tests of their own, on a bench like theirs and with a program that sends.

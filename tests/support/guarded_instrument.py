@@ -1,38 +1,12 @@
-"""An instrument in a process of its own, with a DCAM camera and a DC4100 whose stand-in is in the test's process."""
+"""A bench with a DCAM camera and a DC4100 whose stand-ins the tests have, and the processes of an instrument."""
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 from support.dcam_tools import built
 from support.paths import FOREIGN_FRAMES
-from support.wires.dc4100 import DC4100Wire
-
-INSTRUMENT = """
-import sys, time
-from pathlib import Path
-from support.wires.dcam.stand_in import StandIn
-from app.acquisition.start_up import start_up
-from app.acquisition.worker import Acquisition
-from app.bench.config import load_bench
-
-bench = load_bench(sys.argv[1])
-StandIn(Path(bench.camera.library)).reset(1.0)
-acquisition = Acquisition(bench)
-acquisition.start()
-for step in start_up(acquisition, frames=3):
-    step.result()
-print("lit", flush=True)
-while acquisition.is_alive:
-    time.sleep(0.01)
-sys.exit(acquisition.failure)
-"""
 
 
 def children(pid: int) -> set[int]:
@@ -69,30 +43,3 @@ current_a = 0.1
 """
     )
     return path
-
-
-def _hear_all() -> None:
-    """Die of what jobs of a shell and of `nohup` ignore."""
-    for number in (signal.SIGQUIT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
-
-
-@contextmanager
-def lit_instrument(bench: Path, lamp: DC4100Wire) -> Iterator[subprocess.Popen[str]]:
-    with subprocess.Popen(  # noqa: S603 - this interpreter
-        [sys.executable, "-c", INSTRUMENT, str(bench)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-        start_new_session=True,
-        preexec_fn=_hear_all,  # noqa: PLW1509 - no thread is needed in it
-    ) as program:
-        try:
-            assert program.stdout is not None
-            assert program.stderr is not None
-            assert program.stdout.readline() == "lit\n", program.stderr.read()
-            assert lamp.is_lit
-            yield program
-        finally:
-            program.kill()

@@ -9,3 +9,5 @@ ROOT = TESTS.parent
 DOCS = ROOT / "docs"
 FOREIGN_FRAMES = TESTS / "support" / "foreign_frames"
 """Frames of another simulator (HCIPy), with truth."""
+SMALL_TOML = (TESTS / "support" / "small.toml").read_text("utf-8")
+"""A bench of 5 x 7 lenslets that renders at once."""

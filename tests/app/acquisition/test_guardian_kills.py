@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.guarded_instrument import bench_toml, children, is_gone, lit_instrument
+from support.guarded_instrument import bench_toml, children, is_gone
 from support.patience import HANG_S, wait_until
 from support.wires.dc4100 import DC4100Wire
 from support.wires.pseudo_terminal import PtyServer
@@ -38,6 +38,54 @@ sum(range(int(3.0 / (time.monotonic() - begin_s)) * 10**6))  # no other thread r
 print("has computed", flush=True)
 time.sleep(600)
 """
+
+
+INSTRUMENT = """
+import sys, time
+from pathlib import Path
+from support.wires.dcam.stand_in import StandIn
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition
+from app.bench.config import load_bench
+
+bench = load_bench(sys.argv[1])
+StandIn(Path(bench.camera.library)).reset(1.0)
+acquisition = Acquisition(bench)
+acquisition.start()
+for step in start_up(acquisition, frames=3):
+    step.result()
+print("lit", flush=True)
+while acquisition.is_alive:
+    time.sleep(0.01)
+sys.exit(acquisition.failure)
+"""
+
+
+def _hear_all() -> None:
+    """Die of what jobs of a shell and of `nohup` ignore."""
+    for number in (signal.SIGQUIT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
+@contextmanager
+def lit_instrument(bench: Path, lamp: DC4100Wire) -> Iterator[subprocess.Popen[str]]:
+    with subprocess.Popen(  # noqa: S603 - this interpreter
+        [sys.executable, "-c", INSTRUMENT, str(bench)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        start_new_session=True,
+        preexec_fn=_hear_all,  # noqa: PLW1509 - no thread is needed in it
+    ) as program:
+        try:
+            assert program.stdout is not None
+            assert program.stderr is not None
+            assert program.stdout.readline() == "lit\n", program.stderr.read()
+            assert lamp.is_lit
+            yield program
+        finally:
+            program.kill()
 
 
 @pytest.mark.parametrize("victim", ["instrument", "guardian", "all of the terminal"])

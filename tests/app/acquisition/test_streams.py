@@ -1,13 +1,15 @@
-"""Streams: subscribers receive exact results and cost the acquisition nothing."""
+"""Streams: subscribers receive exact results, cost the acquisition nothing, and cannot flood it."""
 
 from __future__ import annotations
 
+import json
 import re
 import socket
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -18,20 +20,129 @@ import pytest
 import zmq
 from numpy.typing import NDArray
 from support.command_line import run
-from support.optics import SmallBench
+from support.optics import FIELD, SmallBench
 from support.paths import DOCS
-from support.patience import HANG_S
-from support.streams import Subscriber, measured, until_heard
+from support.patience import HANG_S, wait_until
 
-from app.acquisition.streams.publisher import Publisher
+from app.acquisition.streams.guard import CONNECTIONS, TOPIC_BYTES
+from app.acquisition.streams.messages import TOPICS
+from app.acquisition.streams.publisher import Publisher, stream_sinks
 from app.bench.config import Bench, StreamSettings, load_bench
-from app.errors import InputError
-from app.measurement.measurement import Measurement
+from app.errors import InputError, RunError
+from app.measurement.averages import Average
+from app.measurement.calibration import Calibration
+from app.measurement.measurement import Assumptions, FrameTotals, Measurement, RefinementState
 from app.recording.reader import Recording
+from drivers.interface import Frame
+from reconstruction.layers.layered_wavefront import AssumedSample
+from reconstruction.settings import ReconstructionSettings
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
 DOCUMENT = DOCS / "streams.md"
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    """A port that the system gives to nobody else until the end of the test."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as ZeroMQ's, which may listen there
+        yield int(free.getsockname()[1])
+
+
+@pytest.fixture(scope="session")
+def stream_bench(small_bench: SmallBench) -> Bench:
+    return Bench(sensor=small_bench.sensor, field=FIELD)
+
+
+@pytest.fixture(scope="session")
+def measurement(small_bench: SmallBench, stream_bench: Bench) -> Measurement:
+    frame, _ = small_bench.tilted(3000.0, 500.0)
+    frame[: frame.shape[0] // 6] = 0  # lost lenslets, so that NaN is sent
+    reference = Average(small_bench.reference, np.zeros_like(small_bench.reference), 1, 0.02, 8.0, "em")
+    changed = ReconstructionSettings(basis="zernike")  # since it was opened
+    in_force = replace(stream_bench, reconstruction=changed)
+    calibration = Calibration(
+        bench=in_force, dark=None, reference=reference, lattice=small_bench.lattice, full_scale=65535.0
+    )
+    return replace(measured(small_bench.reconstructor()(frame), 5), calibration=calibration)
+
+
+def measured(wavefront: Wavefront | None, index: int, problem: str = "") -> Measurement:
+    now_s = time.perf_counter()
+    frame = Frame(
+        pixels=np.zeros((2, 3), np.uint16),
+        index=index,
+        camera_time_s=7.25,
+        host_time_s=now_s - 0.01,
+        exposure_s=0.02,
+        em_gain=8.0,
+    )
+    layer = AssumedSample((-0.975,), np.array([[0.01**2]]))  # 195 +- 2 mm before the lenslets
+    assumed = Assumptions(layer, RefinementState("applied", 0.75, 0.01)) if index % 2 else Assumptions()
+    return Measurement(frame, wavefront, problem, FrameTotals(9, 8, 1), now_s - 0.02, 0.02, assumed=assumed)
+
+
+class Subscriber:
+    """Subscriber in its own socket."""
+
+    def __init__(self, port: int, *topics: str, keeps_little: bool = False) -> None:
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.SUB)
+        if keeps_little:
+            self._socket.setsockopt(zmq.RCVHWM, 1)
+            self._socket.setsockopt(zmq.RCVBUF, 1 << 16)
+        self._socket.connect(f"tcp://127.0.0.1:{port}")
+        for topic in topics:
+            self._socket.subscribe(topic)
+        self.topics = len(TOPICS) if "" in topics else len(topics)  # number of messages per measurement
+
+    def close(self) -> None:
+        self._context.destroy(linger=0)
+
+    def hears(self, timeout_s: float = HANG_S) -> tuple[str, dict[str, Any], dict[str, NDArray[Any]]]:
+        assert self._socket.poll(int(timeout_s * 1000))
+        topic, text, *parts = self._socket.recv_multipart()
+        header = json.loads(text)
+        assert len(parts) == len(header["arrays"])
+        return (
+            topic.decode(),
+            header,
+            {
+                array["name"]: np.frombuffer(part, array["dtype"]).reshape(array["shape"])
+                for array, part in zip(header["arrays"], parts, strict=True)
+            },
+        )
+
+    def is_waiting(self) -> bool:
+        return not self._socket.poll(50)
+
+
+@pytest.fixture
+def publisher(stream_bench: Bench, port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Publisher]:
+    """A publisher whose connections may say nothing for longer than any test."""
+    monkeypatch.setattr("app.acquisition.streams.guard._HANDSHAKE_MS", int(2000 * HANG_S))
+    with closing(Publisher(replace(stream_bench, streams=StreamSettings(port=port)))) as publisher:
+        yield publisher
+
+
+def until_heard(publisher: Publisher, subscriber: Subscriber, measurement: Measurement) -> int:
+    """Publish until every topic arrives, receive all messages, and return the last sequence number."""
+    heard = set[str]()
+
+    def hears_every_topic() -> bool:
+        publisher.take(measurement)
+        while not subscriber.is_waiting():
+            heard.add(subscriber.hears()[0])
+        return len(heard) == subscriber.topics
+
+    wait_until(hears_every_topic)
+    publisher.take(measurement)  # what was published before arrives before it
+    for _ in range(subscriber.topics):
+        while subscriber.hears()[1]["sequence"] < publisher._sequence:
+            pass
+    return publisher._sequence
 
 
 def test_subscriber_receives_exact_arrays(
@@ -258,3 +369,85 @@ def _can_be_read(descriptor: int) -> bool:
     poller = zmq.Poller()
     poller.register(descriptor, zmq.POLLIN)
     return bool(poller.poll(50))
+
+
+def test_without_port_no_socket_is_opened(stream_bench: Bench, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zmq, "Context", lambda: pytest.fail("a socket was made"))
+    with stream_sinks(stream_bench) as sinks:
+        assert sinks == ()
+    monkeypatch.undo()
+    with stream_sinks(replace(stream_bench, streams=StreamSettings(port=port))) as sinks:
+        assert len(sinks) == 1
+        listening = _listening(port)
+    assert listening == ["127.0.0.1"]
+
+
+def _listening(port: int) -> list[str]:
+    """Addresses on which a port is open, from the kernel's table."""
+    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    local = [row[1].split(":") for row in rows if row[3] == "0A"]
+    return [socket.inet_ntoa(bytes.fromhex(host)[::-1]) for host, at in local if int(at, 16) == port]
+
+
+def test_taken_port_is_one_sentence(stream_bench: Bench, port: int) -> None:
+    streams = StreamSettings(port=port)
+    with (
+        stream_sinks(replace(stream_bench, streams=streams)),
+        pytest.raises(RunError, match=rf"127.0.0.1:{port}: Address already in use; change streams.port"),
+        stream_sinks(replace(stream_bench, streams=streams)),
+    ):
+        pass
+
+
+def test_foreign_address_is_one_sentence(stream_bench: Bench, port: int) -> None:
+    elsewhere = replace(stream_bench, streams=StreamSettings(port=port, address="192.0.2.1"))
+    with pytest.raises(RunError, match="assign"), stream_sinks(elsewhere):
+        pass
+
+
+def descriptors() -> int:
+    """Number of open files and sockets of this process."""
+    return sum(1 for _ in Path("/proc/self/fd").iterdir())
+
+
+def test_connections_are_limited(publisher: Publisher, port: int, measurement: Measurement) -> None:
+    before, ours = descriptors(), list[socket.socket]()
+    for _ in range(400):
+        ours.append(socket.create_connection(("127.0.0.1", port)))
+        wait_until(lambda: descriptors() - before - len(ours) <= CONNECTIONS + 10)  # some are about to be closed
+    wait_until(lambda: descriptors() - before - len(ours) <= CONNECTIONS)
+    for connection in ours:
+        connection.close()
+    with closing(Subscriber(port, "views")) as subscriber:  # there is room again
+        until_heard(publisher, subscriber, measurement)
+
+
+def test_long_topic_closes_its_connection(publisher: Publisher, port: int, measurement: Measurement) -> None:
+    with closing(Subscriber(port, "views")) as subscriber, closing(Subscriber(port, "v" * 10_000)) as other:
+        until_heard(publisher, subscriber, measurement)
+        assert max(map(len, publisher._subscriptions)) < 10_000
+        assert other.is_waiting()
+
+
+def test_flood_of_subscriptions_closes_its_connection(
+    publisher: Publisher, port: int, measurement: Measurement
+) -> None:
+    with closing(Subscriber(port, "views")) as subscriber:
+        until_heard(publisher, subscriber, measurement)
+        with closing(Subscriber(port)) as flooding:
+            for number in range(20_000):
+                flooding._socket.subscribe(str(number).ljust(TOPIC_BYTES, "x"))
+            wait_until(lambda: publisher._guard._addresses["127.0.0.1"].open_from_s > 0)  # the flood was noticed
+            wait_until(lambda: publisher._subscriptions == {b"views"})  # and its connection closed
+            until_heard(publisher, subscriber, measurement)  # the other one stays connected
+
+
+@pytest.mark.parametrize(("address", "is_warned"), [("127.0.0.1", False), ("127.8.9.1", False), ("0.0.0.0", True)])  # noqa: S104 - it is warned of
+def test_open_address_is_warned_of(
+    stream_bench: Bench, port: int, capsys: pytest.CaptureFixture[str], address: str, is_warned: bool
+) -> None:
+    with stream_sinks(replace(stream_bench, streams=StreamSettings(port=port, address=address))):
+        pass
+    errors = capsys.readouterr().err
+    assert errors.startswith("warning: every computer that reaches 0.0.0.0 can read the results") == is_warned
+    assert bool(errors) == is_warned

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
-from conftest import SMALL_TOML
 from support.command_line import run
 from support.gui_bench import FakeCamera, opener
 from support.manual_bench import MANUAL, Person
-from support.paths import DOCS
+from support.paths import DOCS, SMALL_TOML
 from support.pictures import assert_drawn
 
 import app.bench.presets

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.gui_bench import make_measurement
 from support.optics import FIELD, SmallBench
-from support.streams import measured
 from support.wavefronts import bowl
 
 from app.measurement.estimator import mask_sentence
@@ -45,7 +45,8 @@ def test_several_frames_name_the_one_whose_distance_is_told() -> None:
         (AssumedSample((-0.97,)), f"{layer.format(194)} (last of 2 frames)"),
         (FREE, f"{layer.format(194)} (last of 2 frames); any wavefront (1 frame)"),
     ):
-        tally.count(measured(replace(bowl(), sample=sample, field=FIELD), 0))
+        wavefront = replace(bowl(), sample=sample, field=FIELD)
+        tally.count(replace(make_measurement(np.zeros((2, 3), np.uint16), wavefront.views), wavefront=wavefront))
         assert tally.assumed == told
 
 

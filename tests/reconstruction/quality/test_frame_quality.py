@@ -7,8 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from faulty_frames import FAULTY
 from numpy.typing import NDArray
-from support.faulty_frames import FAULTY
 from support.optics import FIELD, SmallBench, converged
 
 from reconstruction.arrays import Floats

@@ -70,6 +70,34 @@ def test_a_record_being_written_is_not_returned(ring: RingWriter) -> None:
         assert reader.read(5) is not None
 
 
+def test_records_overwritten_while_they_are_copied_are_refused(
+    ring: RingWriter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing(RingReader(ring.name)) as reader:
+        ring.write(record(1))
+
+        class Overtaken:
+            def __init__(self, memory: object) -> None:
+                self.memory = memory
+
+            def __getitem__(self, part: slice) -> bytes:
+                for number in (2, 3, 4, 5):  # while the reader copies
+                    ring.write(record(number))
+                return bytes(self.memory[part])  # type: ignore[index] # of a mapped file
+
+            def __buffer__(self, flags: int) -> memoryview:  # pragma: no cover - newer Pythons
+                return memoryview(self.memory)  # type: ignore[arg-type] # the same
+
+        memory = reader._memory
+        unpack_from = __import__("struct").unpack_from
+        monkeypatch.setattr(
+            "app.acquisition.remote.ring.struct.unpack_from", lambda form, _, start: unpack_from(form, memory, start)
+        )
+        monkeypatch.setattr(reader, "_memory", Overtaken(memory))
+        assert reader.read(1) is None
+        monkeypatch.setattr(reader, "_memory", memory)
+
+
 def test_a_busy_writer_never_gives_a_torn_record(ring: RingWriter) -> None:
     whole, over = 0, threading.Event()
 
