@@ -100,17 +100,6 @@ def test_pages_need_no_network_and_can_be_searched(pages: Path) -> None:
     assert not [path.name for path in files if loading.search(path.read_text("utf-8"))]
 
 
-@pytest.mark.slow
-def test_narrow_windows_have_one_layout(pages: Path) -> None:
-    """The project's style sheet changes the layout at the same width as the theme's."""
-    widths = [
-        re.findall(r"@media screen and \(max-width: (\d+px)\)", (pages / "_static" / name).read_text("utf-8"))
-        for name in ("alabaster.css", "custom.css")
-    ]
-    assert widths[0]
-    assert widths[0] == widths[1]
-
-
 def names_of(cls: Any) -> Iterator[str]:
     """Names of all settings of a class, also of its parts."""
     for name, part in get_type_hints(cls).items():

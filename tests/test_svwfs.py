@@ -168,15 +168,6 @@ def test_image_that_is_none_is_refused(image: Any, bench: Bench, images: Simulat
         svwfs.find_lattice(images.reference, bench, dark=image)
 
 
-def test_photons_beyond_the_cameras_range_are_not_saturated(bench: Bench) -> None:
-    bright = svwfs.simulate(
-        svwfs.load_bench("small_demo", "light.current_a=1.0", "camera.exposure_s=1.0"), noise_free=True
-    )
-    assert bright.reference.max() > 2**16
-    wavefront = svwfs.reconstructor(bench, bright.reference, dark=bright.dark)(bright.frames[0])
-    assert wavefront.displacement.valid.all()
-
-
 def test_clipped_frame_of_a_12_bit_camera_is_refused(bench: Bench, images: SimulatedFrames) -> None:
     scale = 4095 / np.quantile(images.frames[0], 0.9)
     clipped = np.minimum(images.frames[0] * scale, 4095).astype(np.uint16)

@@ -99,16 +99,6 @@ def test_drift_near_the_source_moves_light_by_the_magnification(tmp_path: Path) 
     np.testing.assert_allclose(ratio / ratio[2, 3], 1, atol=6e-3)
 
 
-def test_ray_beside_the_screen_is_refused_in_both_worlds(tmp_path: Path) -> None:
-    np.save(tmp_path / "small.npy", np.zeros((100, 300)))
-    simulation = Simulation(screen=Screen(file=str(tmp_path / "small.npy")))
-    along_m = np.linspace(-2e-3, 2e-3, 9)
-    for field in (FIELD, PAPER_FIELD):
-        sample = make_sample(simulation, SENSOR, field)
-        with pytest.raises(ValueError, match="at y = "):
-            sample.light_of_points(along_m, along_m, (0.0, 0.0))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("placement", ["pupil", "source"])
 def test_used_light_does_not_feel_the_edge_of_the_screen(placement: str) -> None:

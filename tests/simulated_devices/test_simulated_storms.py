@@ -10,8 +10,7 @@ from typing import Any
 from hypothesis import strategies as st
 from support.camera_storm import CameraStorm
 from support.light_storm import LightStorm
-from support.simulated_faults import is_calm
-from support.simulated_scene import SimulatedCameraFaults, SimulatedLightFaults, open_bench
+from support.simulated_scene import SimulatedCameraFaults, SimulatedLightFaults, is_calm, open_bench
 from support.storm import storm_settings
 
 from drivers.interface import Camera, LightSource

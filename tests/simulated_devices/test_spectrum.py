@@ -14,7 +14,7 @@ from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, with_screen
 from reconstruction.annotated_settings import SettingError
 from simulated_devices.clock import ManualClock
-from simulated_devices.rendering import Renderer, Scene
+from simulated_devices.rendering import Renderer
 from simulated_devices.settings import SimulatedLightSettings
 
 NOMINAL_M = 462e-9
@@ -98,9 +98,3 @@ def test_simulated_devices_see_the_spectrum(bench: Bench) -> None:
         live.close()
     photons = NoiseFreeFrames(broad(bench)).reference()
     assert np.abs(photons / photons.max() - NoiseFreeFrames(bench).reference() / photons.max()).max() > 1e-3
-
-
-def test_spectrum_changes_the_name_of_cached_images(bench: Bench) -> None:
-    scenes: list[Scene] = [scene_of(bench), scene_of(broad(bench))]
-    scenes.append(replace(scenes[1], lines=scenes[1].lines[:1]))
-    assert len({scene.fingerprint() for scene in scenes}) == 3

@@ -14,9 +14,9 @@ import pytest
 from drivers.contract import light as light_contract
 from drivers.contract.light import LIGHT_CHECKS
 from drivers.interface import DeviceError, Disconnected, LightSource
+from support.camera_contract import AT_ONCE_S, after_pause, expect_within, repeat
 from support.light_log import LightLog
 from support.patience import own_time
-from support.timed_faults import AT_ONCE_S, after_pause, expect_within, repeat
 
 BY_HAND = "the light may still be on: switch it off by hand"
 

@@ -1,11 +1,14 @@
-"""A small simulated bench for tests: 3 x 4 lenslets on a non-square camera, with a clock that jumps."""
+"""A small simulated bench for tests, 3 x 4 lenslets with a clock that jumps, and faults of simulated devices."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+from drivers.interface import BadValue, Camera, Device, DeviceError, DeviceTimeout, Disconnected, Frame
 from reconstruction.geometry import Field, Lattice
 from simulated_devices.bench import SimulatedBench, SimulatedLight
 from simulated_devices.camera import SimulatedCamera
@@ -14,8 +17,10 @@ from simulated_devices.rendering import Scene
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation
 from support.light_log import LightLog
 from support.optics import sensor_of
-from support.simulated_faults import fail_next, lose_frames, plug_in, refuse_next, stall, unplug
 
+_OF_LIGHT = ("_read_range", "_read_current", "_is_lit", "_set_current", "_switch")
+_ANSWERS = ("_read_current", "_is_lit", "_set_current")
+_OF_CAMERA = ("exposure", "em_gain", "amplifier", "readout_speed", "region")
 SENSOR = sensor_of(3, 4)
 LATTICE = Lattice(center_x_px=70.0, center_y_px=50.0, pitch_px=31.25)
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
@@ -44,33 +49,92 @@ def open_bench(
     )
 
 
+def unplug(device: Device) -> None:
+    """Pull the plug; a light goes out."""
+    gone = Disconnected(f"the {device._kind} does not answer; is it plugged in and switched on?")
+    if isinstance(device, SimulatedLight):
+        device._bench.change(is_light_on=False)
+        _fail(device, _OF_LIGHT, gone)
+        return
+
+    @contextmanager
+    def access() -> Iterator[None]:
+        with type(device)._access(device):
+            raise gone
+        yield
+
+    device._access = access  # type: ignore[method-assign] # injected fault
+
+
+def plug_in(device: Device) -> None:
+    """Mend all faults."""
+    for name in ("_access", "_read", "_start", *_OF_LIGHT):
+        vars(device).pop(name, None)
+
+
+def refuse_next(device: Device) -> None:
+    """Refuse the next setting."""
+    settings = [f"_set_{name}" for name in _OF_CAMERA] if isinstance(device, Camera) else ["_set_current"]
+    _fail(device, settings, BadValue(f"the {device._kind} refused the setting"), once=True)
+
+
+def fail_next(light: SimulatedLight) -> None:
+    """Leave the next request without an answer."""
+    _fail(light, _ANSWERS, DeviceTimeout("the light did not answer in time"), once=True)
+
+
+def is_calm(light: SimulatedLight) -> bool:
+    """True if no fault is to come."""
+    return not any(name in vars(light) for name in _OF_LIGHT)
+
+
+def stall(camera: SimulatedCamera) -> None:
+    """Deliver no further frame until the camera is started again."""
+
+    def read(timeout_s: float) -> Frame:
+        camera._bench.clock.sleep(timeout_s)
+        raise DeviceTimeout("no frame came in time")
+
+    def start() -> None:
+        plug_in(camera)
+        camera._start()
+
+    camera._read, camera._start = read, start  # type: ignore[method-assign] # injected fault
+
+
+def lose_frames(camera: SimulatedCamera, count: int) -> None:
+    """Lose the next frames."""
+    camera._next_index += count
+
+
+def _fail(device: Device, hooks: list[str] | tuple[str, ...], error: DeviceError, *, once: bool = False) -> None:
+    """Let some methods of a device raise."""
+
+    def raising(*_: object, **__: object) -> None:
+        if once:
+            for hook in hooks:
+                vars(device).pop(hook, None)
+        raise error
+
+    for hook in hooks:
+        setattr(device, hook, raising)
+
+
 class SimulatedCameraFaults:
     """Faults of the simulated camera."""
 
     def __init__(self, camera: SimulatedCamera) -> None:
-        self._camera = camera
-
-    def unplug(self) -> None:
-        unplug(self._camera)
-
-    def plug_in(self) -> None:
-        plug_in(self._camera)
-
-    def stall(self) -> None:
-        stall(self._camera)
-
-    def lose_frames(self, count: int) -> None:
-        lose_frames(self._camera, count)
-
-    def refuse_next(self) -> None:
-        refuse_next(self._camera)
+        self.unplug, self.plug_in, self.stall = (partial(fault, camera) for fault in (unplug, plug_in, stall))
+        self.lose_frames, self.refuse_next = partial(lose_frames, camera), partial(refuse_next, camera)
 
 
 class SimulatedLightFaults:
     """Faults of the simulated light, and its true state."""
 
     def __init__(self, bench: SimulatedBench, light: SimulatedLight) -> None:
-        self._bench, self._light = bench, light
+        self._bench = bench
+        self.unplug, self.plug_in, self.refuse_next = (partial(each, light) for each in (unplug, plug_in, refuse_next))
+        self.fail_next = partial(fail_next, light)
 
     @property
     def log(self) -> LightLog:
@@ -79,18 +143,6 @@ class SimulatedLightFaults:
             is_on = condition.is_light_on
             log.note(is_on=is_on, level=condition.current_a * is_on, time_s=time_s)
         return log
-
-    def unplug(self) -> None:
-        unplug(self._light)
-
-    def plug_in(self) -> None:
-        plug_in(self._light)
-
-    def refuse_next(self) -> None:
-        refuse_next(self._light)
-
-    def fail_next(self) -> None:
-        fail_next(self._light)
 
 
 def current_state(bench: SimulatedBench) -> int:

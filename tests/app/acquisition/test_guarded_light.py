@@ -56,23 +56,6 @@ def test_light_without_sign_of_life_goes_off_and_says_why(light: LightSource, la
     assert light.off_reason == ""
 
 
-def test_light_that_fails_amid_silence_is_closed_with_a_sentence(
-    reopen: Callable[[], LightSource], lamp: DC4100Wire, capfd: pytest.CaptureFixture[str]
-) -> None:
-    before = children(os.getpid())
-    with reopen() as light:
-        light.set_on(True)
-        (guardian,) = children(os.getpid()) - before
-        lamp.heads[0].is_on = False  # at its panel
-        light.keep_alive(0.2)
-        wait_until(lambda: is_gone(guardian))
-        with pytest.raises(Disconnected, match="the guardian of the light has ended; the light was switched off"):
-            _ = light.current_a
-    said = capfd.readouterr().err
-    assert "no sign of life for 0.2 s, and the light failed: the DC4100 at" in said
-    assert "Traceback" not in said
-
-
 def test_light_with_signs_of_life_stays_on(light: LightSource, lamp: DC4100Wire) -> None:
     """Each promise replaces the one before."""
 

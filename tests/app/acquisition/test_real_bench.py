@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from support.dcam_tools import built, dcam_stand_in
-from support.gui_bench import FakeLight
 from support.paths import FOREIGN_FRAMES
 from support.patience import HANG_S, own_time, wait_until
 from support.wires.dc4100 import DC4100Wire
@@ -23,7 +22,7 @@ from app.bench.config import Bench, parse_bench, write_bench
 from app.errors import InputError
 from app.recording.reader import Recording
 from drivers.dcam import DcamSettings
-from drivers.errors import BadValue, DeviceError, Disconnected, WrongState
+from drivers.errors import DeviceError, Disconnected
 from drivers.serial_lights import DC4100Settings
 from drivers.serial_lights.thorlabs_dc4100 import _DIALECT
 
@@ -100,15 +99,6 @@ def test_settings_refused_by_device_are_input_error(bench: Bench, lamp: DC4100Wi
         open_devices(wrong, lambda _: None)
     assert not lamp.is_lit
     open_devices(bench, lambda _: None).close()  # everything was closed
-
-
-def test_light_with_refused_current_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    light = FakeLight()
-    monkeypatch.setattr("app.acquisition.devices.GuardedLight", lambda _: light)
-    with pytest.raises(BadValue):
-        open_light(DC4100Settings(port="COM1", current_a=5.0))
-    with pytest.raises(WrongState, match="closed"):
-        light.set_on(True)
 
 
 def test_settings_that_come_from_no_bench_are_checked_before_a_device_is_opened() -> None:

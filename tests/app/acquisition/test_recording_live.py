@@ -13,7 +13,7 @@ import pytest
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S, wait_until
 from support.recording_crash import kill_one
-from support.simulated_faults import lose_frames, unplug
+from support.simulated_scene import lose_frames, unplug
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument

@@ -7,7 +7,6 @@ import re
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing
@@ -27,8 +26,8 @@ from support.patience import HANG_S, wait_until
 from app.acquisition.streams.guard import CONNECTIONS, TOPIC_BYTES
 from app.acquisition.streams.messages import TOPICS
 from app.acquisition.streams.publisher import Publisher, stream_sinks
-from app.bench.config import Bench, StreamSettings, load_bench
-from app.errors import InputError, RunError
+from app.bench.config import Bench, StreamSettings
+from app.errors import RunError
 from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Assumptions, FrameTotals, Measurement, RefinementState
@@ -196,16 +195,6 @@ def test_subscriber_receives_only_its_topics(publisher: Publisher, port: int, me
         assert subscriber.is_waiting()
 
 
-def test_unsubscribed_topics_are_not_computed(
-    publisher: Publisher, port: int, measurement: Measurement, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Wavefront, "sigma", lambda _: pytest.fail("computed without a subscriber"))
-    with closing(Subscriber(port, "coefficients")) as subscriber:
-        until_heard(publisher, subscriber, measurement)  # an error would have ended the publisher's thread
-        publisher.take(measurement)
-        assert subscriber.hears()[0] == "coefficients"
-
-
 def test_frame_without_wavefront_is_published(publisher: Publisher, port: int, measurement: Measurement) -> None:
     with closing(Subscriber(port, "views")) as subscriber:
         until_heard(publisher, subscriber, measurement)
@@ -245,29 +234,6 @@ def test_stalled_subscriber_blocks_nothing(publisher: Publisher, port: int, meas
         assert len(sequences) < 400  # the gaps show that it missed the others
 
 
-def test_publisher_drops_oldest_measurements(
-    publisher: Publisher, port: int, measurement: Measurement, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    is_busy, may_go_on = threading.Event(), threading.Event()
-
-    def slowly(wavefront: Wavefront) -> NDArray[np.float64]:
-        is_busy.set()
-        assert may_go_on.wait(HANG_S)
-        return wavefront.views
-
-    with closing(Subscriber(port, "views")) as subscriber:
-        before = until_heard(publisher, subscriber, measurement)
-        monkeypatch.setattr(Wavefront, "sigma", slowly)
-        publisher.take(measurement)
-        assert is_busy.wait(HANG_S)
-        for _ in range(200):
-            publisher.take(measurement)
-        may_go_on.set()
-        sequences = [subscriber.hears()[1]["sequence"] - before for _ in range(5)]
-        assert subscriber.is_waiting()
-    assert sequences == [1, 198, 199, 200, 201]
-
-
 @pytest.fixture
 def lingers(monkeypatch: pytest.MonkeyPatch) -> None:
     """The last messages are sent, however late ZeroMQ's own thread is."""
@@ -285,24 +251,6 @@ def test_close_sends_waiting_messages(stream_bench: Bench, port: int, measuremen
     with socket.socket() as free:  # the port is free again
         free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         free.bind(("127.0.0.1", port))
-
-
-@pytest.mark.parametrize(
-    ("setting", "sentence"),
-    [
-        ("port=0", "streams.port must be 1 ... 65535"),
-        ("port=65536", "streams.port must be"),
-        ("port=5560.5", "streams.port must be a whole number"),
-        ("port=tcp://127.0.0.1:5560", "streams.port must be a whole number"),
-        ("address=localhost", "streams.address must be an IPv4 address"),
-        ("address=127.0.0.1:5560", "streams.address must be"),
-        ("publish=5560", "streams.publish is an unknown key; known are port, address"),
-    ],
-)
-def test_invalid_settings_are_one_line(setting: str, sentence: str, small_toml: Path) -> None:
-    with pytest.raises(InputError, match=re.escape(sentence)) as error:
-        load_bench(small_toml, (f"streams.{setting}",))
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.slow

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 from support.patience import HANG_S, own_time, wait_until
 from support.running import Running, is_dark
-from support.simulated_faults import lose_frames, stall, unplug
+from support.simulated_scene import lose_frames, stall, unplug
 
 from app.acquisition.instrument import Instrument, Status
 from app.bench.config import load_bench
 from app.errors import InputError
-from app.measurement.calibration import Calibration
 from app.measurement.measurement import SKIPPED, Measurement
 from app.measurement.routines import Cancelled
 from drivers.interface import Disconnected, WrongState
@@ -242,21 +241,3 @@ def test_camera_that_repeats_a_frame_is_reported(quick_toml: Path) -> None:
         running.acquisition.close()
     assert frozen.quality.faults == after_skipped.quality.faults == Fault.FROZEN
     assert back.quality.faults == Fault.CLOCK
-
-
-def test_preparation_is_not_begun_after_the_request_to_end(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    running.begin()
-    entered, release, begun = threading.Event(), threading.Event(), list[Calibration]()
-    monkeypatch.setattr(Calibration, "reconstructor", begun.append)
-
-    def hold(_: Instrument) -> None:
-        entered.set()
-        release.wait(HANG_S)
-
-    running.acquisition.submit(hold)
-    change = running.acquisition.submit(lambda instrument: instrument.change_settings(()))
-    assert entered.wait(HANG_S)
-    running.acquisition.begin_close()
-    release.set()
-    assert isinstance(change.exception(HANG_S), Cancelled)
-    assert not begun

@@ -17,7 +17,7 @@ import tifffile
 import xarray as xr
 from support.command_line import run
 from support.patience import HANG_S, wait_until
-from support.simulated_faults import unplug
+from support.simulated_scene import unplug
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument

@@ -17,7 +17,7 @@ import pytest
 from PyQt6.QtCore import QTimer
 from PyQt6.QtWidgets import QApplication
 from support.gui_bench import BENCH, FakeCamera, opener
-from support.simulated_faults import lose_frames
+from support.simulated_scene import lose_frames
 
 from app.acquisition.address import Address
 from app.acquisition.devices import open_devices

@@ -13,7 +13,6 @@ import xarray as xr
 from support.command_line import run
 
 from app.bench.config import Bench, load_bench, parse_bench, write_bench
-from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames
 from app.measurement.averages import Average
 from app.measurement.bench_reconstructor import reconstructor
@@ -149,11 +148,6 @@ def bench(small_toml: Path) -> Bench:
     return load_bench(small_toml)
 
 
-def test_curve_of_these_tests_is_the_inverse() -> None:
-    light = np.linspace(0, 39_000, 50)
-    assert CURVE.light(light - LOST_PER_COUNT * light**2) == pytest.approx(light, rel=5e-4)
-
-
 def test_noise_is_that_of_the_light(bench: Bench) -> None:
     """Shot noise of the light is what it was before the nonlinearity: its variance needs the slope of the curve."""
     y, x = np.mgrid[:200, :240]
@@ -214,22 +208,6 @@ def test_curve_is_stored_with_bench_and_calibration(bench: Bench, tmp_path: Path
             folder, Calibration(bench=each, dark=dark, reference=reference, lattice=LATTICE, full_scale=65535.0)
         )
         assert read_calibration(folder).bench.linearity == each.linearity
-
-
-@pytest.mark.parametrize(
-    ("toml", "why"),
-    [
-        ("quadratic = 0.1", "linearity.highest_counts is missing"),
-        ("quadratic = 0.9\nhighest_counts = 1.0", "linearity.quadratic must be -0.5 ... 0.5"),
-        ('quadratic = "a"\nhighest_counts = 1.0', "linearity.quadratic must be a finite number"),
-        ("quadratic = nan\nhighest_counts = 1.0", "linearity.quadratic must be a finite number"),
-        ("quadratic = -0.5\ncubic = -0.5\nhighest_counts = 1.0", "make the light fall"),
-        ("quadratic = 0.1\nhighest_counts = 1.0\nquartic = 1", "linearity.quartic is an unknown key"),
-    ],
-)
-def test_impossible_sections_are_refused(bench: Bench, toml: str, why: str) -> None:
-    with pytest.raises(InputError, match=why):
-        parse_bench(f"{write_bench(bench)}\n[linearity]\n{toml}\n", "bench.toml")
 
 
 @pytest.mark.slow

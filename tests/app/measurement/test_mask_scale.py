@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import ndimage, special
+from scipy import special
 from support.command_line import run
 from support.paths import FOREIGN_FRAMES
 
@@ -136,13 +136,6 @@ def test_scale_in_little_light(mask: str) -> None:
     assert np.std(deviations) < 3
 
 
-def test_blur_leaves_the_scale() -> None:
-    """As of a camera out of focus."""
-    bench, light = rendered("checkerboard")
-    found = measured(bench, ndimage.gaussian_filter(light, 0.8))
-    assert found.scale == pytest.approx(1, abs=2e-3)
-
-
 ORIENTATIONS: dict[str, Callable[[NDArray[np.uint8]], NDArray[np.uint8]]] = {
     "": lambda picture: picture,
     "mirrored left to right": np.fliplr,
@@ -180,11 +173,6 @@ def test_reference_without_light_is_refused() -> None:
     bench, light = other_simulator("square")
     with pytest.raises(ReconstructionError, match="no light above its background"):
         mask_scale(bench, -light)
-
-
-def test_another_mask_is_no_ruler() -> None:
-    bench, _ = rendered("circle")
-    assert mask_scale(bench, rendered("square")[1]) is None
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 import pytest
 
 import svwfs
-from reconstruction.runtime.deferred import Remembered
 
 
 @pytest.fixture
@@ -36,18 +35,3 @@ def test_reconstructor_is_freed_at_once() -> None:
     del reconstruct, estimator, parts
     assert [ref() for ref in left] == [None] * 4
     assert refined.sigma().max() > 0  # the wavefront has what it needs
-
-
-def test_remembered_method_remembers_its_last_results() -> None:
-    class Squaring:
-        def __init__(self) -> None:
-            self.calls: list[int] = []
-            self.square = Remembered(self._squared, 2)
-
-        def _squared(self, number: int) -> int:
-            self.calls.append(number)
-            return number**2
-
-    squaring = Squaring()
-    assert [squaring.square(number) for number in (3, 4, 3, 5, 3, 4)] == [9, 16, 9, 25, 9, 16]
-    assert squaring.calls == [3, 4, 5, 4]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
-import numpy as np
 import pytest
 
 from app.bench.config import Bench, load_bench
@@ -40,22 +38,6 @@ def test_wrong_scale_is_flagged_and_a_small_one_is_not(mask: str) -> None:
     found = judged(out_of_focus(bench, 0.04), bench)
     assert re.search(r"(3\.9|4\.0|4\.1) % larger than the bench", found.reasons[Fault.SCALE])
     assert "smaller than the bench" in judged(out_of_focus(bench, -0.02), bench).reasons[Fault.SCALE]
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_mirrored_mask_is_flagged(tmp_path: Path) -> None:
-    """A letter L beside the middle."""
-    picture = np.zeros((12, 12), np.uint8)
-    picture[2:5, 2:10] = picture[2:10, 2:4] = 255
-    benches = []
-    for name, shown in (("told", picture), ("true", np.fliplr(picture))):
-        np.save(tmp_path / f"{name}.npy", shown)
-        settings = ("simulation.source.mask=image", f"simulation.source.file={tmp_path / name}.npy")
-        benches.append(load_bench("small_demo", settings))
-    told, true = benches
-    assert Fault.SCALE not in judged(told, told).faults
-    assert "mirrored left to right" in judged(true, told).reasons[Fault.SCALE]
 
 
 @pytest.mark.slow

@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 from hypothesis.stateful import run_state_machine_as_test
-from support.camera_contract import CameraContract, CameraFaultContract
+from support.camera_contract import CameraContract, CameraFaultContract, repeat
 from support.camera_storm import CameraStorm
 from support.micro_manager_core import DemoCamera
 from support.patience import HANG_S, own_time, wait_until
 from support.storm import storm_settings
-from support.timed_faults import repeat
 
 from drivers.interface import (
     BadValue,

@@ -123,18 +123,6 @@ def test_middle_of_enlarged_screen_is_the_screen(enlarged: Simulation, pv_rad: f
     assert steps.max() < 0.5
 
 
-@pytest.mark.slow
-def test_toml_sets_pv_and_rms_of_paper_screen() -> None:
-    changes = ("simulation.screen.pv_rad=28.846", "simulation.screen.rms_rad=5.712")
-    for border in (0, 1):
-        bench = load_bench("paper_simulation", (*changes, f"simulation.border_lenslets={border}"))
-        samples = make_sample(bench.simulation, bench.sensor, bench.field).screen.samples_rad
-        ring = (len(samples) - 385) // 2
-        middle = samples[ring : ring + 385, ring : ring + 385]
-        assert np.ptp(middle) == pytest.approx(28.846, rel=1e-9)
-        assert middle.std() == pytest.approx(5.712, rel=1e-9)
-
-
 def test_screen_is_interpolated_by_bicubic_spline() -> None:
     samples = quick()[:, :90]
     screen = PhaseScreen(samples, 25e-6)
