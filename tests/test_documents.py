@@ -136,6 +136,7 @@ def test_references_have_every_command_and_name(pages: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_broken_links_fail(tmp_path: Path) -> None:
     shutil.copy(DOCS / "conf.py", tmp_path)
     shutil.copytree(DOCS / "_static", tmp_path / "_static")

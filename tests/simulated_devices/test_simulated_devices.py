@@ -172,6 +172,7 @@ def test_change_during_exposure_counts_in_proportion(
     assert abs(mixed - expected).max() < 8 * math.sqrt(sample.max() / 5.8 * 2 + 100)
 
 
+@pytest.mark.slow
 def test_both_paper_exposures_reach_70_percent_of_full_scale(tmp_path: Path) -> None:
     simulation = replace(STILL, object_samples=37, pupil_samples=20)
     settings = replace(CAMERA, readout_speed=2, exposure_s=0.15)

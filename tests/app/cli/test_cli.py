@@ -25,6 +25,7 @@ from drivers.serial_lights import CoolLEDSettings, DC4100Settings
 from drivers.usb_lights import DC2200Settings
 
 
+@pytest.mark.slow
 def test_selftest_passes(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(monkeypatch, "selftest") == 0
     assert capsys.readouterr().out.count("ok") == 6

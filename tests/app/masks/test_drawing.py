@@ -165,7 +165,7 @@ def simulated(name: str) -> Source:
 
 
 @pytest.mark.parametrize("suffix", READERS)
-@pytest.mark.parametrize("name", [name for name in AREAS_MM2 if name != "stars"])
+@pytest.mark.parametrize("name", ["optimised", "octagon"])
 def test_openings_are_those_of_the_simulator(name: str, suffix: str, drawn: Callable[..., Plate]) -> None:
     plate = drawn(name, suffix, "--size", "1.2mm")
     samples, fine = 37, 6  # points of the simulator along a side, and places in half a step between them

@@ -169,6 +169,7 @@ def test_noise_is_that_of_the_light(bench: Bench) -> None:
     assert plain.curve.loss > 0.1
 
 
+@pytest.mark.slow
 def test_dimmer_frames_have_the_light_of_the_reference(bench: Bench) -> None:
     """A frame of half the light of a compressed reference: only the correction leaves the shape of its subimages."""
     light = np.asarray(NoiseFreeFrames(bench).reference(), np.float64)

@@ -137,6 +137,7 @@ def test_dark_with_light_is_blamed(scatter: float) -> None:
     assert refusal.value.image == "dark"
 
 
+@pytest.mark.slow
 def test_dark_without_light_is_not_blamed() -> None:
     """An uneven offset and hot pixels are in both images."""
     dark = 500 + gradient() / 50 + np.where(np.random.default_rng(6).random(FRAME) < 1e-3, 5e4, 0)

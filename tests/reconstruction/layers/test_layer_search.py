@@ -37,7 +37,7 @@ def equations(coefficients: Floats, *, lost: int = 0) -> FrameEquations:
     return SOLVER(displacement(coefficients, lost=lost))
 
 
-@pytest.mark.parametrize("ratio", [0.0, 1.0, 6.0, -0.3, -1.5, -9.0])
+@pytest.mark.parametrize("ratio", [0.0, 6.0, -1.5])
 def test_distance_and_phase_of_a_polynomial_layer(ratio: float) -> None:
     found = search_layers(equations(displacements_px(PHASE, ratio)))
     (layer,) = found.fit.layers
@@ -229,6 +229,7 @@ def test_no_displacement_has_no_layer() -> None:
         equations(np.zeros_like(displacements_px(PHASE, 0.0)))
 
 
+@pytest.mark.slow
 def test_noise_alone_has_no_layer() -> None:
     nothing = np.zeros_like(displacements_px(PHASE, 0.0))
     for seed in range(3):

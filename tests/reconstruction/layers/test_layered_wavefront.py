@@ -180,6 +180,7 @@ def test_systematic_errors_do_not_decide(
     assert most_probable(search, is_blind=is_blind).ratios == expected
 
 
+@pytest.mark.slow
 def test_error_of_the_distance_is_kept() -> None:
     search = searched("one")
     assumed = most_probable(search)

@@ -277,7 +277,9 @@ def test_full_well_below_full_scale_is_found() -> None:
     assert "shorten the exposure" in found.sentence
 
 
-@pytest.mark.parametrize(("lenslets", "peak_e"), [((2, 3), 3e3), ((3, 3), 1e4), ((5, 7), 1e3), ((5, 7), 1e5)])
+@pytest.mark.parametrize(
+    ("lenslets", "peak_e"), [((2, 3), 3e3), ((3, 3), 1e4), pytest.param((5, 7), 1e5, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("em_gain", [1.0, 8.0])
 def test_200_good_frames_raise_no_alarm(lenslets: tuple[int, int], peak_e: float, em_gain: float) -> None:
     """New exposures of one image, with the noise of a camera with or without a multiplying register."""
@@ -326,6 +328,7 @@ def test_frame_without_residuals_has_no_misfit() -> None:
     assert judge(frame, none).faults == Fault(0)
 
 
+@pytest.mark.slow
 def test_large_lattice_is_judged_in_parts() -> None:
     """20 x 24 lenslets: a wavefront passes, a tear does not."""
     bench = SmallBench(20, 24, rotation_rad=0.0)

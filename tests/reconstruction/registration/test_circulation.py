@@ -139,6 +139,7 @@ def test_cylinder_lens_contradicts_layers_without_a_mean_rotation(bench: Circula
     assert abs(circulation.significance) < 5
 
 
+@pytest.mark.slow
 def test_rotation_is_that_of_closed_form_with_its_scatter(bench: CirculationBench) -> None:
     per_electron = float(bench.reference.max()) / 1000
     noise = CameraNoise(per_electron, 8 * per_electron)

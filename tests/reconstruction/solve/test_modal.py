@@ -138,6 +138,7 @@ def _rotations() -> Floats:
     return np.asarray(rotations.reshape(200, -1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [3.0, 0.1])
 def test_prior_is_ridge_regression_chosen_by_evidence(noise: float) -> None:
     generator = np.random.default_rng(2)

@@ -101,6 +101,7 @@ def test_agrees_with_the_plain_fourier_sum() -> None:
     np.testing.assert_allclose(image, truth, rtol=0, atol=1e-5 * truth.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rotation_rad", [0.03, -0.6])
 def test_pixel_averages_over_its_rotated_square(rotation_rad: float) -> None:
     phase_screen, lattice = screen(), replace(LATTICE, rotation_rad=rotation_rad)
