@@ -8,12 +8,17 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Self
 
 from app.errors import InputError, RunError
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
 
 NAME = "instrument"
 DYING_S = 0.5  # for a killed process to give its files back
@@ -70,7 +75,7 @@ def taken_address(name: str = NAME) -> Iterator[Address]:
 
     What a killed instrument left there is replaced. `RunError` if another one runs there; `InputError` for a bad name.
     """
-    with _lock(name, _TIMEOUT_S), _spared_by_cleaners():
+    with _lock(name, _TIMEOUT_S):
         _clear(name)
         endpoint = f"ipc://{file_of(name, 'socket')}" if os.name == "posix" else "tcp://127.0.0.1:*"
         try:
@@ -88,29 +93,30 @@ def clear_abandoned(name: str, *, timeout_s: float = 0.0) -> None:
 
 @contextmanager
 def _lock(name: str, timeout_s: float) -> Iterator[None]:
-    """Hold a lock that ends with this process at the latest; `RunError` if another one holds it."""
-    descriptor = os.open(file_of(name, "lock"), os.O_RDWR | os.O_CREAT, 0o600)
-    until_s = time.monotonic() + timeout_s
-    try:
-        while not _has_locked(descriptor):
+    """Hold a lock that ends with this process at the latest; `RunError` if another one holds it.
+
+    The folder is locked, too: programs that remove old temporary files leave a locked folder alone.
+    """
+    with ExitStack() as stack:
+        lock = os.open(file_of(name, "lock"), os.O_RDWR | os.O_CREAT, 0o600)
+        stack.callback(os.close, lock)
+        until_s = time.monotonic() + timeout_s
+        while not _has_locked(lock):
             if time.monotonic() > until_s:
                 raise RunError(f"an instrument runs as {name} already: stop it first, or use another --name")
             time.sleep(0.01)
+        if sys.platform != "win32":
+            stack.callback(os.close, folder := os.open(runtime_folder(), os.O_RDONLY))
+            fcntl.flock(folder, fcntl.LOCK_SH)
         yield
-    finally:
-        os.close(descriptor)
 
 
 def _has_locked(descriptor: int) -> bool:
     """True if an open file could be locked."""
     try:
         if sys.platform != "win32":
-            import fcntl  # noqa: PLC0415 - not on Windows
-
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         else:
-            import msvcrt  # noqa: PLC0415 - only on Windows
-
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
     except OSError:
         return False
@@ -162,19 +168,3 @@ def runtime_folder() -> Path:
         if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077:
             raise RunError(f"{made} belongs to another user or is open to others: remove it")
     return made
-
-
-@contextmanager
-def _spared_by_cleaners() -> Iterator[None]:
-    """Keep programs that remove old temporary files from the folder: they leave out one that is locked."""
-    if sys.platform == "win32":
-        yield
-        return
-    import fcntl  # noqa: PLC0415 - not on Windows
-
-    descriptor = os.open(runtime_folder(), os.O_RDONLY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH)
-        yield
-    finally:
-        os.close(descriptor)
