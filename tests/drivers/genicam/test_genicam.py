@@ -14,11 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from genicam_stand_in import FAKE_CAMERA, HERE, SERIAL, TURN, GigeWire, Peer
 from hypothesis import strategies as st
 from hypothesis.stateful import run_state_machine_as_test
 from support.camera_contract import CameraFaultContract
 from support.camera_storm import CameraStorm
-from support.genicam_wire import FAKE_CAMERA, HERE, SERIAL, TURN, GigeWire, Peer
 from support.patience import HANG_S, own_time, udp_socket
 from support.storm import storm_settings
 

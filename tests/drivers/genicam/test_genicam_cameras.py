@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 import pytest
-from support.genicam_descriptions import PFNC, Description
-from support.genicam_models import (
+from genicam_descriptions import PFNC, Description
+from genicam_models import (
     COLUMNS,
     MODELS,
     ON_OFF,
@@ -26,7 +26,7 @@ from support.genicam_models import (
     switched_on,
     usual,
 )
-from support.gige_camera import ADDRESS, GigeCamera
+from gige_camera import ADDRESS, GigeCamera
 
 from drivers.camera import Region
 from drivers.contract.camera import (

@@ -11,9 +11,9 @@ from support.light_contract import LightFaultContract
 from support.light_log import LightLog
 from support.light_storm import HeatStorm
 from support.storm import storm_settings
-from support.usb_stand_in import Bus, Plug
 from support.wires.dc2200 import DC2200Wire
 from support.wires.usbtmc import UsbFault, UsbFaultKind
+from usb_stand_in import Bus, Plug
 
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported, WrongState
 from drivers.usb_lights import DC2200Settings

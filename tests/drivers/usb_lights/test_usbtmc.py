@@ -8,8 +8,8 @@ import pytest
 import usb.backend.libusb0
 import usb.backend.libusb1
 import usb.backend.openusb
-from support.usb_stand_in import IN, Bus, Plug
 from support.wires.usbtmc import UsbFault, UsbFaultKind, UsbtmcWire
+from usb_stand_in import IN, Bus, Plug
 
 from drivers.errors import Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported
 from drivers.usb_lights import _usbtmc as usbtmc

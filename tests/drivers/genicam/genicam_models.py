@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from genicam_descriptions import PFNC, Description
+from gige_camera import GigeCamera, Image
 from numpy.typing import NDArray
 
 from drivers.genicam._frames import PIXEL_FORMATS
-from support.genicam_descriptions import PFNC, Description
-from support.gige_camera import GigeCamera, Image
 
 ROWS, COLUMNS = 48, 96
 _NAMES: Final = {number: name for name, number in PFNC.items()}

@@ -10,10 +10,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import usb.core
+from support.wires.usbtmc import GoneError, NoAnswerError, StalledError, UsbtmcWire
 from usb.backend import IBackend
 
 from simulated_devices.clock import ManualClock
-from support.wires.usbtmc import GoneError, NoAnswerError, StalledError, UsbtmcWire
 
 OUT, IN = 0x01, 0x82
 
