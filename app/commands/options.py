@@ -14,7 +14,6 @@ from typer.core import TyperCommand, TyperOption
 from app.bench.presets import PRESETS
 from app.errors import InputError
 from app.files import atomic_write, check_outputs, check_readable, check_suffix, require_suffix
-from app.measurement.averages import AVERAGED_FRAMES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,8 +34,10 @@ def folder_option(text: str) -> Any:
     return typer.Option(metavar=FOLDER, help=text)
 
 
-def average_option(into: str, default: int, least: int = AVERAGED_FRAMES.start) -> Any:
+def average_option(into: str, default: int, least: int = 1) -> Any:
     """Return the option `--average`: how many frames are averaged into what."""
+    from app.measurement.averages import AVERAGED_FRAMES  # NumPy, for few commands
+
     text = f"Number of frames averaged into {into} [default: {default}]."
     return typer.Option(min=least, max=AVERAGED_FRAMES[-1], help=text)
 

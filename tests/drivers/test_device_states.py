@@ -31,7 +31,6 @@ class PlainCamera(Camera):
     def __init__(self) -> None:
         super().__init__()
         self.fault: DeviceError | None = None
-        self.times_read = 0
         self.times_closed = 0
 
     def raise_fault(self) -> None:
@@ -39,7 +38,6 @@ class PlainCamera(Camera):
             raise self.fault
 
     def _read_capabilities(self) -> CameraCapabilities:
-        self.times_read += 1
         return CameraCapabilities(
             rows=4,
             columns=6,
@@ -85,30 +83,6 @@ def test_optional_settings_default_to_one_choice() -> None:
         camera.set_region(camera.region)
     with pytest.raises(BadValue, match="there is no binning 2; there are 1"):
         camera.set_binning(2)
-
-
-def test_capabilities_are_cached_until_mode_changes() -> None:
-    camera = PlainCamera()
-    for _ in range(3):
-        assert camera.capabilities.rows == 4
-    camera.set_exposure(2.0)
-    assert camera.times_read == 1
-    camera.set_amplifier("normal")
-    assert camera.capabilities.rows == 4
-    assert camera.times_read == 2
-
-
-def test_capabilities_are_read_again_after_failed_mode_change() -> None:
-    class Refusing(PlainCamera):
-        def _set_amplifier(self, amplifier: str) -> None:
-            raise BadValue(amplifier)
-
-    camera = Refusing()
-    assert camera.capabilities.rows == 4
-    with pytest.raises(BadValue):
-        camera.set_amplifier("normal")
-    assert camera.capabilities.rows == 4
-    assert camera.times_read == 2
 
 
 def test_loss_is_remembered_with_its_message() -> None:

@@ -58,7 +58,7 @@ def test_command_loads_only_what_it_needs(recording: Path, tmp_path: Path) -> No
     count = f"len([name for name in sys.modules if name.split('.')[0] in {rooms}])"
     program = f"import atexit, sys; from app.cli import main; atexit.register(lambda: print({count})); main()"
     layers = ("layers", recording / "results.nc", "--out", tmp_path / "l.nc")
-    for most, arguments in ((100, layers), (30, ("recover", "--help"))):
+    for most, arguments in ((100, layers), (20, ("recover", "--help"))):
         command = [sys.executable, "-c", program, *map(str, arguments)]
         finished = subprocess.run(command, check=True, capture_output=True, text=True)  # noqa: S603 - our own program
         assert int(finished.stdout.splitlines()[-1]) <= most, arguments

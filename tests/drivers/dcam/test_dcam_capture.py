@@ -244,15 +244,6 @@ def test_any_first_failure_reveals_loss(stand_in: StandIn, camera: DcamCamera, f
     assert camera.state == "lost"
 
 
-def test_connection_is_not_polled_while_frames_come(stand_in: StandIn, camera: DcamCamera) -> None:
-    before = stand_in.calls("dcamprop_getvalue") + stand_in.calls("dcamcap_status")
-    for _ in range(100):
-        camera.read(1.0)
-        with pytest.raises(DeviceTimeout):
-            camera.read(0.0)
-    assert stand_in.calls("dcamprop_getvalue") + stand_in.calls("dcamcap_status") == before
-
-
 # In real time: waits of another thread or a person.
 
 

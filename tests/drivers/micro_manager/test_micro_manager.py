@@ -282,21 +282,6 @@ def test_close_ends_read_of_another_thread(faults: DemoCamera, camera: MicroMana
     assert isinstance(error, WrongState)
 
 
-def test_running_camera_is_asked_for_no_property(faults: DemoCamera, camera: MicroManagerCamera) -> None:
-    region = camera.set_region(Region(16, 32, 128, 256))
-    camera.set_binning(2)
-    exposure_s = camera.set_exposure(0.02)
-    before = camera.properties()
-    camera.start()
-    faults.faulty.asked.clear()
-    assert (camera.binning, camera.region, camera.exposure_s) == (2, region, exposure_s)
-    assert camera.properties() == before
-    camera.read(5.0)
-    asked = set(faults.faulty.asked)
-    assert not {"getProperty", "getExposure", "getROI"} & asked
-    assert "popNextImageMD" in asked
-
-
 def test_camera_that_stopped_itself_restarts(faults: DemoCamera, camera: MicroManagerCamera) -> None:
     camera.start()
     camera.read(5.0)
