@@ -2,22 +2,18 @@
 
 import csv
 import os
-import re
 import secrets
 import shutil
 import sys
-import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from app.errors import InputError, RunError
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL  # the last refuses a symbolic link
 _PARTIAL = ".partial"  # in the name of a file that is being written
-_NAME = re.compile(r"\.[0-9a-f]{16}" + re.escape(_PARTIAL) + r"(\.\w+)?")
 _MORE = 1 << 16  # bytes, for which a disk that was full has no room
-_STALE_S = 86400.0  # nobody is still writing a file that has not changed for so long
 MEASURED = ("results.nc", "dark.tif", "reference.tif")  # what `svwfs measure` writes beside the parts of its recording
 RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "biases", "calibrations")
 
@@ -66,7 +62,7 @@ def _is_read_only(folder: Path) -> bool:
 
 
 def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | None] = (), overwrite: bool) -> None:
-    """Check the files that a command will write, and clear their folders of stale half-written ones.
+    """Check the files that a command will write.
 
     None among `outputs` stands for an option that was not given. `inputs` are files and folders that the command reads.
     With `overwrite`, existing files may be replaced; inputs never are. `InputError` if an output is an input, lies in
@@ -88,7 +84,6 @@ def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | Non
             if not path.name or (path.exists() and not path.is_file()):
                 raise InputError(f"{path}: not a file that can be written")
             check_writable(path.parent)
-            _remove_stale(path.parent)
         except OSError as error:
             raise InputError(f"{path}: cannot be used: {in_words(error)}") from error
         taken.append(path)
@@ -177,14 +172,6 @@ def remove_partial(folder: Path) -> list[Path]:
         except OSError as error:
             raise RunError(f"{left}: cannot be removed: {in_words(error)}") from error
     return found
-
-
-def _remove_stale(folder: Path) -> None:
-    """Remove files that processes killed in `atomic_write` left in a folder at least a day ago."""
-    for left in folder.glob(f".*{_PARTIAL}*"):
-        with suppress(OSError):  # another user's, or gone by now
-            if _NAME.fullmatch(left.name) and time.time() - left.lstat().st_mtime > _STALE_S:
-                left.unlink()
 
 
 def sync(path: Path) -> None:

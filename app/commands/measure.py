@@ -125,14 +125,26 @@ def _measured(live: LiveBench, frames: int, out: Path, progress: Progress, begin
     from app.recording.folder import RUN, remove_empty
     from app.recording.reader import Recording
     from app.results.frame_tallies import write_measured
+    from drivers.interface import DeviceError
 
-    is_stopped, fault = _record(live, frames, out, begin)
+    is_stopped, fault = False, ""
+    try:
+        with live:
+            begin()
+            live.record(out, frames, command="measure")
+    except Interrupted:
+        is_stopped = True
+    except InputError:
+        raise
+    except Exception as error:
+        if not (live.failure or isinstance(error, DeviceError | RunError)):
+            raise
+        fault = live.failure or str(error)
     recording = Recording(out) if (out / RUN).exists() else None
     if not recording:
         remove_empty(out)
-        raise (
-            Interrupted("stopped before the first frame") if is_stopped else RunError(fault or "no frame was recorded")
-        )
+        nothing = fault or "no frame was recorded"
+        raise Interrupted("stopped before the first frame") if is_stopped else RunError(nothing)
     try:
         measured = write_measured(recording, live.bench, progress)
     except (Interrupted, RunError) as error:
@@ -154,25 +166,6 @@ def _check_files(out: Path, inputs: Collection[Path], *, overwrite: bool) -> Non
 
     check_free(out)
     options.check_files(*(out / name for name in MEASURED), reads=inputs, overwrite=overwrite)
-
-
-def _record(live: LiveBench, frames: int, out: Path, calibrate: Callable[[], object]) -> tuple[bool, str]:
-    """Calibrate and record; return whether the user stopped it, and the fault that ended it, or ""."""
-    from drivers.interface import DeviceError
-
-    try:
-        with live:
-            calibrate()
-            live.record(out, frames, command="measure")
-    except Interrupted:
-        return True, ""
-    except InputError:
-        raise
-    except Exception as error:
-        if not (live.failure or isinstance(error, DeviceError | RunError)):
-            raise
-        return False, live.failure or str(error)
-    return False, ""
 
 
 def print_measurement(measured: Measured, out: Path) -> None:

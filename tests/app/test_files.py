@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import resource
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -137,22 +136,6 @@ def test_partial_names_differ(tmp_path: Path) -> None:
             names.add(temporary.name)
             assert temporary.stat().st_mode & 0o777 == 0o666 & ~_umask()
     assert len(names) == 20
-
-
-def test_stale_partial_files_beside_outputs_are_removed(tmp_path: Path) -> None:
-    """Those of a process that was killed; a younger one may still be written, and other names are not ours."""
-    a_day_ago = time.time() - 90_000
-    stale, young, other = (
-        tmp_path / name for name in (".0123456789abcdef.partial.nc", ".fedcba9876543210.partial.nc", ".my.partial.nc")
-    )
-    for path in (stale, young, other):
-        path.write_bytes(b"half")
-    for path in (stale, other):
-        os.utime(path, (a_day_ago, a_day_ago))
-    with atomic_write(tmp_path / "right.nc") as temporary:
-        assert temporary.name[17:] == stale.name[17:]
-    check_outputs([tmp_path / "new.nc"], overwrite=False)
-    assert sorted(tmp_path.iterdir()) == sorted([young, other, tmp_path / "right.nc"])
 
 
 def _umask() -> int:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-import xarray as xr
 from support.command_line import run
 
 from app.errors import Interrupted
@@ -184,18 +182,3 @@ def test_live_run_never_replaces_a_recording(
 ) -> None:
     assert run(monkeypatch, "live", "--seconds", "1", "--out", folder / "run", "--overwrite") == 2
     assert "run: holds a recording; choose another folder with --out" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_names_of_files_need_not_be_text(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path
-) -> None:
-    here = os.fsdecode(b"\xff")
-    assert run(monkeypatch, "simulate", "--bench", "bench.toml", "--out", here) == 0
-    assert " are in \\udcff\n" in capsys.readouterr().out
-    shutil.copyfile("bench.toml", f"{here}/bench{here}.toml")
-    Path(here, "frame.tif").rename(f"{here}/frame{here}.tif")
-    inputs = ("--reference", f"{here}/reference.tif", "--bench", f"{here}/bench{here}.toml")
-    assert run(monkeypatch, "reconstruct", f"{here}/frame{here}.tif", *inputs, "--out", f"{here}/result.nc") == 0
-    with (folder / here / "result.nc").open("rb") as file, xr.open_dataset(file) as result:
-        assert result.attrs["frame"] == "frame?.tif"

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import platform
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -106,15 +104,6 @@ def test_good_camera_passes(capsys: pytest.CaptureFixture[str]) -> None:
     assert "FAILED" not in output
     assert len(re.findall(r"^  ok +\d+\.\d\d s  \w", output, re.MULTILINE)) == 15
     assert re.search(r"^opened in \d+\.\d\d s$", output, re.MULTILINE)
-
-
-@pytest.mark.usefixtures("bench")
-def test_report_names_versions_and_settings(capsys: pytest.CaptureFixture[str]) -> None:
-    check_and_print("coolled:COM7")
-    first, second, third = capsys.readouterr().out.splitlines()[:3]
-    assert first == f"svwfs {version('svwfs')}, Python {platform.python_version()}, {platform.platform()}"
-    assert second == f"driver coolled, pyserial {version('pyserial')}"
-    assert third == "  port = 'COM7'"
 
 
 @pytest.fixture
