@@ -69,7 +69,7 @@ mutants: setup c-compiler ## put known faults into a copy of the source: a test 
 storms: setup c-compiler ## 1,000 random sequences of commands and faults for every driver; ONLY=dcam for some
 	SVWFS_SEQUENCES=$${SVWFS_SEQUENCES:-1000} $(PYTEST) --timeout=0 -k 'storm$(if $(ONLY), and ($(ONLY)))' tests
 
-screenshots: setup ## pictures of every panel and state into build/screenshots, some of them into docs; ten minutes
+screenshots: setup ## pictures of every panel and state into build/screenshots, some of them into docs; some minutes
 	PYTHONPATH=tests .venv/bin/python -m support.screenshots build/screenshots
 
 docs: .venv/ready ## the documentation as web pages in build/docs; warnings and broken links are errors

@@ -80,7 +80,8 @@ class BaseWindow(QMainWindow):
     @contextmanager
     def reported_errors(self) -> Iterator[None]:
         """Show errors of timers and slots, after which Qt would abort with the light on, and print each once."""
-        before = sys.excepthook
+        before, known, alarm = sys.excepthook, self.known_errors, self.messages.alarm
+        # Each thread that is made meanwhile keeps `report`, which must not keep the window.
 
         def report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
             if isinstance(error, Exception):
@@ -89,10 +90,10 @@ class BaseWindow(QMainWindow):
                     f"the display failed ({type(error).__name__}: {error}; {Path(at.filename).name}:{at.lineno}), so"
                     " that what you see may be old: open the bench again, and report this line of the log (Ctrl+L)"
                 )
-                if sentence in self.known_errors:
+                if sentence in known:
                     return
-                self.known_errors.add(sentence)
-                self.messages.alarm(sentence)
+                known.add(sentence)
+                alarm(sentence)
             before(kind, error, trace)
 
         sys.excepthook = report

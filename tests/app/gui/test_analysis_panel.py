@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtCore import Qt
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, make_measurement
 from support.patience import HANG_S
-from support.wavefronts import U, V, bowl
+from support.wavefronts import bowl
 from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, picture, press, views, wait_for_wavefront
 
 from app.gui.panels.quality import verdict
@@ -129,20 +129,6 @@ def test_hidden_panel_requests_no_analysis(make_window: MakeWindow, qtbot: QtBot
     qtbot.waitUntil(lambda: bool(window.panels.quality.sentence.text()))
 
 
-def test_isoplanatism_is_that_of_the_growth_over_the_field(make_window: MakeWindow) -> None:
-    window = make_window()
-    show(window, bowl())
-    window.shown.choose_view(0, 2)
-    request = window.panels.quality.request()
-    assert request is not None
-    where, transfer, found = request.compute(lambda: None)
-    assert where == "+0.50, \N{MINUS SIGN}0.50 mm"
-    assert transfer is not None
-    # the wavefronts differ by the growth of the bowl alone: 5e5 r^2 over the half width of the field
-    growth_rad = np.std(5e5 * (U**2 + V**2))
-    np.testing.assert_allclose(found.curve.most_rad[0], growth_rad * 2 / 7)
-
-
 def test_lost_wavefront_clears_maps_and_plots(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     show(window, bowl())
@@ -252,19 +238,6 @@ def test_limit_of_a_frozen_scale_is_chosen_in_the_shown_unit(make_window: MakeWi
     assert panel.limit.value() == panel.grid.maps.scale.high != 2.5
     panel.menu.units[0].trigger()
     assert panel.limit.value() == 2.5
-
-
-def test_captions_shorten_in_narrow_tiles(make_window: MakeWindow, qtbot: QtBot) -> None:
-    window = make_window()
-    window.show_measurement(make_measurement(dim_frame(), views()))
-    grid = window.panels.wavefronts.grid
-    qtbot.waitUntil(lambda: bool(grid.captions))
-    wide = [grid._wording(line) for line in (0, 1)]
-    grid.resize(260, 260)
-    narrow = [grid._wording(line) for line in (0, 1)]
-    assert all(a is not None for a in wide)
-    assert all(b is None or (a is not None and b > a) for a, b in zip(wide, narrow, strict=True))
-    assert grid._value_at(grid.places.tile(0, 0).topLeft() + QPoint(1, 1)).count("RMS") == 1
 
 
 def curve(*rms_rad: float) -> StructureCurve:

@@ -16,9 +16,8 @@ from PyQt6.QtCore import QTimer
 from PyQt6.QtGui import QColor, QImage
 from PyQt6.QtWidgets import QApplication
 from support.gui_bench import BENCH, FakeCamera, opener
-from support.patience import HANG_S, wait_until
+from support.patience import HANG_S
 
-from app.acquisition.instrument import Instrument
 from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import UnattendedRun
 from app.acquisition.worker import Acquisition
@@ -105,35 +104,6 @@ def test_unattended_run_raises_device_error(qapp: QApplication) -> None:
     with pytest.raises(RunError, match=r"^no camera was found"):
         run_unattended(camera, 0.3)
     assert qapp is QApplication.instance()
-
-
-def test_slow_computation_raises_no_false_alarm_about_the_light(
-    qapp: QApplication, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The light goes off by its own path, whatever the worker does."""
-    camera, release = FakeCamera(), threading.Event()
-    begin_close = Acquisition.begin_close
-
-    def begin_close_in_the_dark(acquisition: Acquisition) -> None:
-        """The time for closing begins when the light is off."""
-        begin_close(acquisition)
-        wait_until(lambda: acquisition.status is not None and not acquisition.status.is_light_on)
-
-    monkeypatch.setattr(Acquisition, "begin_close", begin_close_in_the_dark)
-    monkeypatch.setattr("app.gui.shell.controller.CLOSING_S", 0.5)
-    monkeypatch.setattr(Instrument, "take_dark", lambda *_, **__: release.wait())
-    acquisition = Acquisition(BENCH, opener(camera))
-    try:
-        with (
-            when_lit(camera, lambda: QTimer.singleShot(200, qapp.closeAllWindows)),
-            pytest.raises(RunError, match=r"^a device or a computation did not end within .* s; the light is off$"),
-        ):
-            run_window(lambda window: window.open(Access(lambda: acquisition)))
-        assert not camera.light.shines
-        assert not camera.is_closed
-    finally:
-        release.set()
-        acquisition.close()
 
 
 def test_file_that_is_not_saved_when_the_window_closes_is_told(

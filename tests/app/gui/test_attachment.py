@@ -13,7 +13,7 @@ from support.patience import HANG_S, own_time
 from support.served import connected, served
 from support.window_tools import MakeWindow, choose_button, said_in, wait_for_wavefront
 
-from app.acquisition.instrument import Instrument, ProcessState
+from app.acquisition.instrument import Instrument
 from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.server import Server
 from app.acquisition.running_instrument import CLOSING_S
@@ -80,25 +80,6 @@ def test_closing_asks_whether_the_instrument_goes_on(
         assert window.controller.left == "the instrument goes on"
 
 
-def test_state_of_each_process_is_shown(
-    window: MainWindow, server: Server, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    started = [ProcessState("guardian", 7, "alive"), ProcessState("finder", 8, "alive")]
-    monkeypatch.setattr(server.acquisition, "_find_processes", lambda: tuple(started))
-    devices = window.status_line.devices
-    qtbot.waitUntil(lambda: "guardian: process 7, alive\nfinder: process 8, alive\n" in devices.toolTip())
-    assert "\n0 frames overtaken: replaced" in devices.toolTip()
-    monkeypatch.setattr(Connection, "overtaken", 3)
-    qtbot.waitUntil(lambda: "\n3 frames overtaken: replaced" in devices.toolTip())
-    assert devices.text() == "running"
-    started[1] = ProcessState("finder", 8, "gone")
-    qtbot.waitUntil(lambda: devices.text() == "finder gone")
-    assert "finder: process 8, gone\n" in devices.toolTip()
-    server.end()
-    qtbot.waitUntil(lambda: f"instrument: process {server.address.process}, gone" in devices.toolTip())
-    assert "connected" not in devices.toolTip()
-
-
 def test_window_of_a_stopped_instrument_closes_soon(window: MainWindow, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as stopped:
         stopped.setattr("app.acquisition.remote.connection._SILENT_S", -1.0)
@@ -110,12 +91,6 @@ def test_window_of_a_stopped_instrument_closes_soon(window: MainWindow, monkeypa
         assert window.controller.is_stuck
         with pytest.raises(RunError, match="does not answer: if that lasts, end it, and see whether the light is off"):
             _raise_failure(window, is_interrupted=False)
-
-
-def test_trouble_is_shown_before_the_first_status(window: MainWindow) -> None:
-    line = window.status_line
-    line.update_text(None, None, "instrument: process 7, frozen", trouble="instrument frozen")
-    assert (line.devices.text(), line.devices.toolTip()) == ("instrument frozen", "instrument: process 7, frozen")
 
 
 @pytest.mark.long

@@ -73,16 +73,6 @@ def test_error_of_analysis_is_returned_and_thread_continues(analysis: Analysis) 
     assert wait(analysis).result() is not None
 
 
-def test_error_of_one_panel_leaves_the_others_their_results() -> None:
-    with ThreadPoolExecutor(1) as thread:
-        analyses = [Analysis(thread, lambda: None) for _ in range(3)]
-        for index, each in enumerate(analyses):
-            each.submit(made(0, partial(divmod, 7, index)))
-        failed, *others = map(wait, analyses)
-    assert isinstance(failed.exception(), ZeroDivisionError)
-    assert [future.result() for future in others] == [(7, 0), (3, 1)]
-
-
 def test_slow_analysis_leaves_the_measurement_most_of_a_core(analysis: Analysis) -> None:
     requested_s: list[float] = []
     number = 0

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PyQt6.QtCore import QEvent, QPoint
 from PyQt6.QtWidgets import QApplication
-from pytestqt.qtbot import QtBot
 from support.gui_bench import FULL_SCALE, LATTICE, SENSOR, make_measurement
-from support.window_tools import LENSLETS, MakeWindow, count_pixels, dim_frame, picture, views
+from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
 
 from app.gui.widgets.camera_image import arrow_length_px
-from app.results.frame_statistics import FrameStatistics, frame_statistics
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Arrangement
 
@@ -98,29 +94,6 @@ def test_arrows_point_along_the_displacement(make_window: MakeWindow) -> None:
     assert magnification == 20
     np.testing.assert_allclose([x[0], y[0]], [215.0, 150.5])  # the lattice's middle
     np.testing.assert_allclose([x[1] - x[0], y[1] - y[0]], [1.2 * magnification, 0.3 * magnification])
-
-
-def test_pixels_are_counted_once_beside_the_window(
-    make_window: MakeWindow, monkeypatch: pytest.MonkeyPatch, qtbot: QtBot
-) -> None:
-    window = make_window()
-    counted: list[threading.Thread] = []
-
-    def count(pixels: NDArray[np.uint16], full_scale: int) -> FrameStatistics:
-        counted.append(threading.current_thread())
-        return frame_statistics(pixels, full_scale)
-
-    monkeypatch.setattr("app.results.frame_statistics.frame_statistics", count)
-    window.show_measurement(make_measurement(dim_frame(), views()))
-    count_pixels(qtbot, window)
-    panel = window.panels.camera
-    for x in range(30):
-        panel._graphics.scene().sigMouseMoved.emit(panel._view.mapViewToScene(QPoint(x, 5).toPointF()))
-        assert f"x {x}  y 5: 1000 counts" in panel.caption.text()
-    window.update_text()  # five times a second
-    qtbot.wait(300)
-    assert len(counted) == 1
-    assert counted[0] is not threading.current_thread()
 
 
 def test_pixel_is_named_only_under_the_pointer(make_window: MakeWindow) -> None:

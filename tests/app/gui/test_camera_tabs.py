@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PyQt6.QtCore import QPoint, QPointF, QRectF, Qt
+from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QApplication, QMenu, QWidget
 from pytestqt.qtbot import QtBot
@@ -21,8 +21,6 @@ from support.wavefronts import bowl
 from support.window_tools import LENSLETS, MakeWindow, count_pixels, dim_frame, picture, views
 
 from app.gui.panels.camera import CameraPanel
-from app.gui.panels.lenslet import LensletPanel
-from app.gui.panels.panel import Shown
 from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
 from app.results.view_analysis import LensletInspection, inspect_lenslet
@@ -144,34 +142,6 @@ def test_click_on_a_lenslet_opens_its_inspector(
     np.testing.assert_allclose([outline[0].mean(), outline[1].mean()], centre)
 
 
-def test_scale_of_a_lenslet_reaches_the_brightest_of_both_images(qtbot: QtBot) -> None:
-    panel = LensletPanel(Shown())
-    qtbot.addWidget(panel)
-    found = inspect_lenslet(shown(inspected()), 4, 7)
-    assert found is not None
-    panel.show_result(replace(found, frame=3 * found.reference))
-    for name in ("Reference", "Frame"):
-        maps = panel.tiles[name].maps
-        assert maps is not None
-        assert 3 <= maps.scale.high / found.reference.max() < 6, name
-
-
-@pytest.mark.parametrize("height", [60, 130, 300])
-def test_images_of_a_lenslet_are_alike(window: MainWindow, qtbot: QtBot, height: int) -> None:
-    panel = window.panels.lenslet
-    window.show_measurement(shown(inspected()))
-    click_lenslet(window.panels.camera, 4, 7)
-    qtbot.waitUntil(lambda: panel.tiles["Residual"].maps is not None)
-    images = panel.tiles["Reference"].parentWidget()
-    assert images is not None
-    images.resize(700, height)
-    tiles = list(panel.tiles.values())
-    assert len({tile.places.size.width() for tile in tiles}) == 1
-    assert tiles[0].places.size.width() >= min(tile.height() for tile in tiles) - 8  # the image fills its place
-    bars = [bool(tile.places.bar_space) for tile in tiles]
-    assert bars == [False, False, height > 100, height > 100]
-
-
 def test_lost_lenslet_is_inspected_with_its_reason(window: MainWindow, qtbot: QtBot) -> None:
     measurement = inspected()
     assert measurement.registered is not None
@@ -192,21 +162,6 @@ def test_lenslet_without_reference_is_explained(window: MainWindow, qtbot: QtBot
     qtbot.waitUntil(lambda: panel.numbers.text().startswith("nothing to inspect"))
     click_lenslet(window.panels.camera, 4, 4)
     qtbot.waitUntil(lambda: panel.name.text() == "Lenslet row 4, column 4")
-
-
-def test_double_or_right_click_inspects_nothing(window: MainWindow) -> None:
-    panel, camera = window.panels.lenslet, window.panels.camera
-    window.show_measurement(shown(inspected()))
-    click_lenslet(camera, 4, 7)
-    assert camera._click_timer.interval() == QApplication.doubleClickInterval()
-    camera._click_timer.setInterval(int(1000 * HANG_S))  # however late the second click is
-    camera._view.setRange(QRectF(100, 100, 50, 50))
-    viewport = camera._graphics.viewport()
-    QtBot.mouseDClick(viewport, Qt.MouseButton.LeftButton, pos=viewport.rect().center())  # type: ignore[no-untyped-call] # pytest-qt declares no types
-    QtBot.mouseClick(viewport, Qt.MouseButton.RightButton, pos=viewport.rect().center())  # type: ignore[no-untyped-call] # pytest-qt declares no types
-    assert not camera._click_timer.isActive()
-    assert panel.lenslet is None
-    assert camera._view.viewRect().width() >= 430
 
 
 def menu_at(widget: QWidget, at: QPoint) -> dict[str, QAction]:
@@ -237,16 +192,6 @@ def test_context_menus_copy_picture_and_numbers(window: MainWindow) -> None:
     plot._curves[0].setData([0.0, 1.0], [1.0, 0.5])
     menu_at(plot, QPoint(5, 5))["Copy numbers"].trigger()
     assert clipboard.text().endswith("x\ty\n0\t1\n1\t0.5")
-
-
-def test_right_click_on_a_view_selects_nothing(window: MainWindow) -> None:
-    window.show_measurement(make_measurement(dim_frame(), views()))
-    grid = window.panels.wavefronts.grid
-    QApplication.processEvents()
-    selected: list[tuple[int, int]] = []
-    grid.selected.connect(lambda *view: selected.append(view))
-    QtBot.mouseClick(grid, Qt.MouseButton.RightButton, pos=grid.places.tile(0, 0).center())  # type: ignore[no-untyped-call] # pytest-qt declares no types
-    assert not selected
 
 
 @pytest.mark.slow

@@ -155,19 +155,6 @@ def test_frame_stays_in_sight(window: MainWindow) -> None:
         assert (middle.x(), middle.y()) == pytest.approx(corner)
 
 
-def test_click_with_a_tool_inspects_no_lenslet(window: MainWindow, qtbot: QtBot) -> None:
-    panel = window.panels.camera
-    window.show_measurement(make_measurement(dim_frame(), views()))
-    clicked: list[tuple[int, int]] = []
-    panel.lenslet_clicked.connect(lambda *at: clicked.append(at))
-    panel.use_tool("line")
-    QApplication.processEvents()
-    at = panel._graphics.mapFromScene(panel._view.mapViewToScene(QPointF(215, 150)))
-    qtbot.mouseClick(panel._graphics.viewport(), Qt.MouseButton.LeftButton, pos=at)  # type: ignore[no-untyped-call] # pytest-qt declares no types
-    assert not panel._click_timer.isActive()
-    assert not clicked
-
-
 @pytest.mark.parametrize("angle_rad", [0.0, 0.1])
 def test_lenslets_are_those_whose_centres_lie_in_the_rectangle(window: MainWindow, angle_rad: float) -> None:
     panel = window.panels.camera

@@ -142,8 +142,9 @@ def test_return_applies_typed_number_and_escape_restores_it(live: tuple[MainWind
         assert field.text() == "40.000 ms"
         assert not field.hasFocus()  # digits are shortcuts again
     assert not answers
+    qtbot.waitUntil(window.messages.accept.isVisible)
     press(qtbot, window, Qt.Key.Key_Return)
-    assert answers == [True]
+    qtbot.waitUntil(lambda: answers == [True])
 
 
 @pytest.mark.slow
@@ -240,19 +241,6 @@ def test_steps_show_time_and_brightness_in_the_order_of_work(live: tuple[MainWin
     assert "Good" in controls.auto_exposure.toolTip()
     camera.light.set_on(False)
     qtbot.waitUntil(lambda: "Doubtful" in controls.auto_exposure.toolTip())
-
-
-def test_method_has_a_human_name_and_keeps_its_word(live: tuple[MainWindow, FakeCamera]) -> None:
-    window, _ = live
-    choice = window.controls.registration
-    assert choice.currentText() == "Gauss-Newton"
-    sent: list[tuple[str, object]] = []
-    window.controls.requested.connect(lambda *one: sent.append(one))
-    choice.setCurrentText("centroids")
-    choice.activated.emit(choice.currentIndex())
-    assert sent == [("registration.method", "centroids")]
-    window.controls.basis.activated.emit(1)
-    assert sent[1] == ("reconstruction.basis", "zernike")
 
 
 @pytest.mark.slow

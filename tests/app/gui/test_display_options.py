@@ -21,7 +21,6 @@ from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, p
 
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.enlarged_view import EnlargedView
-from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import number, signed
 from app.results.dataset import result_dataset
 from app.results.result_file import write_results
@@ -124,25 +123,6 @@ def test_wavefront_of_a_file_is_read_beside_the_window_and_subtracted(
     assert "; minus tilted.nc" in panel._summary.text()
 
 
-def test_file_that_is_read_while_another_bench_is_opened_is_not_subtracted(
-    window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    panel, go_on, ends = window.panels.wavefronts, threading.Event(), threading.Event()
-
-    def read_slowly(*_: Any) -> StoredWavefront:
-        assert go_on.wait(HANG_S)
-        ends.set()
-        return StoredWavefront.of(bowl(), "of the bench before")
-
-    monkeypatch.setattr(StoredWavefront, "from_results", read_slowly)
-    subtract(Path("results.nc"), window, qtbot, monkeypatch)
-    panel.forget_bench()
-    go_on.set()
-    assert ends.wait(HANG_S)
-    qtbot.wait(100)  # more than a turn of its timer
-    assert panel.menu.options.stored is None
-
-
 def test_unsuitable_file_is_refused_in_words(
     window: MainWindow, qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -189,12 +169,6 @@ def test_double_click_opens_the_enlarged_view(window: MainWindow, qtbot: QtBot) 
     np.testing.assert_array_equal(enlarged.map.values, shown(window)[2, 0])
     panel.show_wavefront(None)
     assert enlarged.text.text() == "no wavefront"
-
-
-def test_numbers_of_axes_have_the_minus_sign_of_other_numbers(qtbot: QtBot) -> None:
-    plot = Plot("Row 3", "x (mm)")
-    qtbot.addWidget(plot)
-    assert plot.axes["bottom"].tickStrings([-2.0, 0.0, 2.0], 1.0, 2.0) == ["\N{MINUS SIGN}2", "0", "2"]
 
 
 def test_enlarged_view_paints_contours_and_a_surface_that_turns(window: MainWindow, qtbot: QtBot) -> None:

@@ -179,21 +179,6 @@ def test_lost_wavefront_makes_the_map_grey(window: MainWindow, qtbot: QtBot, mea
     qtbot.waitUntil(lambda: not panel.map.is_stale)
 
 
-def test_fresh_map_is_repainted_with_its_colour_bar(
-    window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    open_tab(qtbot, window, "Layers")
-    panel = window.panels.layers
-    qtbot.waitUntil(lambda: panel.map.maps is not None and not panel.map.is_stale)
-    grid, parts = panel.map, list[tuple[object, ...]]()
-    monkeypatch.setattr(grid, "update", lambda *part: parts.append(part))
-    panel.show_nothing()
-    assert parts.pop() == ()  # all of it, not only the maps
-    grid.is_stale = False  # as it shows layers
-    grid.show_maps(grid.maps)
-    assert parts.pop() == ()
-
-
 @pytest.mark.slow
 def test_displacements_alike_over_the_field_show_no_layer(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()

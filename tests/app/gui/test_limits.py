@@ -115,25 +115,6 @@ def test_frame_that_is_not_live_neither_passes_nor_alarms(window: MainWindow) ->
     assert window.shown.verdict.text == "\N{EN DASH}"  # of the next bench nothing is known
 
 
-def test_limit_is_drawn_where_it_is_crossed_or_near(window: MainWindow) -> None:
-    panel = window.panels.history
-    for index in range(10):
-        panel.add(index / 5, {RMS: 2.0 + 0.1 * index})  # 2.0 ... 2.9
-    chart = panel.charts[RMS]
-    lowest, highest = chart.limit_lines
-    assert not lowest.isVisible()
-    assert not highest.isVisible()
-    set_limits(panel, RMS, "0.5", "2.5")
-    assert (lowest.isVisible(), highest.isVisible(), highest.value()) == (False, True, 2.5)  # 0.5 is far away
-    assert chart.value.property("tone") == theme.tone(theme.RED)
-    set_limits(panel, RMS, "1.5", "9")
-    assert (lowest.isVisible(), highest.isVisible()) == (True, False)
-    low, high = chart.plot.view.viewRange()[1]
-    assert low < 1.5
-    assert high > 2.9
-    assert chart.value.property("tone") != theme.tone(theme.RED)
-
-
 def test_limit_of_a_phase_keeps_its_unit(window: MainWindow) -> None:
     panel = window.panels.history
     window.shown.unit = Unit.NM
@@ -175,20 +156,6 @@ def test_former_limits_hold_while_texts_are_refused(window: MainWindow, lowest: 
     assert window.status_line.limits.text() == "fail"
     set_limits(panel, RMS)
     assert panel.form.limits() == {}
-
-
-def test_changed_limit_is_judged_at_once(window: MainWindow) -> None:
-    panel = window.panels.history
-    set_limits(panel, RMS, highest="1")
-    follow(window, RMS, (0.0, 2.0))
-    assert window.status_line.limits.text() == "fail"
-    set_limits(panel, RMS, highest="1.5")
-    window.update_text()
-    assert window.status_line.limits.text() == "fail"
-    set_limits(panel, RMS, highest="5")
-    window.update_text()
-    assert window.status_line.limits.text() == "pass"
-    assert window.messages.text.text() == "Within the limits again: RMS"
 
 
 def test_limits_are_kept_between_two_starts(make_window: MakeWindow, tmp_path: Path) -> None:

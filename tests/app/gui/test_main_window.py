@@ -5,19 +5,16 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import QEvent, QObject, Qt
+from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor, QTextDocument
-from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, make_measurement, opener
-from support.patience import HANG_S, own_time, wait_until
+from support.patience import HANG_S, own_time
 from support.window_tools import LENSLETS, MakeWindow, count_pixels, dim_frame, press, views, wait_for_wavefront
 
-from app.acquisition.running_instrument import Activity
 from app.acquisition.worker import Acquisition
 from app.gui.shell.access import Access
 from app.gui.shell.help import TextDialog
@@ -25,10 +22,9 @@ from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.gui.widgets.presentation import NOTHING
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import Assumptions, FrameTotals, RefinementState
-from app.recording.recorder import RecordingState
+from app.measurement.measurement import Assumptions, RefinementState
 from app.timing import STAGES
-from drivers.interface import Disconnected, Frame
+from drivers.interface import Disconnected
 from reconstruction.displacement import Outcome
 from reconstruction.pipeline import Reconstructor
 
@@ -71,64 +67,6 @@ def test_lost_lenslets_are_counted_by_reason(make_window: MakeWindow) -> None:
         assert shown.text() == text
         assert shown.property("tone") == theme.tone(colour)
         assert (f"{12 * lost_rows} lost: no light\n{lost_rows} lost: saturated" in shown.toolTip()) == (lost_rows > 0)
-
-
-def test_new_numbers_lay_nothing_out(make_window: MakeWindow, qapp: QApplication, qtbot: QtBot) -> None:
-    """A status bar that is laid out is painted whole, and the recording's text is in the menu bar."""
-    window = make_window()
-    window._timer.stop()
-    measurement = make_measurement(dim_frame(), views())
-    laid_out: list[str] = []
-
-    class Filter(QObject):
-        def eventFilter(self, of: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
-            if event is not None and event.type() == QEvent.Type.LayoutRequest:
-                laid_out.append(type(of).__name__)
-            return False
-
-    def show(number: int) -> None:
-        window.show_measurement(replace(measurement, counts=FrameTotals(number, number, number)))
-        count_pixels(qtbot, window)
-        window.recording_panel.show_state(RecordingState(Path("r"), "recording", number, 0, 9.0, 60.0, ""))
-        for _ in range(3):  # one layout triggers others
-            QApplication.processEvents()
-
-    show(1000)
-    show(1001)  # the first texts made room for themselves
-    watch = Filter()
-    qapp.installEventFilter(watch)
-    show(1002)
-    qapp.removeEventFilter(watch)
-    assert window.status_line.lost.text() == "1002"
-    assert "1002" in window.recording_panel.text.text()
-    assert not laid_out
-
-
-def test_small_window_stays_readable(make_window: MakeWindow) -> None:
-    window = make_window()
-    window.resize(400, 300)
-    window.show_measurement(make_measurement(dim_frame(), views()))
-    QApplication.processEvents()
-    panel = window.panels.camera
-    assert panel.caption.geometry().top() > panel._graphics.geometry().bottom()
-    assert window.panels.wavefronts.grid.places.caption_lines
-    narrowest = window.width()
-    assert 900 <= narrowest < 1024  # the controls may need more than 900, but fit on the smallest usual screen
-    panel.caption.setText("a very long line " * 20)
-    QApplication.processEvents()
-    assert window.width() == narrowest
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_window_measures_without_a_click(live: tuple[MainWindow, FakeCamera]) -> None:
-    window, camera = live
-    assert camera.light.is_on
-    assert camera.stage.is_sample_in
-    assert window._status is not None
-    assert window._status.dark.validity == "good"
-    assert window._status.reference.validity == "good"
-    assert window.controls.start.text() == "Stop"
 
 
 @pytest.mark.slow
@@ -192,6 +130,15 @@ def test_status_line_shows_nothing_old_while_a_bench_opens(live: tuple[MainWindo
     qtbot.waitUntil(lambda: line.devices.width() >= line.devices.sizeHint().width())
 
 
+def test_times_are_told_in_milliseconds_and_seconds(make_window: MakeWindow) -> None:
+    line = make_window().status_line
+    for seconds, text in ((0.0123, "12.3 ms"), (4.56, "4.6 s")):
+        line.restart()
+        line.count(replace(make_measurement(dim_frame(), views()), latency_s=seconds))
+        line.update_text(None, None)
+        assert line.delay.text() == text
+
+
 @pytest.mark.parametrize(("age_s", "colour"), [(2.0, theme.GREEN), (120.0, theme.AMBER)])
 def test_old_correction_is_not_green(make_window: MakeWindow, age_s: float, colour: QColor) -> None:
     line = make_window().status_line
@@ -199,25 +146,6 @@ def test_old_correction_is_not_green(make_window: MakeWindow, age_s: float, colo
     line.count(replace(make_measurement(dim_frame(), views()), assumed=assumed))
     line.update_text(None, None)
     assert line.correction.property("tone") == theme.tone(colour)
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_failure_during_refresh_changes_message_and_light_together(
-    live: tuple[MainWindow, FakeCamera], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    window, _ = live
-    acquisition, text = window.controller.acquisition, window.messages.text
-    assert isinstance(acquisition, Acquisition)
-
-    def fail(*_: object, **__: object) -> None:
-        acquisition.error = Disconnected("the camera was unplugged")
-
-    monkeypatch.setattr(window.messages, "show_activity", fail)
-    for is_shown, light in ((False, "Light on"), (True, "Light off")):
-        window.refresh()
-        assert ("unplugged" in text.text()) == is_shown
-        assert window.controls.light.text() == light
 
 
 @pytest.mark.slow
@@ -260,40 +188,6 @@ def test_compilation_after_the_reference_is_explained(
     assert messages.cancel.isHidden()
     release.set()
     qtbot.waitUntil(lambda: messages.text.text() == "Reference taken: mean of 20 frames")
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_end_of_a_dark_is_not_blamed_on_the_light(
-    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    window, camera = live
-    acquisition, show = window.controller.acquisition, window.messages.show_activity
-    assert acquisition is not None
-    release, read = threading.Event(), camera._read
-
-    def read_held(timeout_s: float) -> Frame:
-        frame = read(timeout_s)
-        assert camera.light.shines or release.wait(HANG_S)
-        return frame
-
-    def outlast(activity: Activity, *, may_cancel: bool) -> None:
-        """The dark ends while the window draws."""
-        show(activity, may_cancel=may_cancel)
-        release.set()
-        wait_until(lambda: not acquisition.activity.text)
-
-    monkeypatch.setattr(camera, "_read", read_held)
-    try:
-        window.controls.frames.setValue(3)
-        window.controls.dark.click()
-        qtbot.waitUntil(lambda: window.controls.light.text() == "Light off")
-        monkeypatch.setattr(window.messages, "show_activity", outlast)
-        window.refresh()
-        window.update_text()
-        assert window.messages.text.text() == "Taking the dark, 3 frames: Esc cancels"
-    finally:
-        release.set()
 
 
 @pytest.mark.slow

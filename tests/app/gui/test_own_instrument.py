@@ -17,7 +17,7 @@ from support.recordings import record
 from support.served import connected
 from support.window_tools import choose_button, said_in
 
-from app.acquisition.address import NAME, file_of, is_taken, taken_address
+from app.acquisition.address import NAME, file_of, is_taken
 from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
 from app.bench.config import Bench, load_bench, save_bench
@@ -252,41 +252,6 @@ def test_instrument_of_a_window_goes_on_for_the_client_that_has_control(
     assert started[0].wait(HANG_S) == 0
 
 
-@pytest.mark.long
-def test_instrument_ends_although_the_window_cannot_read_it_any_more(
-    started: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def act(window: MainWindow) -> None:
-        for _ in range(2):
-            qtbot.waitUntil(lambda: is_measured(window))
-            connection_of(window)._frames.error = RuntimeError("no memory")
-            qtbot.waitUntil(lambda: "cannot be shown: no memory" in said_in(window))
-            if len(started) == 1:
-                window.messages.reconnect.click()
-
-    assert live_window(monkeypatch, small_toml, act) == 0
-    assert [each.poll() is None for each in started] == [False, False]
-    assert not is_taken(NAME)
-
-
-def test_process_that_ends_at_once_is_told_with_its_last_words(
-    started: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of two windows that start together, one has the name; the other must not take its instrument for its own."""
-    looks = iter([False])
-    monkeypatch.setattr("app.acquisition.remote.own_instrument.is_taken", lambda name: next(looks, is_taken(name)))
-
-    def act(window: MainWindow) -> None:
-        qtbot.waitUntil(lambda: "process has ended: an instrument runs as" in said_in(window))
-        assert window.controller.connection is None
-        assert not window.messages.reconnect.isHidden()
-
-    with taken_address() as address:
-        address.announce()
-        assert live_window(monkeypatch, small_toml, act) == 0
-    assert [each.poll() for each in started] == [1]
-
-
 def test_window_acts_while_its_instrument_starts(
     stopped: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -339,49 +304,3 @@ def test_light_that_is_switched_off_while_the_instrument_starts_never_shines(
         assert not any(seen)
 
     assert live_window(monkeypatch, small_toml, act) == 0
-
-
-def test_process_without_a_window_ends(started: list[subprocess.Popen[bytes]], small_toml: Path) -> None:
-    with OwnInstrument() as own:
-        process = own.start(load_bench(small_toml))
-        assert own.start(load_bench(small_toml)) is process
-    assert [each.poll() is None for each in started] == [False]
-
-
-def test_file_of_the_bench_is_gone_once_it_was_read(
-    started: list[subprocess.Popen[bytes]],
-    small_toml: Path,
-    other_toml: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-) -> None:
-    """A window that is killed would leave it."""
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
-    (tmp_path / "temporary").mkdir()
-    with OwnInstrument() as own:
-        for file in (small_toml, other_toml):
-            connection = own.connect(load_bench(file))
-            wait_until(lambda: connection.status is not None)  # noqa: B023 - at once
-            assert connection.status is not None
-            assert connection.status.bench == load_bench(file)
-            assert not list((tmp_path / "temporary").iterdir())
-    assert len(started) == 2
-
-
-def test_end_that_is_heard_of_before_leaving_is_no_loss(
-    started: list[subprocess.Popen[bytes]], small_toml: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """On a busy computer the answer comes before the connection is closed; the window then shows the light as off."""
-    end = OwnConnection.end
-
-    def end_and_hear_of_it(connection: OwnConnection) -> None:
-        end(connection)
-        wait_until(lambda: connection.failure)
-
-    monkeypatch.setattr(OwnConnection, "end", end_and_hear_of_it)
-    with OwnInstrument() as own:
-        connection = own.connect(load_bench(small_toml))
-        wait_until(lambda: connection.status is not None)
-        connection.close(HANG_S)
-        assert (connection.loss, connection.goes_on) == ("", False)
-    assert [each.poll() for each in started] == [0]

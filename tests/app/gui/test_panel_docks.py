@@ -97,14 +97,6 @@ def test_default_layout_has_wavefronts_beside_camera_and_tabs(window: MainWindow
     assert controls.width() == window.width()
 
 
-def test_panels_keep_their_proportions_when_the_window_grows(window: MainWindow) -> None:
-    window.resize(2000, 1400)
-    place = {title: geometry for title, (geometry, _, _) in layout(window).items()}
-    assert place["Camera"].width() == pytest.approx(place["Wavefronts"].width(), rel=0.03)
-    assert place["Quality"].height() / place["Camera"].height() == pytest.approx(0.6, abs=0.08)
-    assert place["Controls"].height() == window.controls.sizeHint().height()
-
-
 def test_tab_shows_its_panel_and_hides_the_others(window: MainWindow) -> None:
     bar, at = tab(window, "Histogram")
     click(QtBot, bar, at)  # type: ignore[arg-type] # its mouse methods are static
@@ -121,17 +113,6 @@ def test_header_floats_and_docks_a_panel(window: MainWindow, title: str) -> None
     assert chosen.panel.isVisible()
     press_button(chosen, "Float")
     check_same(layout(window), before)
-
-
-def test_chosen_panels_float_visibly(window: MainWindow) -> None:
-    window.docks.float_panels(window.panels.history, window.panels.histogram)
-    QApplication.processEvents()
-    for title, panel in tabs(window).items():
-        if title in {"History", "Histogram"}:
-            assert panel.isVisible()
-            assert panel.window() is not window
-        else:
-            assert panel.window() is window
 
 
 def test_closed_panel_returns_from_the_menu(window: MainWindow) -> None:
@@ -233,11 +214,3 @@ def test_entries_show_the_state_of_their_buttons(window: MainWindow, live: tuple
     assert bench["Reconnect after a failure"] == (False, False)
     menu(connected, "&Bench").aboutToHide.emit()
     assert all(one.isEnabled() for one in menu(window, "&File").actions() if one.text() == "Save the bench")
-
-
-def test_grey_entry_has_its_key_again_when_the_menu_is_closed(window: MainWindow) -> None:
-    found = menu(window, "&Bench")
-    entry = next(one for one in found.actions() if one.text() == "Take a dark")
-    assert not entry.isEnabled()
-    found.aboutToHide.emit()
-    assert entry.isEnabled()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from PyQt6.QtCore import QSettings
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QApplication, QPushButton, QWidget
+from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, wait_for_wavefront
@@ -113,13 +113,3 @@ def test_empty_presets_are_explained_and_offer_nothing(make_window: MakeWindow, 
     again.names.setCurrentRow(0)
     assert again.delete.isEnabled()
     assert not again.apply.isEnabled()  # no bench is open
-
-
-def test_close_button_of_the_preferences_is_not_stretched(qtbot: QtBot, settings: QSettings) -> None:
-    parent = QWidget()
-    qtbot.addWidget(parent)
-    dialog = PreferencesDialog(settings, parent)
-    dialog.show()
-    (close,) = dialog.findChildren(QPushButton)
-    assert close.width() == close.sizeHint().width()
-    dialog.close()

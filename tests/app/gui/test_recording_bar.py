@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import threading
 from pathlib import Path
 
 import pytest
@@ -14,13 +13,9 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, press
 
-from app.acquisition.worker import Acquisition
-from app.gui.shell.background_commands import BackgroundCommands
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.menus import RecentFiles
-from app.recording.folder import describe
 from app.recording.reader import Recording
-from app.recording.recorder import RecordingState
 
 
 def type_into(qtbot: QtBot, field: QLineEdit, text: str) -> None:
@@ -52,18 +47,6 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
 
     monkeypatch.setattr(QDesktopServices, "openUrl", open_url)
     return paths
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_single_frame_is_counted_in_the_singular(
-    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
-) -> None:
-    window, _ = live
-    record(qtbot, window, tmp_path, frames=1)
-    qtbot.waitUntil(lambda: "  Recorded 1 frame in " in window.messages.log)
-    assert window.recording_bar.text.text().startswith("1 frame in ")
-    qtbot.waitUntil(lambda: window.recording_panel.text.text().startswith("1 frame   "))
 
 
 @pytest.mark.slow
@@ -180,36 +163,6 @@ def test_report_and_export_run_beside_the_window(
 
 
 @pytest.mark.slow
-def test_buttons_wait_until_the_recording_has_its_name(
-    live: tuple[MainWindow, FakeCamera],
-    qtbot: QtBot,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    opened: list[Path],
-) -> None:
-    window, _ = live
-    record(qtbot, window, tmp_path, frames=2)
-    bar, disk, reported = window.recording_bar, threading.Event(), list[Path]()
-
-    def describe_late(folder: Path, *, name: str, note: str) -> Path:
-        disk.wait()
-        return describe(folder, name=name, note=note)
-
-    monkeypatch.setattr("app.gui.shell.recording.describe", describe_late)
-    monkeypatch.setattr(BackgroundCommands, "start", lambda *given, **_: reported.append(given[4]))
-    type_into(qtbot, bar.name, "mouse 7")
-    bar.open.click()
-    bar.report.click()
-    qtbot.wait(100)
-    assert not opened
-    disk.set()
-    qtbot.waitUntil(lambda: bool(reported))
-    (folder,) = tmp_path.iterdir()
-    assert folder.name.endswith("-mouse 7")
-    assert (opened, reported) == ([folder], [folder])
-
-
-@pytest.mark.slow
 @pytest.mark.long
 def test_missing_viewer_is_named_in_the_window(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -287,17 +240,3 @@ def test_recording_in_the_dark_is_announced(live: tuple[MainWindow, FakeCamera],
     assert "Recording with the light off" in window.messages.log
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     assert window.controls.start.text() == "Stop"  # of the camera: another word
-
-
-def test_end_is_told_again_of_a_recording_with_the_name_of_a_removed_one(
-    live: tuple[MainWindow, FakeCamera], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    window, _ = live
-    told: list[str] = []
-    monkeypatch.setattr(window.messages, "inform", told.append)
-    for stage in ("finished", "recording", "finished"):
-        state = RecordingState(tmp_path / "run", stage, 3, 0, 1.0, 60.0, "")
-        monkeypatch.setattr(Acquisition, "recording", state)
-        window.recording_bar.refresh()
-        window.recording_bar.refresh()
-    assert [text.startswith("recorded 3 frames") for text in map(str.lower, told)] == [True, True]

@@ -23,9 +23,7 @@ from app.gui.widgets import theme
 from app.measurement.measurement import FrameTotals, Measurement
 from app.recording.folder import describe
 from app.recording.reader import Recording
-from app.recording.recorded_devices import RecordedCamera
 from app.results.player import Player
-from drivers.interface import DeviceTimeout, Frame, WrongState
 
 FRAMES = 8
 
@@ -229,32 +227,6 @@ def test_bar_is_hidden_at_live_devices(live: tuple[MainWindow, object], qtbot: Q
     press(qtbot, window, Qt.Key.Key_Period)
     assert window.controls.light.isEnabled()
     assert window.recording_panel.record.isEnabled()
-
-
-@pytest.mark.slow
-def test_slider_moves_a_recording_that_was_paused_before_its_first_frame(
-    window: MainWindow, qtbot: QtBot, recording: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def read(_: RecordedCamera, __: float) -> Frame:
-        raise DeviceTimeout("no frame came in time")
-
-    bar = window.replay
-    qtbot.waitUntil(lambda: bar.slider.value() > 0)  # in another recording
-    monkeypatch.setattr(RecordedCamera, "_read", read)
-    player = Player(recording.folder)
-    window.open(Access(player.acquisition, player.begin, player))
-    assert bar.slider.value() == 0
-    qtbot.waitUntil(lambda: bar.play.text() == "Pause")
-    bar.play.click()
-    qtbot.waitUntil(lambda: bar.play.text() == "Play")
-    assert player.position is None
-    bar.slider.setValue(2)
-    qtbot.waitUntil(partial(is_at, window, player, 2))
-    assert not window.messages.log
-
-
-def test_frame_of_a_recording_that_is_not_open_is_refused(recording: Recording) -> None:
-    assert isinstance(Player(recording.folder).show_frame(0).exception(), WrongState)
 
 
 def is_at(window: MainWindow, player: Player, position: int) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
 from functools import partial
 
@@ -17,13 +16,11 @@ from support.patience import HANG_S
 from support.window_tools import part, picture, press
 from test_number_field import type_text
 
-from app.acquisition.instrument import Instrument
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.wording import warning
 from app.gui.widgets import theme
-from app.measurement.measurement import Measurement
 from app.results.view_analysis import Quantity
-from drivers.interface import Frame, Range
+from drivers.interface import Range
 
 
 def scroll(widget: QWidget) -> None:
@@ -69,64 +66,6 @@ def test_refused_number_is_explained_in_red_and_reaches_no_device(
     window.controls.dark.click()  # does not take the focus
     assert camera.light.current_a == 0.35
     assert window.controller.is_settled
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_refused_number_is_explained_while_a_proposal_is_open(
-    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("app.gui.shell.messages._NOTICE_S", 1e9)  # it does not expire
-    window, _ = live
-    window.activateWindow()
-    messages, field = window.messages, window.controls.current
-    press(qtbot, window, Qt.Key.Key_N)
-    qtbot.waitUntil(messages.accept.isVisible)
-    proposal = messages.text.text()
-    refused = "Current 9999 is outside the allowed range 0 ... 1000 mA: not changed"
-    for end in (Qt.Key.Key_Escape, Qt.Key.Key_Tab):
-        press(qtbot, window, Qt.Key.Key_C)
-        qtbot.waitUntil(field.hasFocus)
-        type_text(qtbot, field, "9999")
-        press(qtbot, field, Qt.Key.Key_Return)
-        window.update_text()
-        assert messages.text.text() == refused
-        assert not messages.accept.isVisible()
-        press(qtbot, field, end)
-        window.update_text()
-        assert messages.text.text() == (proposal if end == Qt.Key.Key_Escape else refused)
-    press(qtbot, window, Qt.Key.Key_Return)  # accepts nothing that is hidden
-    press(qtbot, window, Qt.Key.Key_Escape)
-    window.update_text()
-    assert messages.text.text() == proposal
-    assert window.controller.is_settled
-    press(qtbot, window, Qt.Key.Key_Return)
-    qtbot.waitUntil(lambda: says(window, "The lattice is in use; Ctrl+S saves it"))
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_problem_of_earlier_settings_is_not_shown_as_the_present_one(
-    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    window, _ = live
-    release = threading.Event()
-
-    def measure(instrument: Instrument, frame: Frame) -> Measurement:
-        if instrument.bench.reconstruction.method == "zonal":
-            release.wait()  # a slow method
-        return Measurement(frame, None, "no stars are where they are expected")
-
-    monkeypatch.setattr(Instrument, "measure", measure)
-    try:
-        qtbot.waitUntil(lambda: says(window, "No stars are where they are expected"))
-        window.controls.requested.emit("reconstruction.method", "zonal")
-        qtbot.waitUntil(lambda: window._status is not None and window._status.bench.reconstruction.method == "zonal")
-        window.update_text()
-        assert not says(window, "No stars are where they are expected")
-    finally:
-        release.set()
-    qtbot.waitUntil(lambda: says(window, "No stars are where they are expected"))  # also with the new settings
 
 
 def test_typed_letters_and_space_are_no_shortcuts(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:

@@ -2,28 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint
-from PyQt6.QtGui import QPaintEvent
-from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import make_measurement
-from support.wavefronts import bowl
-from support.window_tools import LENSLETS, MakeWindow, dim_frame, part, picture, views
+from support.window_tools import LENSLETS, MakeWindow, dim_frame, part, picture
 
-from app.gui.widgets.presentation import (
-    MAGNIFICATIONS,
-    NOTHING,
-    RANGES,
-    AdaptiveScale,
-    ColourScale,
-    diverging,
-    with_error,
-)
+from app.gui.widgets.presentation import MAGNIFICATIONS, NOTHING, RANGES, AdaptiveScale, diverging, with_error
 from app.gui.widgets.view_grid import Maps, ViewGrid
 from reconstruction.arrays import Floats
 
@@ -81,47 +67,6 @@ def test_positive_is_red_and_negative_is_blue(make_window: MakeWindow) -> None:
     assert abs(middle[0] - middle[2]) < 20
 
 
-def test_only_what_has_changed_is_painted_again(
-    make_window: MakeWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The captions and the colour bar cost as much as the maps, which change with every frame."""
-    window = make_window()
-    window._timer.stop()
-    window.analyses.close()
-    shown = np.zeros((3, 3, *LENSLETS))
-    window.show_measurement(make_measurement(dim_frame(), shown))
-    grid = window.panels.wavefronts.grid
-    show(grid, shown, 2.0)
-    around: list[bool] = []
-    paint = ViewGrid.paintEvent
-
-    def paint_and_note(self: ViewGrid, event: QPaintEvent) -> None:
-        around.append(not event.region().subtracted(self.places.tiles).isEmpty())
-        paint(self, event)
-
-    monkeypatch.setattr(ViewGrid, "paintEvent", paint_and_note)
-    captions: list[str] = []
-    monkeypatch.setattr(ViewGrid, "_paint_captions", lambda *_: captions.append("painted"))
-
-    def painted(change: Callable[[], object]) -> tuple[bool, int]:
-        """True if more than the maps was painted, and the number of times that the captions were."""
-        QApplication.processEvents()
-        around.clear()
-        captions.clear()
-        change()
-        qtbot.waitUntil(lambda: bool(around))
-        QApplication.processEvents()
-        return any(around), len(captions)
-
-    assert painted(lambda: show(grid, shown + 1, 2.0)) == (False, 0)
-    assert painted(lambda: show(grid, shown, 3.0)) == (True, 1)  # other numbers at the colour bar
-    assert painted(lambda: grid.select((0, 0))) == (True, 1)
-    assert painted(lambda: grid.show_stale(is_stale=True)) == (True, 1)
-    assert painted(lambda: grid.show_stale(is_stale=False)) == (True, 1)
-    assert painted(lambda: show(grid, shown + 1, 3.0)) == (False, 0)
-    assert painted(lambda: grid.set_captions({(0, 0): (("other",), ("",))})) == (True, 1)
-
-
 def test_lost_lenslet_is_hatched_not_zero(make_window: MakeWindow) -> None:
     window = make_window()
     shown = np.zeros((3, 3, *LENSLETS))
@@ -170,40 +115,6 @@ def test_largest_number_stands_at_the_top_of_the_colour_bar(
     assert ink[: ink.size // 3].sum() > 100 + 2 * ink[ink.size // 3 :].sum()
 
 
-def test_color_bar_gives_way_to_small_maps(qtbot: QtBot) -> None:
-    grid = ViewGrid()
-    qtbot.addWidget(grid)
-    grid.setMinimumSize(1, 1)
-    line = grid.fontMetrics().height()
-    scale = ColourScale("inferno", 0.0, 46260.0, "", (0.0, 0.5, 1.0))
-    maps = Maps(np.ones((1, 1, 20, 20)), scale, lambda *_: "")
-    grid.show_maps(maps)
-    for width, height in ((90, 4 * line), (90, 150), (300, 4 * line)):
-        grid.resize(width, height)
-        assert grid.places.tile(0, 0).width() >= min(width, height) - 6  # all but the margins
-    for height in range(5 * line, 12 * line):  # no two numbers overlap
-        grid.resize(300, height)
-        bar = grid._bar(maps)
-        places = sorted(bar.top() + (1 - fraction) * bar.height() for fraction, _ in grid._ticks(scale, bar))
-        assert len(places) in {2, 3}
-        assert min(np.diff(places)) >= line - 1
-
-
-def test_small_views_stand_apart_so_that_positions_fit(make_window: MakeWindow, qtbot: QtBot) -> None:
-    window = make_window()
-    window.resize(1440, 760)
-    window.panels.wavefronts.menu.change(views=6)
-    window.show_measurement(replace(make_measurement(dim_frame(), views()), wavefront=bowl()))
-    grid = window.panels.wavefronts.grid
-    qtbot.waitUntil(lambda: len(grid.captions) == 36)
-    assert grid.places.size.width() < 80
-    assert grid._wording(1) is not None
-    assert grid.places.tile(0, 5).right() + grid.places.bar_space < grid.width()
-    right = grid.places.tile(0, 5).center().x() + grid._caption_width // 2
-    assert grid.maps is not None
-    assert right < grid._bar(grid.maps).left()
-
-
 @pytest.mark.parametrize(("height", "lines"), [(400, 2), (230, 1), (160, 0)])
 def test_captions_give_way_line_by_line(qtbot: QtBot, height: int, lines: int) -> None:
     grid = ViewGrid((10, 10))
@@ -211,17 +122,6 @@ def test_captions_give_way_line_by_line(qtbot: QtBot, height: int, lines: int) -
     grid.resize(420, height)
     show(grid, np.zeros((3, 3, 15, 15)), 1.0)
     assert grid.places.caption_lines == lines
-
-
-def test_colour_bar_stays_while_its_numbers_change(qtbot: QtBot) -> None:
-    grid = ViewGrid()
-    qtbot.addWidget(grid)
-    phase = np.zeros((1, 1, 9, 9))
-    grid.resize(150, 120)
-    show(grid, phase, 1000)
-    with_long_numbers = grid.places.bar_space, grid.places.tile(0, 0)
-    show(grid, phase, 2)
-    assert (grid.places.bar_space, grid.places.tile(0, 0)) == with_long_numbers
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +11,6 @@ from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
-from support.patience import HANG_S
 from support.window_tools import MakeWindow, press, wait_for_wavefront
 
 from app.acquisition.worker import Acquisition
@@ -151,17 +148,3 @@ def test_closing_the_window_finishes_the_recording(
     assert not camera.light.shines
     assert settings.contains("window/panels")
     assert "cannot schedule new futures" not in "".join(capfd.readouterr())
-
-
-def test_a_disk_that_does_not_answer_does_not_hold_up_the_window(
-    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    window, _ = live
-    answers, acquisition = threading.Event(), window.controller.acquisition
-    assert isinstance(acquisition, Acquisition)
-    monkeypatch.setattr(acquisition._recorder, "free_minutes", lambda _: answers.wait(HANG_S) and 7.0)
-    window.recording_bar._disk_due_s, window.recording_bar._asked_disk = -math.inf, None
-    window.update_text()
-    assert not answers.is_set()
-    answers.set()
-    qtbot.waitUntil(lambda: "disk space for 7 min" in window.recording_panel.text.toolTip())

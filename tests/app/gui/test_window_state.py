@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from PyQt6.QtCore import QPoint, QPointF, QRect, QRectF, QSettings, QStandardPaths, Qt
+from PyQt6.QtCore import QPoint, QRect, QSettings, QStandardPaths, Qt
 from PyQt6.QtGui import QScreen
 from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import make_measurement
 from support.window_tools import MakeWindow, dim_frame, press, views
 
-from app.gui.panels.camera import CameraPanel
 from app.gui.shell.main_window import MainWindow
 from app.results.history import DELAY, RMS
 from app.results.shown_wavefront import DisplayOptions, Unit
@@ -104,38 +103,6 @@ def test_full_screen_and_back(make_window: MakeWindow, qtbot: QtBot) -> None:
     assert window.isFullScreen()
     press(qtbot, window, Qt.Key.Key_F11)
     assert not window.isFullScreen()
-
-
-def seen(panel: CameraPanel) -> QRectF:
-    return QRectF(panel._view.viewRect())
-
-
-def zoomed(window: MainWindow, factor: float) -> CameraPanel:
-    panel = window.panels.camera
-    panel._view.scaleBy((factor, factor), center=QPointF(40, 30))
-    return panel
-
-
-def test_camera_picture_cannot_be_lost(make_window: MakeWindow, qtbot: QtBot) -> None:
-    window = make_window()
-    window.activateWindow()
-    qtbot.waitUntil(window.isActiveWindow)
-    window.show_measurement(make_measurement(dim_frame(), views()))
-    QApplication.processEvents()
-    whole = seen(window.panels.camera)
-    for _ in range(40):
-        panel = zoomed(window, 0.5)
-    assert seen(panel).width() >= 8
-    panel._view.translateBy(x=1e5, y=-1e5)
-    assert QRectF(-0.5, -0.5, 430, 300).contains(seen(panel).center())
-    press(qtbot, window, Qt.Key.Key_0)
-    assert seen(panel) == whole
-    for _ in range(40):
-        zoomed(window, 2)
-    assert seen(panel).width() <= 2.5 * whole.width()
-    zoomed(window, 0.3)
-    qtbot.mouseDClick(panel._graphics.viewport(), Qt.MouseButton.LeftButton, pos=QPoint(100, 80))  # type: ignore[no-untyped-call] # pytest-qt declares no types
-    assert seen(panel) == whole
 
 
 def test_screenshot_makes_a_missing_picture_folder(
