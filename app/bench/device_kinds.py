@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 from typing_extensions import Doc
 
@@ -20,16 +20,6 @@ from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSe
 Pace = Literal["own", "fastest"]
 
 
-class DeviceSettings(Protocol):
-    """Settings of a camera or a light: a frozen dataclass of its driver."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    @property
-    def driver(self) -> str:
-        """Name of the driver in a bench."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingSettings:
     """A recording in place of the devices."""
@@ -38,6 +28,11 @@ class RecordingSettings:
     folder: str
     pace: Annotated[Pace, Doc('As recorded; "fastest": each frame when it is read, so that none is skipped')] = "own"
     repeat: Annotated[bool, Doc("Start again after the last frame; otherwise no more frames come")] = False
+
+
+CameraSettings = SimulatedCameraSettings | DcamSettings | GenicamSettings | MicroManagerSettings | RecordingSettings
+LightSettings = SimulatedLightSettings | DC4100Settings | DC2200Settings | CoolLEDSettings | ManualLightSettings
+DeviceSettings = CameraSettings | LightSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +112,5 @@ _LIGHTS = (
     ),
     DeviceKind(ManualLightSettings, "drivers.manual_light.ManualLight"),
 )
-CameraSettings = SimulatedCameraSettings | DcamSettings | GenicamSettings | MicroManagerSettings | RecordingSettings
-LightSettings = SimulatedLightSettings | DC4100Settings | DC2200Settings | CoolLEDSettings | ManualLightSettings
 DRIVERS = {"camera": _by_driver(_CAMERAS), "light": _by_driver(_LIGHTS)}  # by section of a bench and name
 KINDS = tuple(kind for kinds in DRIVERS.values() for kind in kinds.values() if kind.heading)

@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import zlib
 from dataclasses import asdict, dataclass
+from functools import cache
+from typing import TYPE_CHECKING
 
-import cattrs
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
 
 UNREADABLE = b"{}\n"  # replaces a line that cannot be read, so that the others keep their places
 
@@ -54,10 +58,7 @@ class FrameLine:
     @classmethod
     def from_json(cls, line: str | bytes) -> FrameLine:
         """Read a line; `ValueError` if it is damaged."""
-        try:
-            return _CONVERTER.structure(json.loads(line), cls)
-        except (cattrs.BaseValidationError, TypeError, RecursionError) as error:
-            raise ValueError("not the line of a frame") from error
+        return _reader().validate_json(line)
 
 
 def checksum(pixels: NDArray[np.uint16]) -> str:
@@ -65,7 +66,11 @@ def checksum(pixels: NDArray[np.uint16]) -> str:
     return f"{zlib.crc32(np.ascontiguousarray(pixels, '<u2').data):08x}"
 
 
-_CONVERTER = cattrs.Converter()
+@cache
+def _reader() -> TypeAdapter[FrameLine]:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(FrameLine)
 
 
 def sample_line(sample: AssumedSample) -> SampleLine:
