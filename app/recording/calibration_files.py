@@ -91,7 +91,7 @@ def _write_average(path: Path, average: Average) -> None:
 def _read_average(path: Path) -> Average:
     check_readable(path)
     try:
-        with reading_npy(), np.load(path, allow_pickle=False) as stored:
+        with reading_npy(), path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {field.name: stored[field.name] for field in fields(Average)}
         average = Average(**{name: array if array.ndim else array.item() for name, array in arrays.items()})
     except _DAMAGED as error:

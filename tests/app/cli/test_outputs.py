@@ -89,18 +89,6 @@ def test_no_input_is_overwritten(
     assert contents(folder) == before
 
 
-@pytest.mark.parametrize(
-    ("image", "told"), [("", " is empty: give the name of a file or folder"), (".", "svwfs: .: not a file")]
-)
-def test_empty_name_or_folder_is_no_image(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, image: str, told: str
-) -> None:
-    assert folder.is_dir()
-    for command in (("reconstruct", image, "--reference", "frame.tif"), ("calibrate", image)):
-        assert run(monkeypatch, *command, "--bench", "small_demo", "--out", "o.nc") == 2
-        assert told in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("command", OF_ANOTHER_RECORDING)
 def test_no_part_of_another_recording_is_overwritten(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, command: str

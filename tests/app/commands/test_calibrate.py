@@ -94,17 +94,6 @@ def test_dark_is_subtracted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ref
     assert lattice.center_x_px == pytest.approx(262.4, abs=0.05)
 
 
-def test_dark_brighter_than_the_reference_leaves_the_scale_unknown(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, reference: Path
-) -> None:
-    dark = tmp_path / "d.tif"
-    tifffile.imwrite(dark, np.full((512, 512), 60000, np.uint16))
-    assert run(monkeypatch, *command(reference, "--dark", dark)) == 0
-    said = capsys.readouterr()
-    assert "scale        unknown" in said.out
-    assert "Warning" not in said.err
-
-
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [

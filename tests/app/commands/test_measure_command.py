@@ -76,21 +76,6 @@ def test_measure_that_recorded_nothing_can_be_repeated(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("no_hurry")
-def test_measure_never_overwrites_recording(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
-) -> None:
-    command = ("measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m")
-    assert run(monkeypatch, *command) == 0
-    assert run(monkeypatch, "recover", tmp_path / "m") == 0
-    assert "was complete: 3 frames, 3 of them reconstructed live; no gaps" in capsys.readouterr().out
-    assert run(monkeypatch, *command) == 2
-    assert "holds a recording already" in capsys.readouterr().err
-    assert run(monkeypatch, "recover", tmp_path) == 2
-    assert "holds no recording" in capsys.readouterr().err
-
-
-@pytest.mark.slow
 def test_interrupted_measure_names_folder_of_frames(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:
