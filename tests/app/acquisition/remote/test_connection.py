@@ -111,6 +111,30 @@ def test_one_client_has_control_and_the_others_watch(fake_camera: FakeCamera) ->
             first._send("cancel").result(HANG_S)
 
 
+def test_light_does_not_flash_if_on_and_off_wait_for_a_stopped_instrument(
+    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a busy computer, the worker begins the first command before the second one is executed."""
+    goes_on, turn, execute = threading.Event(), Server._turn, Server._execute
+
+    def execute_slowly(server: Server, identity: bytes, command: Command) -> None:
+        execute(server, identity, command)
+        time.sleep(0.2)
+
+    monkeypatch.setattr(Server, "_execute", execute_slowly)
+    with served(fake_camera, begin=lambda _: None), connected("first") as first, connected("second") as second:
+        wait_until(lambda: first.status is not None)
+        monkeypatch.setattr(Server, "_turn", lambda server: goes_on.wait(HANG_S) and turn(server))
+        time.sleep(0.6)
+        lighting, darkening = first.submit(Instrument.set, "is_light_on", True), second.switch_light_off()
+        time.sleep(0.2)
+        goes_on.set()
+        with pytest.raises(WrongState, match="switched off meanwhile"):
+            lighting.result(HANG_S)
+        darkening.result(HANG_S)
+        assert fake_camera.light.log.lightings == 0
+
+
 def test_light_does_not_flash_if_on_waited_for_the_worker_when_the_instrument_was_stopped(
     fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -45,8 +45,9 @@ def test_strangers_are_not_heard(server: Server) -> None:
                 socket.connect(server.address.endpoint)
                 socket.send_multipart(parts)
         newest(watching)
-        time.sleep(0.3)
-        assert watching.clients == (watching.name,)
+        with connected("later", takes_control=False) as later:
+            wait_until(lambda: later.name in watching.clients)
+            assert set(watching.clients) == {watching.name, later.name}
         assert watching.is_alive
         assert not watching.controller
 
