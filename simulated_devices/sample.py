@@ -32,15 +32,6 @@ _EXTREME = 4.0  # largest slope of a screen over the RMS of its slopes
 _TRANSMISSION_STREAM = 1  # of the random numbers of a seed
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlacedScreen:
-    """A thin screen in pupil coordinates, `distance_m` in front of the lenslets (negative: behind them)."""
-
-    phase: PhaseScreen
-    distance_m: float
-    amplitude: PhaseScreen | None = None  # square root of the transmission
-
-
 @dataclass(frozen=True, slots=True)
 class ScreenSize:
     """Samples on each side beyond those that were asked for."""
@@ -184,15 +175,6 @@ class Sample:
     amplitude: PhaseScreen | None  # square root of its transmission; None: it absorbs nothing
     ray_map: RayMap
     light: SampleLight
-
-    def layer(self) -> PlacedScreen:
-        """Return the screen as a layer in pupil coordinates."""
-        rays = self.ray_map
-        return PlacedScreen(
-            phase=self.screen.magnified(1 / rays.pupil_scale),
-            amplitude=None if self.amplitude is None else self.amplitude.magnified(1 / rays.pupil_scale),
-            distance_m=rays.propagation_m(self.field.collimator_focal_length_m),
-        )
 
     def light_of_points(self, sample_x_m: Floats, sample_y_m: Floats, shift_m: tuple[float, float]) -> PointField:
         """Field of each object point at pupil samples (m), behind the screen moved by `shift_m` (x, y).

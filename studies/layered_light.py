@@ -7,6 +7,7 @@ point has a field of its own.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,30 @@ from simulated_devices.optics.propagated_light import (
     unwrapped_phase,
 )
 from simulated_devices.optics.screen_light import RayMap, ScreenLight
-from simulated_devices.sample import PlacedScreen
+from simulated_devices.sample import Sample
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlacedScreen:
+    """A thin screen in pupil coordinates, `distance_m` in front of the lenslets (negative: behind them)."""
+
+    phase: PhaseScreen
+    distance_m: float
+    amplitude: PhaseScreen | None = None  # square root of the transmission
+
+
+def layer_of(sample: Sample) -> PlacedScreen:
+    """Return the screen of a sample as a layer in pupil coordinates."""
+    rays, amplitude = sample.ray_map, sample.amplitude
+
+    def seen(screen: PhaseScreen) -> PhaseScreen:
+        return PhaseScreen(screen.samples_rad, screen.sample_spacing_m / rays.pupil_scale)
+
+    return PlacedScreen(
+        phase=seen(sample.screen),
+        amplitude=None if amplitude is None else seen(amplitude),
+        distance_m=rays.propagation_m(sample.field.collimator_focal_length_m),
+    )
 
 
 class LayeredLight:

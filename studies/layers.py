@@ -18,10 +18,9 @@ from reconstruction.layers.layer_search import search_layers
 from reconstruction.wavefront import Wavefront, rms
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.rendering import Renderer
-from simulated_devices.sample import PlacedScreen
 from simulated_devices.settings import Mask
 from studies.estimators import camera, row
-from studies.layered_light import LayeredLight
+from studies.layered_light import LayeredLight, PlacedScreen, layer_of
 from studies.tables import Asked, Made, Row, curves, draw_curves, steps, trial, trials
 
 _DISTANCES_M = 0.06, 0.1, 0.195, 0.3  # in front of the lenslets
@@ -117,7 +116,7 @@ def _through(renderer: Renderer, mask: str, made: Correction) -> Image:
     phase = PhaseScreen(made.phase(x_m, y_m[:, None]), _SPACING_M)
     corrector = PlacedScreen(phase=phase, distance_m=-made.ratio * focal_length_m)
     light = LayeredLight(
-        [renderer.sample.layer(), corrector],
+        [layer_of(renderer.sample), corrector],
         scene.sensor,
         scene.field,
         pupil_half_width_m=(float(model.sample_x_m.max()), float(model.sample_y_m.max())),

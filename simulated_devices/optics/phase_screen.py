@@ -63,10 +63,6 @@ class PhaseScreen:
         """Return the screen with every phase multiplied by `factor`."""
         return PhaseScreen(self.samples_rad * factor, self.sample_spacing_m)
 
-    def magnified(self, magnification: float) -> PhaseScreen:
-        """Return the screen with every position multiplied by `magnification`."""
-        return PhaseScreen(self.samples_rad, self.sample_spacing_m * magnification)
-
     def _check(self, position_m: Floats, axis: int) -> None:
         name, half_width_m = "yx"[axis], self.half_width_m[1 - axis]
         reach_m = float(np.abs(position_m).max(initial=0.0))

@@ -49,7 +49,7 @@ def test_help_lists_every_study_with_a_sentence(capsys: pytest.CaptureFixture[st
     [
         ("size --set lattice.arrangement=hexagonal --bench small_demo", "made for square lattices"),
         ("mask nothing.png", "there is no mask and no file nothing.png"),
-        ("mask checkerboard:101", "mask checkerboard:101: checker_cells must be 2 ... 100"),
+        ("mask checkerboard:101", "mask checkerboard:101: simulation.source.checker_cells must be 2 ... 100"),
         ("masks .", "the folder . holds no picture of a mask"),
         ("calibration --frames .", "holds no *_reference.tif"),
         ("size --bench nothing.toml", "nothing.toml"),

@@ -13,8 +13,8 @@ from reconstruction.arrays import Floats
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
 from simulated_devices.optics.propagated_light import PropagatedLight
 from simulated_devices.optics.screen_light import RayMap, truth_wavefront
-from simulated_devices.sample import PlacedScreen, point_field
-from studies.layered_light import LayeredLight
+from simulated_devices.sample import point_field
+from studies.layered_light import LayeredLight, PlacedScreen
 
 SENSOR = sensor_of(5, 7)
 WAVENUMBER = 2 * math.pi / 462e-9

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from app.bench.config import load_bench
-from app.evaluation.frames import NoiseFreeFrames
-from app.evaluation.mask_accuracy import bound_rad, without_prior
 from reconstruction.wavefront import Wavefront
-from studies.estimators import camera, scatter_of, warp_estimator
+from studies.estimators import camera, scatter_of
 from studies.noise import em_gain, photons
 from studies.tables import Asked
 
@@ -26,42 +24,12 @@ def drawn(errors: np.ndarray, sigma: float, valid: np.ndarray) -> list[Wavefront
     return cast("list[Wavefront]", wavefronts)
 
 
-def test_scatter_and_coverage_of_normal_errors() -> None:
-    errors = np.random.default_rng(1).normal(0.0, 2.0, (300, 1, 2, 6, 7))
-    errors[:, 0, 1] *= 50  # a view that does not count
-    errors[..., 0, 0] = np.nan
-    valid = np.ones((6, 7), np.bool_)
-    valid[0, 0] = False
-    scatter = scatter_of(drawn(errors, 2.0, valid), np.ones((1, 2, 6, 7)), np.array([[True, False]]))
-    assert scatter.rms_rad == pytest.approx(2.0, rel=0.03)
-    assert scatter.error_bar_rad == 2.0
-    assert scatter.coverage == pytest.approx(0.683, abs=0.02)  # of a normal distribution
-
-
 def test_scatter_of_two_draws_is_their_difference_over_root_two() -> None:
     errors = np.ones((2, 1, 1, 4, 6)) * [1, -1, 1, -1, 1, -1]  # no piston
     errors[1] *= -3
     scatter = scatter_of(drawn(errors, 2.0, np.ones((4, 6), np.bool_)), np.ones((1, 1, 4, 6)))
     assert scatter.rms_rad == pytest.approx(4 / np.sqrt(2))
     assert scatter.coverage == 0.5
-
-
-def test_scatter_of_estimator_is_near_the_bound(small_toml: Path) -> None:
-    bench = load_bench(small_toml, ("simulation.source.mask='checkerboard'",))
-    frames, seen = NoiseFreeFrames(bench), camera(bench, 1, 1.0)
-    electrons = frames.reference("checkerboard") * np.float32(2e3 / frames.reference("checkerboard").max())
-    settings = without_prior(bench)
-    assert settings.pupil_modes == 15  # fourth degree on 5 x 7 lenslets
-    estimator = warp_estimator(bench, seen.counts(electrons), "quadratic", reconstruction=settings, noise=seen.noise)
-    reconstructor = estimator.reconstructor
-    without = reconstructor(seen.counts(electrons))
-    scatter = scatter_of((reconstructor(seen.exposed(electrons, 1, draw)) for draw in range(100)), without.views)
-    terms, fields = reconstructor.brightness_terms, without.displacement.modes.count
-    assert terms == 10
-    bound = bound_rad(bench, reconstructor, field_modes=fields, brightness_terms=terms)
-    assert 0.98 < scatter.rms_rad / bound < 1.15
-    assert scatter.error_bar_rad == pytest.approx(scatter.rms_rad, rel=0.08)  # it follows a misfit above the noise only
-    assert scatter.coverage == pytest.approx(0.683, abs=0.04)
 
 
 @pytest.mark.slow

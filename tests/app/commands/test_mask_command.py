@@ -25,16 +25,6 @@ def pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("file").write_text("x")
 
 
-@pytest.mark.parametrize("words", ["{} --out m.svg", "square --size {} --out m.svg", "square --bench {} --out m.svg"])
-def test_long_text_is_not_echoed(
-    words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "mask", *words.format("a" * 200 + "b" * 2000 + "c" * 200).split()) == 2
-    said = capsys.readouterr().err
-    assert "a" * 50 + "..." + "c" * 49 in said
-    assert len(said) < 600
-
-
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [

@@ -10,54 +10,26 @@ import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
-import numpy as np
 import pytest
-from support.gui_bench import BENCH, make_measurement
+from support.gui_bench import BENCH
 
 import app.commands.benchmark
 from app import cli
-from app.acquisition.running_instrument import Activity, RunningInstrument
-from app.acquisition.start_up import UnattendedRun
 from app.bench.config import load_bench
 from app.bench.device_kinds import RecordingSettings
 from app.commands.benchmark import print_figures
-from app.errors import InputError, Interrupted, RunError, ended_by
-from app.evaluation.benchmark.live_path import LiveFigures, LivePlan, Span, recording_folder, resident_mb, share
-from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
+from app.errors import InputError, Interrupted, ended_by
+from app.evaluation.benchmark.live_path import LiveFigures, LivePlan, Span, recording_folder, share
+from app.measurement.measurement import FrameTotals
 from app.recording.recorder import RecordingState
-from app.timing import TimedStage, Timings
+from app.timing import Timings
 
 
 def test_share_counts_lost_frames() -> None:
     assert share(FrameTotals(acquired=3, reconstructed=1, lost=5)) == 1 / 8
     assert math.isnan(share(FrameTotals()))
-
-
-def first_wavefront(frames: list[Measurement | None], within_s: float = 100.0) -> tuple[int, str]:
-    """Poll frames that an instrument has as its newest; return how many were asked for, and why there is no hope."""
-    instrument = SimpleNamespace(error=None, activity=Activity(), newest=None)
-    steps = UnattendedRun(cast("RunningInstrument", instrument)).first_wavefront(within_s)
-    for asked, frame in enumerate(frames, 1):
-        instrument.newest = frame
-        try:
-            next(steps)
-        except StopIteration:
-            return asked, ""
-        except RunError as error:
-            return asked, str(error)
-    return len(frames), "it waits"
-
-
-def test_first_wavefront_is_hopeless_after_twenty_failed_frames() -> None:
-    made = make_measurement(np.zeros((300, 430), np.uint16), np.zeros((3, 3, 9, 13)))
-    skipped = [replace(made, wavefront=None, problem=SKIPPED) for _ in range(25)]
-    failed = [replace(made, wavefront=None, problem="too dark") for _ in range(20)]
-    assert first_wavefront([*skipped, *failed]) == (45, "no wavefront in the first 20 frames: too dark")
-    assert first_wavefront([*skipped, *failed[:19], failed[18], made]) == (46, "")  # a frame counts once
-    assert first_wavefront([None], 0.0) == (1, "no wavefront within 0 s: no frame came")
 
 
 def span_of(
@@ -107,16 +79,6 @@ def test_redraw_with_panels_has_no_limit_of_its_own() -> None:
     assert figures_of(span_of(draw_s=0.03), with_panels=True).missed() == []
 
 
-@pytest.mark.parametrize(("stage", "name"), [("record", "record_p99_s"), ("to_result", "to_result_p99_s")])
-def test_two_percent_late_frames_miss_the_limit(stage: TimedStage, name: str) -> None:
-    timings = Timings()
-    for number in range(1000):
-        timings.note(stage, 0.035 if number % 50 == 0 else 0.01)
-    good = span_of()
-    window = replace(good, times={**good.times, stage: timings.summary()[stage]})
-    assert [line.split()[0] for line in figures_of(window).missed()] == [name]
-
-
 def test_early_end_of_recording_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     figures = figures_of(span_of(), problem="the disk is full")
     assert [line.split()[0] for line in figures.missed()] == ["recording_problems"]
@@ -131,19 +93,6 @@ def test_empty_run_misses_limits_and_is_valid_json() -> None:
     assert names == {"share", "to_result_p99_s", "redrawn_hz", "draw_p50_s", "rate_ratio"}
     assert json.loads(json.dumps(figures.tree(), allow_nan=False))["live"]["memory"]["growth"] is None
     print_figures(figures)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not report the memory")
-def test_resident_memory_matches_the_system() -> None:
-    before_mb = resident_mb(os.getpid())
-    held = np.ones(64 << 17)  # 64 MB
-    after_mb = resident_mb(os.getpid())
-    assert before_mb is not None
-    assert after_mb is not None
-    assert after_mb - before_mb == pytest.approx(64, abs=8)
-    assert held.all()
-    (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS:"))
-    assert after_mb == pytest.approx(int(line.split()[1]) / 1024, rel=0.05)
 
 
 @pytest.mark.parametrize("seconds", [0.0, -5.0, 0.9, 3601.0, math.nan, math.inf])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,16 +65,6 @@ def test_dark_and_saturated_lenslets_are_lost(
     expected[0, 0], expected[1, 2] = Outcome.DARK, Outcome.SATURATED
     np.testing.assert_array_equal(displacement.outcome, expected)
     np.testing.assert_array_equal(np.isnan(displacement.coefficients[..., 0, 0]), expected != 0)
-
-
-@ALL
-def test_start_of_a_frame_is_ignored(bench: SmallBench, reference: ReferenceSubimages, method: FlowMethod) -> None:
-    frame, _ = bench.tilted(3000.0, 0.0)
-    nowhere = np.zeros(frame.shape, np.bool_)
-    register = method(reference, FIELD)
-    cold = register(frame, saturated=nowhere)
-    far = replace(cold, coefficients=cold.coefficients + 5)
-    np.testing.assert_array_equal(register(frame, saturated=nowhere, start=far).coefficients, cold.coefficients)
 
 
 def test_dead_pixels_are_tolerated(bench: SmallBench) -> None:

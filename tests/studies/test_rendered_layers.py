@@ -17,7 +17,7 @@ from reconstruction.layers.layer_solver import FrameEquations
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.rendering import Renderer
 from simulated_devices.sample import make_sample
-from studies.layered_light import LayeredLight
+from studies.layered_light import LayeredLight, layer_of
 
 
 def rendered(preset: str, distances_m: tuple[float, ...], **settings: Any) -> tuple[FrameEquations, list[PhaseScreen]]:
@@ -31,7 +31,7 @@ def rendered(preset: str, distances_m: tuple[float, ...], **settings: Any) -> tu
     for seed, at_m in enumerate(distances_m, 3):
         screen = replace(bench.simulation.screen, distance_m=at_m, **settings)
         sample = make_sample(replace(bench.simulation, seed=seed, screen=screen), bench.sensor, bench.field)
-        layers.append(sample.layer())
+        layers.append(layer_of(sample))
         screens.append(sample.screen)
     points, model = renderer.points("square"), renderer.model
     reference = renderer.reference("square")
