@@ -19,7 +19,7 @@ from support.recordings import edit_line, record, remove_coefficients, replace_p
 
 from app.bench.config import write_bench
 from app.bench.imaging_model import lenslet_model
-from app.errors import InputError, Interrupted, RunError
+from app.errors import InputError, RunError
 from app.measurement.estimator import Estimator
 from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.folder import STORE
@@ -35,7 +35,7 @@ from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import KnownNoise
 from reconstruction.frame.pixels import KnownCamera
-from reconstruction.layers.layered_wavefront import FREE, AssumedSample
+from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import ReconstructionSettings
@@ -141,27 +141,6 @@ def test_command_reports_the_verification(
     said = capsys.readouterr().out
     assert "8 frames as recorded: " in said
     assert said.count("8 frames") == 1
-
-
-@pytest.mark.slow
-def test_other_settings_search_in_the_first_frame_of_a_block(plain: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    searched: list[Displacement] = []
-    original = Reconstructor.find_sample
-
-    def noted(self: Reconstructor, displacement: Displacement) -> AssumedSample:
-        searched.append(displacement)
-        return original(self, displacement)
-
-    monkeypatch.setattr(Reconstructor, "find_sample", noted)
-    monkeypatch.setattr("app.recording.reprocess.BLOCK_FRAMES", 3)
-    made = list(reprocess(plain, [1, 2, 3, 4, 7], change_of(None, LAYERS)))
-    samples = [each.wavefront.sample for each in made if each.wavefront is not None]
-    assert searched == [made[at].registered for at in (0, 2, 4)]
-    assert samples[0] is samples[1] is not samples[2] is samples[3] is not samples[4]
-    assert all(sample.ratios for sample in samples)
-    searched.clear()
-    assert replayed(plain.folder, must_match=True).assumed
-    assert not searched  # with the recorded settings
 
 
 @pytest.mark.parametrize("threads", [1, 5])
@@ -430,15 +409,3 @@ def test_pieces_equal_the_whole(plain: Recording, tmp_path: Path, monkeypatch: p
     replayed(plain.folder, out=tmp_path / "two.nc", frames=":5")
     with xr.open_dataset(tmp_path / "one.nc") as one, xr.open_dataset(tmp_path / "two.nc") as two:
         xr.testing.assert_identical(one, two)
-
-
-def test_interrupted_replay_leaves_no_file(plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dataset, "PIECE", 2)
-
-    def interrupt(_text: str, fraction: float) -> None:
-        if fraction > 0.7:
-            raise Interrupted("interrupted")
-
-    with pytest.raises(Interrupted):
-        replayed(plain.folder, out=tmp_path / "r.nc", progress=interrupt)
-    assert not list(tmp_path.iterdir())
