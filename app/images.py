@@ -20,6 +20,7 @@ from reconstruction.arrays import Floats, reading_npy
 IMAGE_FORMATS = "TIFF, NPY, FITS, PNG, BMP or PGM"
 SUFFIXES = frozenset({".tif", ".tiff", ".npy", ".fits", ".fit", ".fts", ".png", ".bmp", ".pgm"})
 MOST_COUNTS = 1e12  # of a pixel; beyond, single precision overflows soon
+_MOST_PIXELS = 2**28  # a small file can claim to hold more than the memory
 _ORIENTATION, _WHITE_IS_ZERO = 274, 0  # of TIFF: a tag, and a photometric interpretation
 _JPEG, _FITS, _PICTURES = b"\xff\xd8\xff", b"SIMPLE  =", (b"\x89PNG", b"BM", b"P5")
 _TEXT = b"P2"
@@ -85,6 +86,8 @@ def _read_tiff(path: Path) -> NDArray[Any]:
     with tifffile.TiffFile(path) as file:
         images = [series for series in file.series if not series.keyframe.is_reduced]
         (series,) = _only(images)
+        if math.prod(series.shape) > _MOST_PIXELS:
+            raise ValueError(f"{' x '.join(map(str, series.shape))} pixels are too many")
         if series.keyframe.photometric == _WHITE_IS_ZERO:
             raise ValueError("it is a negative, in which 0 is white; save it with 0 as black")
         tag, compression = series.keyframe.tags.get(_ORIENTATION), series.keyframe.compression

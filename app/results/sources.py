@@ -36,6 +36,7 @@ _NOT_MEASURED = (
     "holds wavefronts that were not measured, such as the truth of a simulation: give a recording, or a file that svwfs"
     " reconstruct, measure or replay wrote"
 )
+_LARGEST_RAD = 1e6  # of a coefficient: displacements of thousands of pixels
 
 
 def recorded_frame(folder: Path, frame: int) -> tuple[Calibration, Wavefront]:
@@ -54,7 +55,7 @@ def recorded_frame(folder: Path, frame: int) -> tuple[Calibration, Wavefront]:
 def stored_frame(path: Path, frame: int, *names: str) -> tuple[Bench, xr.Dataset]:
     """Return bench, coefficients and the variables `names` of one frame, from 0, of a results file.
 
-    Raises `InputError` if there is no such frame or variable.
+    Raises `InputError` if there is no such frame or variable, or no measurement can have given the coefficients.
     """
     with reading_results(path) as opened:
         if "displacement" not in opened:
@@ -67,7 +68,16 @@ def stored_frame(path: Path, frame: int, *names: str) -> tuple[Bench, xr.Dataset
         results = results if "frame" in results.dims else results.expand_dims("frame")
         _require_frame(path, frame, results.sizes["frame"])
         bench = parse_bench(str(opened.attrs.get("bench", "")), f"{path}: bench")
-        return bench, results.isel(frame=frame).load()
+        one = results.isel(frame=frame).load()
+    _require_plausible(path, one["coefficients"].values)
+    return bench, one
+
+
+def _require_plausible(path: Path, coefficients: Floats) -> None:
+    """Raise `InputError` unless a measurement can have given coefficients e_pq, rad, of any shape."""
+    if not (np.abs(coefficients) < _LARGEST_RAD).all():  # nor is NaN
+        worst = np.max(np.abs(coefficients))
+        raise InputError(f"{path}: is damaged: it has a coefficient of {worst:g} rad, which no wavefront has")
 
 
 def _require_frame(source: Path, frame: int, count: int) -> None:
@@ -158,6 +168,7 @@ def _stored_frames(source: Path, frames: str | None, progress: Progress) -> Iter
             coefficients = np.zeros(0)
             if "coefficients" in frame:
                 coefficients = frame["coefficients"].transpose("pupil_mode", "field_mode").values
+            _require_plausible(source, coefficients)
             yield coefficients, frame["wavefront"].transpose("view_row", "view_column", ...).values
             progress("reading wavefronts", done / len(chosen))
 
@@ -236,6 +247,9 @@ def measured_frame(source: Path, frame: int) -> tuple[Bench, FrameEquations]:
         calibration, wavefront = recorded_frame(source, frame)
         return calibration.bench, calibration.reconstructor().layers(wavefront.displacement)
     bench, results = stored_frame(source, frame, "displacement", "displacement_sigma", "valid")
+    sigma_px = results["displacement_sigma"].values[results["valid"].values.astype(bool)]
+    if not ((sigma_px > 0) & np.isfinite(sigma_px)).all():
+        raise InputError(f"{source}: is damaged: the error of a displacement must be above 0 px and finite")
     return bench, _equations(results, bench)
 
 

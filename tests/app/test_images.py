@@ -78,6 +78,17 @@ def test_negative_is_refused(tmp_path: Path) -> None:
         read_image(tmp_path / "negative.tif")
 
 
+@pytest.mark.slow
+def test_image_files_that_lie_are_refused(tmp_path: Path) -> None:
+    header = np.lib.format.MAGIC_PREFIX + b"\x01\x00v\x00"
+    text = b"{'descr': '<f8', 'fortran_order': False, 'shape': (999999, 999999), }"
+    (tmp_path / "bomb.npy").write_bytes(header + text.ljust(117) + b"\n" + bytes(100))
+    tifffile.imwrite(tmp_path / "bomb.tif", np.zeros((2**15, 2**14), np.uint8), compression="deflate")
+    for name, sentence in {"bomb.npy": "cannot be read", "bomb.tif": "are too many"}.items():
+        with pytest.raises(InputError, match=sentence):
+            read_image(tmp_path / name)
+
+
 def fits(*units: tuple[dict[str, object], bytes]) -> bytes:
     """Header and data units of a FITS file, padded to blocks of 2880 bytes."""
     file = b""

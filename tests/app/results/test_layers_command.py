@@ -299,6 +299,9 @@ def of_the_future(found: xr.Dataset) -> xr.Dataset:
     ("command", "change", "sentence"),
     [
         ("layers", lambda found: found.drop_vars("valid"), "is damaged: it lacks valid"),
+        ("layers", lambda found: found.assign(displacement_sigma=0 * found["displacement_sigma"]), "above 0 px"),
+        ("layers", lambda found: found.assign(coefficients=found["coefficients"] * np.nan), "a coefficient of nan rad"),
+        ("corrector", lambda found: found.assign(coefficients=found["coefficients"] * 1e9), "which no wavefront has"),
         ("layers", lambda found: found.drop_vars("displacement"), "holds wavefronts that were not measured, such as"),
         ("field", lambda found: found.drop_vars("displacement"), "give a recording, or a file that svwfs reconstruct"),
         ("corrector", of_the_future, "damaged.nc: a newer svwfs, 99.1, wrote it: update svwfs to read it"),
